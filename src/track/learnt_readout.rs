@@ -22,7 +22,7 @@ const UNKNOWN_SIGMA_S: f64 = 0.02;
 /// Frames that are remembered: eight seconds of motion at 30 a second. Raised, the first frames, which were solved with another readout, count for longer.
 const MOST_FRAMES: usize = 240;
 /// Share of a step of the readout that its linearisation may be wrong by, one sigma. Raised, the readout is known later; lowered, first answers pass for sure ones.
-const CURVATURE: f64 = 0.25;
+pub const CURVATURE: f64 = 0.25;
 /// Frames in which less of a change shows tell nothing. Raised, cameras that are shaken evenly tell less; lowered, one frame's noise passes for a large change.
 const LEAST_SHOWN: f64 = 0.3;
 /// The readout that is used follows what is found beyond this share of its sigma. Raised, it lags; lowered, poses are corrected in every frame.
@@ -71,6 +71,12 @@ impl ReadoutDoubt {
         (by_check || self.sigma_s * speed_px_s > ASKED_PX).then_some(speed_px_s)
     }
 
+    /// Speed above which the readout's sigma displaces the rows of a frame noticeably, pixels per
+    /// second; `None` where the readout is configured.
+    pub fn noticed_speed_px_s(&self) -> Option<f64> {
+        (self.sigma_s > 0.0).then(|| ASKED_PX / self.sigma_s)
+    }
+
     /// Whether a velocity that jumps could explain what the readout may be wrong by, in a frame that moves so fast.
     pub fn is_open(&self, speed_px_s: f64) -> bool {
         self.sigma_s * speed_px_s > OPEN_PX
@@ -108,6 +114,15 @@ struct Told {
     variance_s2: f64,
     used_s: f64,
     speed_px_s: f64,
+}
+
+/// What the remembered frames say by themselves.
+#[derive(Debug, Clone, Copy)]
+struct Found {
+    readout: Known,
+    /// One sigma if the rows are in fact read with the readout that is in use, seconds: without
+    /// the error of the linearisation, which is then zero.
+    sigma_of_no_change_s: f64,
 }
 
 /// What is known of the readout, and what the last frames said of it.
@@ -196,14 +211,13 @@ impl LearntReadout {
         let is_time = self.told.len() < 10 * BLOCK || self.frames.is_multiple_of(BLOCK as u32);
         if let Some(found) = is_time.then(|| self.found()).flatten() {
             match self.configured_s {
-                Some(configured_s) => self.compare(configured_s, found),
+                Some(configured_s) => self.compare(configured_s, found.readout),
                 None => self.learn(found, interval_s),
             }
         }
     }
 
-    /// What the remembered frames say by themselves.
-    fn found(&mut self) -> Option<Known> {
+    fn found(&mut self) -> Option<Found> {
         let used_s = self.used.readout_s;
         self.said.clear();
         let unlinear = |t: &Told| (CURVATURE * (t.used_s - used_s)).powi(2);
@@ -222,12 +236,14 @@ impl LearntReadout {
         let weight = self.said.iter().map(|s| s.y.recip()).sum::<f64>();
         let mean_used_s = self.told.iter().zip(&self.said).map(|(t, s)| t.used_s / s.y).sum::<f64>() / weight;
         let by_curvature = CURVATURE * (value - mean_used_s);
-        let sigma_s = by_scatter.max(by_noise).hypot(by_model).hypot(by_curvature);
+        let sigma_of_no_change_s = by_scatter.max(by_noise).hypot(by_model);
+        let sigma_s = sigma_of_no_change_s.hypot(by_curvature);
         tracing::trace!(value, by_scatter, by_noise, by_model, by_curvature, frames, "readout");
-        (value.is_finite() && sigma_s.is_finite()).then_some(Known { readout_s: value, sigma_s })
+        (value.is_finite() && sigma_s.is_finite()).then_some(Found { readout: Known { readout_s: value, sigma_s }, sigma_of_no_change_s })
     }
 
-    fn learn(&mut self, found: Known, interval_s: f64) {
+    fn learn(&mut self, found: Found, interval_s: f64) {
+        let Found { readout: found, sigma_of_no_change_s } = found;
         if contradict(self.before, found) {
             // Another mode, or another camera: it says nothing of this one.
             self.before = Known::NOTHING;
@@ -243,7 +259,7 @@ impl LearntReadout {
             return;
         }
         // Once it is used, a frame that makes it less sure again does not take it back.
-        let unsure_s = if self.used.readout_s == 0.0 { 3.0 * sigma_s } else { 0.0 };
+        let unsure_s = if self.used.readout_s == 0.0 { 3.0 * sigma_of_no_change_s } else { 0.0 };
         let is_none = readout_s.abs() < FASTEST_READOUT_S.max(unsure_s);
         let goal_s = if is_none { 0.0 } else { readout_s };
         let step_s = goal_s - self.used.readout_s;
@@ -296,7 +312,7 @@ mod tests {
         let information = (0.1 / speed_px_s).powi(-2);
         let clue = Clue { score: 0.5 * (true_s + error_s - used_s) * information, information };
         let readout = ReadoutClue { clue, shown: 0.5, motion_by_readout: MotionError::zeros() };
-        ShutterClue { readout, speed_px_s, exposure: None, is_open: true, is_followed: true }
+        ShutterClue { readout, speed_px_s, exposure: None, is_open: true, may_teach: true }
     }
 
     /// After so many frames of a camera that is shaken; the errors are those of noise.
@@ -331,6 +347,19 @@ mod tests {
         let Known { readout_s, sigma_s } = learnt.used();
         assert!((readout_s - 0.02).abs() < 2.0 * sigma_s && sigma_s > 5e-4, "{readout_s} +- {sigma_s}");
         assert_eq!(learnt.news(), None, "nine frames do not settle it");
+    }
+
+    #[test]
+    fn a_readout_is_used_once_it_is_clearly_not_zero() {
+        // Few frames agree to a tenth: what the linearisation may be wrong by does not speak for zero.
+        let mut learnt = LearntReadout::new(None, None);
+        for k in 0..BLOCK + 2 {
+            learnt.next_doubt();
+            let error_s = if k % 2 == 0 { 1.2e-3 } else { -1.2e-3 };
+            learnt.hear(&clue(0.008, learnt.used().readout_s, error_s, 300.0), INTERVAL_S);
+        }
+        let Known { readout_s, sigma_s } = learnt.used();
+        assert!(readout_s > 0.005 && sigma_s < 0.008, "{readout_s} +- {sigma_s}");
     }
 
     #[test]

@@ -311,7 +311,7 @@ impl Matcher {
         // A configured readout is not blamed for what of the model does not fit anyway.
         let is_configured = self.readout.used().sigma_s == 0.0;
         let mut clues = given.filter(|body| !is_configured || body.covariance_by_misfit() == Matrix6::zeros()).filter_map(|body| body.clue);
-        let Some(clue) = clues.find(|clue| clue.is_followed).filter(|_| !self.is_shutter_given) else { return };
+        let Some(clue) = clues.find(|clue| clue.may_teach).filter(|_| !self.is_shutter_given) else { return };
         let was_s = self.shutter.readout_s;
         self.readout.hear(&clue, self.interval.to_next_s());
         let used = self.readout.used();

@@ -2,7 +2,7 @@
 
 use stagepose::{Shake, State};
 
-use super::scene::{backdrop, camera, errors, past, quiet, rows, setup, track_rows};
+use super::scene::{backdrop, camera, errors, nees_per_freedom, past, quiet, rows, setup, track_rows};
 
 #[test]
 fn knowing_the_readout_is_worth_much() {
@@ -67,5 +67,22 @@ fn a_readout_that_is_not_configured_is_learnt() {
             })
         });
         assert!(wrong.count() <= 2, "{readout_s}");
+    }
+}
+
+/// The first frame that is followed is predicted to stand still, whatever the camera does.
+#[test]
+fn the_first_poses_of_a_shaken_camera_contain_the_unknown_readout() {
+    for seed in [3, 5, 7, 9, 11] {
+        let mut path = past();
+        path.shake = Some(Shake::new(0.015, 0.02, 5.0, seed));
+        let mut scene = quiet(camera(640, 360), path, backdrop());
+        scene.shutter.readout_s = 0.02;
+        let mut setup = setup(&scene);
+        setup.shutter.readout_s = None;
+        let samples = track_rows(setup, &rows(&scene, 8));
+        let nees: Vec<f64> = samples.iter().filter(|s| s.measurement.is_some()).map(|s| nees_per_freedom(&scene, s)).collect();
+        println!("shake {seed}: NEES per freedom {nees:.2?}");
+        assert!(nees.len() >= 6 && nees.iter().all(|n| *n < 6.0), "shake {seed}: {nees:.2?}");
     }
 }

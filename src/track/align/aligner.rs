@@ -157,7 +157,7 @@ impl Aligner {
         since_s: Option<f64>,
     ) -> Option<Solution<'a>> {
         let Self { settings: Settings { surfaces, asks_shutter, question, is_trusted, begins_nearby }, buffers, slow } = &mut *self;
-        let always = ReadoutQuestion { expected_by_readout: MotionError::zeros(), is_open: true };
+        let always = ReadoutQuestion { expected_by_readout: MotionError::zeros(), is_open: true, may_teach: true, min_speed_px_s: 0.0 };
         let question = question.take().or(asks_shutter.then_some(always));
         let is_open = question.is_some_and(|question| question.is_open);
         let is_followed = since_s.is_some();

@@ -14,8 +14,9 @@ pub struct ShutterClue {
     pub exposure: Option<Clue>,
     /// Whether the frame was solved as one of an unknown readout: its motion must not explain what a wrong one does.
     pub is_open: bool,
-    /// Whether it was followed: of a frame whose motion nobody knew the rows tell next to nothing.
-    pub is_followed: bool,
+    /// Whether the readout may be learnt from it: the motion of the frame was predicted, and
+    /// predicted fast enough.
+    pub may_teach: bool,
 }
 
 /// What a frame says of the readout that it was solved with.
@@ -36,4 +37,8 @@ pub struct ReadoutQuestion {
     pub expected_by_readout: MotionError,
     /// Whether the readout may be so far off that a velocity which jumps would explain it.
     pub is_open: bool,
+    /// Whether the readout may be learnt from the answer. Otherwise it only widens the covariance.
+    pub may_teach: bool,
+    /// There is no answer from a frame that moves more slowly, pixels per second.
+    pub min_speed_px_s: f64,
 }

@@ -10,7 +10,7 @@ use super::align::{AlignSurface, Aligner, Alignment, CameraRays, FrameLevels, Pa
 use super::fitted_anchor::FittedAnchor;
 use super::focal_clue::{FocalClue, RowDisplacement, focal_clue, is_suspect};
 use super::focal_step::Jump;
-use super::learnt_readout::ReadoutDoubt;
+use super::learnt_readout::{CURVATURE, ReadoutDoubt};
 use super::misfit::{Misfit, ModelNews, ModelReport};
 use super::model_error::{FieldSize, ModelErrorBuffers, blended, model_error};
 use super::model_study::StudiedFrame;
@@ -236,7 +236,9 @@ impl TrackedBody {
         let shift = self.by_readout.fixed_rows::<3>(0) * sigma_s;
         let turn = pose.rotation * (self.by_readout.fixed_rows::<3>(3) * sigma_s);
         let step = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
-        Some(step * step.transpose())
+        // The derivative itself is wrong by a share of the step, in any direction.
+        let [shift, turn] = [shift, turn].map(|part| (CURVATURE * part.norm()).powi(2));
+        Some(step * step.transpose() + Matrix6::from_diagonal(&Vector6::new(shift, shift, shift, turn, turn, turn)))
     }
 
     /// How the frame is to be asked for its readout, if it is; `since_s` as for [`align`](Self::align).
@@ -244,11 +246,24 @@ impl TrackedBody {
         let doubt = self.readout_doubt?;
         let Some(dt_s) = since_s else {
             // Its motion is found by the frame alone.
-            return (doubt.sigma_s > 0.0).then_some(ReadoutQuestion { expected_by_readout: MotionError::zeros(), is_open: false });
+            let expected_by_readout = MotionError::zeros();
+            return (doubt.sigma_s > 0.0).then_some(ReadoutQuestion {
+                expected_by_readout,
+                is_open: false,
+                may_teach: true,
+                min_speed_px_s: 0.0,
+            });
         };
-        let speed_px_s = doubt.asks(|| self.aligner.speed_px_s(&expected.motion, camera_rays))?;
         let (before, _) = self.followed?;
-        Some(ReadoutQuestion { expected_by_readout: before.error_after(&self.by_readout, dt_s), is_open: doubt.is_open(speed_px_s) })
+        let expected_by_readout = before.error_after(&self.by_readout, dt_s);
+        if let Some(speed_px_s) = doubt.asks(|| self.aligner.speed_px_s(&expected.motion, camera_rays)) {
+            let is_open = doubt.is_open(speed_px_s);
+            return Some(ReadoutQuestion { expected_by_readout, is_open, may_teach: true, min_speed_px_s: 0.0 });
+        }
+        // A body that was just found is predicted to stand still. If the frame shows that it moves,
+        // its pose is as uncertain as the readout is.
+        let min_speed_px_s = doubt.noticed_speed_px_s()?;
+        Some(ReadoutQuestion { expected_by_readout, is_open: false, may_teach: false, min_speed_px_s })
     }
 
     /// Aligns the body from where it should be; `None` where it was not aligned lately, or the picture does not bear it out.

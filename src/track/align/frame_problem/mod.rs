@@ -507,9 +507,12 @@ impl<'a> FrameProblem<'a> {
         let spec = self.spec(FINEST, &motion);
         let Buffers { fine, readout_column, .. } = &mut *self.buffers;
         let speed_px_s = spec.speed_px_s(&motion);
+        if speed_px_s < question.min_speed_px_s {
+            return None;
+        }
         let pull = self.known.information * question.expected_by_readout;
         let readout = fine.solution()?.readout_clue(&spec, &pull, readout_column);
-        Some(ShutterClue { readout, speed_px_s, exposure, is_open: question.is_open, is_followed: self.is_followed })
+        Some(ShutterClue { readout, speed_px_s, exposure, is_open: question.is_open, may_teach: self.is_followed && question.may_teach })
     }
 
     /// What the frame would teach.
