@@ -70,7 +70,10 @@ fn a_readout_that_is_not_configured_is_learnt() {
     }
 }
 
-/// The first frame that is followed is predicted to stand still, whatever the camera does.
+/// A NEES beyond 9 per degree of freedom is overconfident, as `../shared/bench/malice` counts it.
+const MAX_NEES: f64 = 9.0;
+
+/// The first followed frame is predicted to stand still, whatever the camera does.
 #[test]
 fn the_first_poses_of_a_shaken_camera_contain_the_unknown_readout() {
     for seed in [3, 5, 7, 9, 11] {
@@ -83,6 +86,6 @@ fn the_first_poses_of_a_shaken_camera_contain_the_unknown_readout() {
         let samples = track_rows(setup, &rows(&scene, 8));
         let nees: Vec<f64> = samples.iter().filter(|s| s.measurement.is_some()).map(|s| nees_per_freedom(&scene, s)).collect();
         println!("shake {seed}: NEES per freedom {nees:.2?}");
-        assert!(nees.len() >= 6 && nees.iter().all(|n| *n < 6.0), "shake {seed}: {nees:.2?}");
+        assert!(nees.len() >= 6 && nees.iter().all(|n| *n < MAX_NEES), "shake {seed}: {nees:.2?}");
     }
 }
