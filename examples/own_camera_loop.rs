@@ -1,7 +1,9 @@
-//! A camera loop that is yours: frames come from your code, the tracker runs in your thread, and you handle what it refuses.
+//! Runs the tracker in your own camera loop: your code supplies the frames, the tracker runs in
+//! your thread, and you handle the frames that it refuses.
 //!
-//! The virtual stage stands for a camera here, which also gives the true pose to compare with. Only the core and the feature `simulate`
-//! are needed: no files, no sockets, no threads but the workers inside a frame.
+//! A virtual stage replaces the camera here, and provides the true pose for comparison. This needs
+//! only the core and the feature `simulate`: no files, no sockets, and no threads except the
+//! workers inside a frame.
 //!
 //! ```sh
 //! cargo run --example own_camera_loop --no-default-features --features simulate
@@ -15,7 +17,7 @@ use stagepose::{Dolly, Frame, FrameError, Renderer, Timestamp, Tracker, TrackerS
 const FRAMES: u64 = 30;
 const FRAMES_PER_SECOND: f64 = 30.0;
 
-/// Your camera. Of frame 10 it delivers a thumbnail, and frame 20 comes with the stamp of frame 19.
+/// Your camera. It delivers frame 10 as a thumbnail, and frame 20 with the stamp of frame 19.
 fn grab(camera: &Renderer, sequence: u64) -> Frame {
     let time_s = sequence as f64 / FRAMES_PER_SECOND;
     let image = if sequence == 10 { GrayImage::new(160, 120) } else { camera.render(time_s, sequence) };
@@ -25,7 +27,8 @@ fn grab(camera: &Renderer, sequence: u64) -> Frame {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let stage: VirtualStage = dolly(Dolly { width: 640, height: 480, seed: 1, duration_s: 2.0, artwork_width: 1200 })?;
-    // With a real camera you fill in TrackerSetup yourself: its calibration, the surfaces of the stage and their pictures.
+    // With a real camera, fill in TrackerSetup yourself: the calibration, the surfaces of the stage
+    // and their pictures.
     let setup = TrackerSetup::from(&stage);
     let camera = Renderer::new(stage);
 
@@ -35,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let frame = grab(&camera, sequence);
         let sample = match tracker.track(&frame) {
             Ok(sample) => sample,
-            // A refused frame counts as never seen: the next one may follow.
+            // The tracker ignores a refused frame; continue with the next one.
             Err(e @ (FrameError::Size { .. } | FrameError::Stamp { .. })) => {
                 println!("frame {sequence:2} refused: {e}");
                 continue;

@@ -1,7 +1,8 @@
-//! Runs the tracker on threads of its own and reads its samples in a thread of your program.
+//! Runs the tracker on its own threads and reads its samples in a thread of your program.
 //!
-//! A clip is played here, so nothing may be lost: `Delivery::Blocking` makes capture wait for the tracker, and the tracker for the
-//! slowest subscriber. `Daemon::live` is for cameras: there the oldest unread sample is dropped.
+//! This example plays a clip, so it must not lose a frame: `Delivery::Blocking` makes capture wait
+//! for the tracker, and the tracker for the slowest subscriber. Use `Daemon::live` for cameras: it
+//! drops the oldest unread sample instead.
 //!
 //! ```sh
 //! cargo run --example subscribe                                     # fixtures/dolly
@@ -37,12 +38,12 @@ fn run() -> Result<(), Box<dyn Error>> {
     let (width, height) = source.size();
     let (setup, _) = settings.tracker_setup(width, height)?;
 
-    // Subscribe before the start: a subscriber gets what comes after it.
+    // Subscribe before the start: a subscriber receives only later samples.
     let mut daemon = Daemon::new(source, Tracker::new(setup)?.with_filter(settings.filter), Delivery::Blocking);
     let samples = daemon.subscribe();
     let reader = thread::spawn(move || {
         let (mut tracking, mut all) = (0, 0);
-        // The channel ends when the daemon does.
+        // The loop ends when the daemon closes the channel.
         for sample in samples {
             all += 1;
             tracking += u32::from(sample.state == State::Tracking);

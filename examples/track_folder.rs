@@ -1,6 +1,8 @@
-//! Tracks a clip by its config and prints a line a frame, as `stagepose replay CLIP --config FILE --poses -` does.
+//! Tracks a clip and prints one line per frame, as `stagepose replay CLIP --config FILE --poses -`
+//! does.
 //!
-//! The config becomes a setup, the setup a tracker; every row of the clip gets its record, also a row that holds no frame.
+//! The config becomes a setup, and the setup a tracker. Every row of the clip gets its record, even
+//! a row without a frame.
 //!
 //! ```sh
 //! cargo run --example track_folder                                  # fixtures/dolly
@@ -34,7 +36,7 @@ fn run() -> Result<(), Box<dyn Error>> {
     options.calibrated = Some((settings.camera.width(), settings.camera.height()));
     let mut source = open_clip(&clip, options)?;
 
-    // The calibration is scaled to the clip's pictures; where that is a guess, it comes with a sentence.
+    // The calibration is scaled to the size of the clip's pictures; `note` says if that is a guess.
     let (width, height) = source.size();
     let (setup, note) = settings.tracker_setup(width, height)?;
     if let Some(note) = note {

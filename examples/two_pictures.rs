@@ -1,12 +1,14 @@
-//! Relates two pictures step by step with the library's parts: features, matches, homography, and, of a camera whose calibration is known, the
-//! camera's move. `stagepose::two_views::compare` (feature `compare`) does all of it in one call, and judges what it finds.
+//! Relates two pictures step by step with the library's parts: features, matches, homography and
+//! fundamental matrix. `stagepose::two_views::compare` (feature `compare`) does all of it in one
+//! call, judges the result, and with a calibrated camera also finds the camera's motion.
 //!
 //! ```sh
-//! cargo run --release --example two_pictures                  # the first and the last frame of the fixture
-//! cargo run --release --example two_pictures -- a.png b.png   # two pictures of yours
+//! cargo run --release --example two_pictures                # first and last frame of the fixture
+//! cargo run --release --example two_pictures -- a.png b.png # your own two pictures
 //! ```
 //!
-//! The library's part needs no features; `capture` brings the decoders of the crate `image` along, for the files.
+//! The library parts need no features; `capture` adds the decoders of the crate `image`, for the
+//! files.
 
 use std::error::Error;
 use std::path::Path;
@@ -34,12 +36,12 @@ fn run() -> Result<(), Box<dyn Error>> {
     let second = given.next().map_or_else(|| frames.join("000039.jpg"), Into::into);
     let [a, b] = [read(&first)?, read(&second)?];
 
-    // Any detector goes with any descriptor; each has one that it usually goes with.
+    // Any detector works with any descriptor; `of` chooses the detector's usual one.
     let settings = FeatureSettings::of(DetectorKind::Sift);
     let features = [extract(&a, &settings), extract(&b, &settings)];
     println!("{} and {} keypoints", features[0].keypoints.len(), features[1].keypoints.len());
 
-    // The best matches come first, which makes the search for a model quick.
+    // The best matches come first, which speeds up the search for a model.
     let matches = match_exactly(&features[0], &features[1], &ExactOptions::default());
     let place = |k: usize, index: u32| features[k].keypoints[index as usize].position;
     let pairs: Vec<PointPair> = matches.iter().map(|m| PointPair { from: place(0, m.first), to: place(1, m.second) }).collect();
