@@ -1,36 +1,37 @@
-//! Poses and rotations in words that people on a stage use: metres and degrees.
+//! Formats poses and rotations for people on a stage: metres and degrees.
 
 use nalgebra::UnitQuaternion;
 
 use crate::geometry::{Body, Camera, Pose, Stage, SurfaceFrame};
 use crate::protocols::{PanTiltRoll, to_body_axes};
 
-/// "at +0.0000 -4.0000 +1.6000 m, pan +0.00 tilt +0.00 roll +0.00 degrees": of the camera's body, level and looking upstage.
+/// Returns the pose of the camera's body as text. A level camera that looks upstage gives
+/// "at +0.0000 -4.0000 +1.6000 m, pan +0.00 tilt +0.00 roll +0.00 degrees".
 pub(super) fn camera_words(t_stage_camera: &Pose<Stage, Camera>) -> String {
     let p = t_stage_camera.translation;
     format!("at {:+.4} {:+.4} {:+.4} m, {}", p.x, p.y, p.z, angle_words(t_stage_camera))
 }
 
-/// The angles alone.
+/// Returns the angles alone as text.
 pub(super) fn angle_words(t_stage_camera: &Pose<Stage, Camera>) -> String {
     let [pan, tilt, roll] = camera_angles(t_stage_camera);
     format!("pan {pan:+.2} tilt {tilt:+.2} roll {roll:+.2} degrees")
 }
 
-/// Pan, tilt and roll of the camera's body.
+/// Returns pan, tilt and roll of the camera's body, in degrees.
 pub(super) fn camera_angles(t_stage_camera: &Pose<Stage, Camera>) -> [f64; 3] {
     angles(&to_body_axes(t_stage_camera).rotation)
 }
 
-/// The `rotation_deg` of a surface: turn, tilt and roll.
+/// Returns a surface's `rotation_deg`: turn, tilt and roll.
 pub(super) fn surface_angles(t_body_surface: &Pose<Body, SurfaceFrame>) -> [f64; 3] {
-    // An upright surface that faces the audience is turned by nothing; its normal is a frame's y, the other way round.
+    // An upright surface that faces the audience has all angles zero; its normal is the frame's -y.
     let upright = UnitQuaternion::from_axis_angle(&nalgebra::Vector3::x_axis(), std::f64::consts::FRAC_PI_2);
     let [turn, tilt, roll] = angles(&(t_body_surface.rotation * upright.inverse()));
     [turn, tilt, 0.0 - roll]
 }
 
-/// Pan, tilt and roll of a rotation in degrees, rounded to hundredths; no zero is negative.
+/// Returns pan, tilt and roll of a rotation in degrees, rounded to hundredths, never as -0.
 pub(super) fn angles(rotation: &UnitQuaternion<f64>) -> [f64; 3] {
     let PanTiltRoll { pan_deg, tilt_deg, roll_deg } = PanTiltRoll::of_rotation(rotation, 0.0);
     // `+ 0.0` keeps a rounded zero from being printed as -0.00.

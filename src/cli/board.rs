@@ -1,4 +1,4 @@
-//! `stagepose board`: the chessboard to print.
+//! `stagepose board`: a chessboard to print.
 
 use std::path::PathBuf;
 
@@ -16,14 +16,14 @@ use crate::targets::{board_sheet, pdf, svg};
     Print at 100 %, measure the ruler, and glue the sheet on something flat. A board with one odd and one even number (9x6, 8x5) has one \
     origin only; others look the same turned around.")]
 pub(super) struct BoardArguments {
-    /// INNER corners along its sides
+    /// Number of INNER corners along the two sides
     #[arg(long, value_name = "NxM")]
     board: String,
     /// Side of a square in millimetres
     #[arg(long, value_name = "MM", allow_negative_numbers = true)]
     square_mm: f64,
-    /// Paper that it must fit at 100 %, with margins of 10 mm: a0 to a5, letter, legal, tabloid, or a size such as "500x700 mm" [default: just as
-    /// large as the board needs]
+    /// Paper that the board must fit at 100 %, with 10 mm margins: a0 to a5, letter, legal,
+    /// tabloid, or a size such as "500x700 mm" [default: just large enough for the board]
     #[arg(long, value_name = "PAPER")]
     paper: Option<String>,
     /// Write to this file, as PDF or SVG [default: SVG to stdout]

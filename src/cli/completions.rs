@@ -1,4 +1,4 @@
-//! `stagepose completions`: what a shell needs to complete commands and options.
+//! `stagepose completions`: scripts for shells to complete commands and options.
 
 use clap::CommandFactory;
 use clap_complete::Shell;
@@ -6,7 +6,7 @@ use clap_complete::Shell;
 use super::output_file::print;
 use super::{Arguments, Failure};
 
-/// Print the completions for a shell.
+/// Print the completion script for a shell.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  stagepose completions bash > ~/.local/share/bash-completion/completions/stagepose\n\n\
     zsh: into a file _stagepose in a folder of $fpath. fish: ~/.config/fish/completions/stagepose.fish.\n\
@@ -18,7 +18,8 @@ pub(super) struct CompletionsArguments {
 }
 
 pub(super) fn run(arguments: &CompletionsArguments) -> Result<(), Failure> {
-    // Into memory first: the generator panics where its output cannot be written, and a closed pipe is no error.
+    // Generate into memory first: the generator panics if its output cannot be written, and a
+    // closed pipe is not an error.
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut Arguments::command(), "stagepose", &mut script);
     print(script)

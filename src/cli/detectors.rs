@@ -1,4 +1,5 @@
-//! `stagepose detectors`: what each detector and descriptor is worth on given pictures, as a table.
+//! `stagepose detectors`: benchmarks every detector and descriptor on given pictures and prints a
+//! table.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -25,7 +26,7 @@ use crate::printable::printable_lines;
 use crate::safe_file;
 use crate::simulate;
 
-/// Measure every detector and descriptor on pictures whose relation is known.
+/// Measure every detector and descriptor on pairs of pictures whose homography is known.
 #[derive(Debug, Clone, Args)]
 #[command(after_help = "Examples:\n  stagepose detectors backdrop.png\n  \
     stagepose detectors 1.png 2.png 3.png --homography H_1_2 --homography H_1_3 --json table.json\n\n\
@@ -35,13 +36,14 @@ use crate::simulate;
 pub(super) struct DetectorsArguments {
     /// Pictures [default: a painted backdrop]
     images: Vec<PathBuf>,
-    /// A text file with the homography from the first picture to the next one, to the one after that, …
+    /// A text file with the homography from the first picture to the second, then one to the third,
+    /// …
     #[arg(long, value_name = "FILE")]
     homography: Vec<PathBuf>,
-    /// Only these detectors, with commas between [default: all]
+    /// Only these detectors, separated by commas [default: all]
     #[arg(long, value_name = "NAMES", value_delimiter = ',', conflicts_with = "detector")]
     only: Vec<String>,
-    /// Each detector with every descriptor, not only with its own
+    /// Combine each detector with every descriptor, not only with its usual one
     #[arg(long, conflicts_with = "descriptor")]
     every_descriptor: bool,
     #[command(flatten)]
@@ -51,7 +53,7 @@ pub(super) struct DetectorsArguments {
     json: Option<PathBuf>,
 }
 
-/// Two pictures of which it is known where each point went.
+/// Two pictures with the known homography between them.
 struct KnownPair {
     name: String,
     pictures: [GrayImage; 2],
@@ -63,17 +65,17 @@ struct Row {
     pair: String,
     settings: FeatureSettings,
     score: DetectorScore,
-    /// Finding and describing, both pictures, milliseconds.
+    /// Time to detect and describe both pictures, milliseconds.
     features_ms: f64,
 }
 
-/// Size of the painted backdrop, pixels: that of a webcam.
+/// Size of the painted backdrop, pixels: a webcam's. Raised, the table takes longer.
 const BACKDROP: (u32, u32) = (640, 480);
 
 /// Runs the command.
 ///
 /// # Errors
-/// Bad usage, a picture or a homography that cannot be read, an output that cannot be written, an interrupt.
+/// Bad usage, an unreadable picture or homography, an output that cannot be written, an interrupt.
 pub(super) fn run(arguments: &DetectorsArguments) -> Result<(), Failure> {
     let mut spared =
         Spared::default().with_files(&arguments.images, "one of the pictures").with_files(&arguments.homography, "a homography");
@@ -99,7 +101,8 @@ pub(super) fn run(arguments: &DetectorsArguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The detectors of the table, each with the descriptor that goes with it, the one that was asked for, or every one.
+/// Returns the detectors for the table, each with its usual descriptor, the requested one, or every
+/// one.
 fn chosen_detectors(arguments: &DetectorsArguments) -> Result<Vec<FeatureSettings>, Failure> {
     let kinds = DetectorKind::ALL.map(|(name, _)| name);
     if let Some(unknown) = arguments.only.iter().find(|name| !kinds.contains(&name.as_str())) {
@@ -151,7 +154,8 @@ fn pairs(arguments: &DetectorsArguments) -> Result<Vec<KnownPair>, Failure> {
     Ok(sources.iter().flat_map(views).collect())
 }
 
-/// Longest file of nine numbers, bytes; a round figure, so that a wrong file is refused.
+/// Maximum size of a homography file, bytes. Raised, a wrong file is read further before it is
+/// refused.
 const LONGEST_HOMOGRAPHY: u64 = 1 << 12;
 
 fn read_homography(file: &std::path::Path) -> Result<Homography, Failure> {
@@ -169,7 +173,7 @@ fn read_homography(file: &std::path::Path) -> Result<Homography, Failure> {
     Ok(Homography(matrix / matrix[(2, 2)]))
 }
 
-/// `None` after Ctrl-C.
+/// Measures one pair with one detector; `None` after Ctrl-C.
 fn measured(pair: &KnownPair, settings: &FeatureSettings, options: &CompareOptions) -> Option<Row> {
     let begun = Instant::now();
     let found = |picture| extract_watched(picture, settings, &|_| !interrupt::is_interrupted());
@@ -221,11 +225,12 @@ fn table(rows: &[Row]) -> String {
     text
 }
 
-/// Largest corner error of a homography that counts as found, pixels: that of the contract for steep views. Raised, worse ones count.
+/// Maximum corner error of a homography that counts as found, pixels: the contract's limit for
+/// steep views. Raised, worse ones count.
 const FOUND_PX: f64 = 5.0;
 
-/// Over all pairs: means, and how many pairs were related. Those that relate the most come first, and of them those with the most right matches for
-/// their time.
+/// Returns the means over all pairs and how many pairs were related. Sorted by pairs related, then
+/// by correct matches per unit of time.
 fn overview(rows: &[Row], chosen: &[FeatureSettings]) -> String {
     let pairs = rows.len() / chosen.len().max(1);
     if pairs < 2 {

@@ -1,4 +1,4 @@
-//! `devices`: the cameras of this machine, with every name, mode and control that a config may use.
+//! `devices`: lists this machine's cameras with every name, mode and control that a config may use.
 
 use super::failure::Failure;
 
@@ -24,12 +24,12 @@ pub(super) fn run(arguments: &DevicesArguments) -> Result<(), Failure> {
 
     let devices = crate::capture::v4l2::devices();
     let text = match arguments.json {
-        // Serialising to a string fails only for non-string map keys, of which there are none.
+        // Serialising to a string fails only for non-string map keys, and a listing has none.
         true => serde_json::to_string_pretty(&devices).expect("a listing has only string keys"),
         false if devices.is_empty() => "no camera is plugged in, or none may be opened by this user (group video)".to_owned(),
         false => devices.iter().map(text::of_device).collect::<Vec<_>>().join("\n"),
     };
-    // Cameras name themselves.
+    // Camera names come from the devices and may hold control characters.
     let text = crate::printable::printable_lines(&text);
     writeln!(std::io::stdout(), "{text}").map_err(Failure::output(std::path::Path::new("stdout")))
 }

@@ -1,4 +1,4 @@
-//! How a command ends when it does not succeed: a sentence and an exit code.
+//! How a command fails: an error sentence and an exit code.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -10,16 +10,16 @@ use crate::capture::CaptureError;
 use crate::config::ConfigError;
 use crate::publish::PublishError;
 
-/// Exit code of bad usage or config: what shells and clap use for it. Every other failure is 1.
+/// Exit code for bad usage or config, as shells and clap use it. Every other failure is 1.
 pub(super) const USAGE: u8 = 2;
 
-/// Why a command did not succeed.
+/// Why a command failed.
 #[derive(Debug, Error)]
 pub enum Failure {
-    /// The arguments do not fit together.
+    /// The arguments are wrong or inconsistent.
     #[error("{0}")]
     Usage(String),
-    /// The config, or something that it names, cannot be used.
+    /// The config, or a file it names, cannot be used.
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// The tracker cannot be set up.
@@ -28,14 +28,14 @@ pub enum Failure {
     /// The clip cannot be read.
     #[error(transparent)]
     Capture(#[from] CaptureError),
-    /// Not one frame of the clip could be read.
+    /// No frame of the clip could be read.
     #[error("{}: none of its {rows} frames could be read{}; check the clip", clip.display(), first.as_ref().map_or(String::new(), |r| format!(" (the first: {r})")))]
     NoFrame {
         /// The clip.
         clip: PathBuf,
-        /// Rows in it.
+        /// Number of rows in it.
         rows: u64,
-        /// Why the first one could not.
+        /// Why the first row could not be read.
         first: Option<String>,
     },
     /// An output cannot be created or written.
@@ -43,21 +43,21 @@ pub enum Failure {
     Output {
         /// The file.
         file: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
-    /// A recording would be mixed with another one; holds what is there of it.
+    /// A recording would be mixed with an earlier one; holds the first existing file.
     #[error("{}: is there already and would be written over; give a new folder", .0.display())]
     ClipIsThere(PathBuf),
-    /// Pictures would be written over, or mixed with others.
+    /// Pictures would overwrite others or be mixed with them.
     #[error("{}: holds pictures that are not of an earlier --overlay; give a new folder", .0.display())]
     FolderIsUsed(PathBuf),
-    /// A config or a clip was checked, and something is wrong with it (the report has all of it).
+    /// `check` found something wrong with a config or clip; the report has all findings.
     #[error("{}: {reason}", file.display())]
     Check {
-        /// The clip where the stage is not followed in it, else the config.
+        /// The clip if the stage is not followed in it, otherwise the config.
         file: PathBuf,
-        /// The worst finding, with its mend.
+        /// The worst finding, with its fix.
         reason: String,
     },
     /// The camera cannot be used.
@@ -66,16 +66,16 @@ pub enum Failure {
     /// An output or the HTTP server cannot be started (the message names it).
     #[error("{0}")]
     Publishing(String),
-    /// A signal came before there was anything to show.
+    /// A signal arrived before the first frame.
     #[error("interrupted before the first frame of the clip came; nothing was tracked")]
     Interrupted,
-    /// A recording ended before its time.
+    /// A recording ended early.
     #[error("the recording ended early: {0}")]
     Recording(String),
     /// The demo ended early.
     #[error("{0}")]
     Demo(String),
-    /// The pictures make no calibration, or none that should be used.
+    /// The pictures yield no calibration, or none that should be used.
     #[error("{0}")]
     Calibration(String),
     /// A picture cannot be read.
@@ -83,22 +83,22 @@ pub enum Failure {
     Picture {
         /// The file.
         file: PathBuf,
-        /// What the decoder says.
+        /// The decoder's error.
         reason: String,
     },
-    /// Two pictures were not compared.
+    /// Two pictures could not be compared.
     #[error("{0}")]
     Comparison(String),
-    /// A walk makes no survey, or none that should be used.
+    /// A walk yields no survey, or none that should be used.
     #[error("{0}")]
     Survey(String),
-    /// Two clips tell no mount.
+    /// Two clips yield no mount.
     #[error("{0}")]
     Mount(String),
-    /// The code that pairs a browser is not there.
+    /// The browser pairing code is missing.
     #[error("{0}")]
     Pairing(String),
-    /// The tracker or one of its threads gave up.
+    /// The tracker or one of its threads failed.
     #[error("tracking failed: {0}")]
     Tracking(String),
 }
@@ -110,12 +110,12 @@ impl From<PublishError> for Failure {
 }
 
 impl Failure {
-    /// An output that cannot be written, for `map_err`.
+    /// Returns a closure for `map_err` that makes an I/O error a [`Failure::Output`].
     pub fn output(file: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
         move |source| Self::Output { file: file.to_owned(), source }
     }
 
-    /// True where the reader of our output left, which is their right.
+    /// Whether the reader closed our output pipe, which is not an error.
     pub fn is_closed_pipe(&self) -> bool {
         match self {
             Self::Output { source, .. } => source.kind() == io::ErrorKind::BrokenPipe,
@@ -123,7 +123,7 @@ impl Failure {
         }
     }
 
-    /// 1 or 2 (contract C1).
+    /// Returns the exit code, 1 or 2 (contract C1).
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
             Self::Usage(_) | Self::Config(_) | Self::Setup(_) => USAGE,

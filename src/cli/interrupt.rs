@@ -1,18 +1,20 @@
-//! Ctrl-C: the first one asks the work to end with what is there, the second one ends it at once.
+//! Handles Ctrl-C: the first one asks the command to finish with what it has, the second one ends
+//! the process at once.
 //!
-//! What cannot be asked - a driver that does not come back, a disk that is gone - does not keep the process: where the
-//! first signal has not ended it within [`GRACE_S`], a timer does.
+//! A driver that hangs or a disk that is gone cannot be asked. If the first signal has not ended
+//! the process within [`GRACE_S`], a timer does.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::{SigHandler, Signal, signal};
 
-/// Set by the first SIGINT or SIGTERM. A static, because a signal handler can reach nothing else.
+/// Set by the first SIGINT or SIGTERM. It is static because a signal handler has no other state.
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
-/// How long an ordered end may take, seconds: a recorder brings what waits to the disk. Chosen, not tuned. Raised, a hung end lasts longer;
-/// lowered, a slow disk loses the end of a recording.
+/// Maximum duration of an orderly shutdown, seconds; a recorder flushes its queue meanwhile.
+/// Chosen, not tuned. Raised, a hung shutdown lasts longer; lowered, a slow disk loses the end of a
+/// recording.
 const GRACE_S: u32 = 10;
 
 extern "C" fn on_signal(number: nix::libc::c_int) {
@@ -27,7 +29,8 @@ extern "C" fn on_signal(number: nix::libc::c_int) {
 }
 
 extern "C" fn on_alarm(_: nix::libc::c_int) {
-    /// What is written when [`GRACE_S`] is over. Bytes that are ready, for a signal handler must not format.
+    /// Message written when [`GRACE_S`] is over. It is a constant because a signal handler must not
+    /// format.
     const LAST_WORDS: &[u8] = b"stagepose: interrupted, but something did not end in time; ended without it\n";
     // SAFETY: `write` and `_exit` are async-signal-safe; the bytes live as long as the program.
     unsafe {
@@ -36,13 +39,15 @@ extern "C" fn on_alarm(_: nix::libc::c_int) {
     }
 }
 
-/// A file that reaches the size that is allowed is an error like a full disk, not the end of the process.
+/// Ignores SIGXFSZ, so that a file at the size limit is an error like a full disk and does not kill
+/// the process.
 pub(super) fn outlive_file_limits() {
     // SAFETY: ignoring a signal runs no code.
     let _ = unsafe { signal(Signal::SIGXFSZ, SigHandler::SigIgn) };
 }
 
-/// Takes SIGINT and SIGTERM over. Where the system refuses, they end the process as ever.
+/// Installs handlers for SIGINT and SIGTERM. If the system refuses, the signals end the process as
+/// usual.
 pub(super) fn watch() {
     for number in [Signal::SIGINT, Signal::SIGTERM] {
         // SAFETY: the handler stores an atomic or calls `_exit`; both are async-signal-safe.
@@ -52,12 +57,13 @@ pub(super) fn watch() {
     let _ = unsafe { signal(Signal::SIGALRM, SigHandler::Handler(on_alarm)) };
 }
 
-/// True from the first Ctrl-C on.
+/// Whether Ctrl-C has been pressed.
 pub(super) fn is_interrupted() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }
 
-/// Waits until this long after `begun`, in short naps, so that Ctrl-C is heard in a long pause; false where it came first.
+/// Sleeps until `due` after `begun`, in short naps so that Ctrl-C is noticed; returns false if it
+/// was pressed.
 pub(super) fn wait_until(begun: Instant, due: Duration) -> bool {
     loop {
         let left = due.saturating_sub(begun.elapsed());
@@ -68,7 +74,7 @@ pub(super) fn wait_until(begun: Instant, due: Duration) -> bool {
     }
 }
 
-/// Set by SIGHUP and by SIGUSR1, until they are taken.
+/// Set by SIGHUP and by SIGUSR1; cleared when taken.
 static RELOAD: AtomicBool = AtomicBool::new(false);
 static SAVE: AtomicBool = AtomicBool::new(false);
 
@@ -79,7 +85,7 @@ extern "C" fn on_service_signal(number: nix::libc::c_int) {
     }
 }
 
-/// Takes SIGHUP and SIGUSR1 over, for a service.
+/// Installs handlers for SIGHUP and SIGUSR1, for a service.
 pub(super) fn watch_service() {
     for number in [Signal::SIGHUP, Signal::SIGUSR1] {
         // SAFETY: the handler stores an atomic, which is async-signal-safe.
@@ -87,12 +93,12 @@ pub(super) fn watch_service() {
     }
 }
 
-/// True once for every SIGHUP.
+/// Returns true once per SIGHUP.
 pub(super) fn take_reload() -> bool {
     RELOAD.swap(false, Ordering::Relaxed)
 }
 
-/// True once for every SIGUSR1.
+/// Returns true once per SIGUSR1.
 pub(super) fn take_save() -> bool {
     SAVE.swap(false, Ordering::Relaxed)
 }

@@ -1,4 +1,4 @@
-//! What is known of the camera of a clip before its first row: from the clip, or from a file.
+//! What is known of a clip's camera before its first row, from the clip or from a file.
 
 use std::path::{Path, PathBuf};
 
@@ -7,16 +7,17 @@ use crate::daemon::learnt_of_clip;
 use crate::safe_file;
 use crate::track::{LARGEST_LEARNT_BYTES, LearntCamera};
 
-/// `--learnt FILE`
+/// The `--learnt FILE` option.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(super) struct LearntArguments {
-    /// Begin with what this file says was learnt of the camera [default: what the clip says, else nothing]
+    /// Start with what this file says was learnt of the camera [default: what the clip says, else
+    /// nothing]
     #[arg(long = "learnt", value_name = "FILE")]
     file: Option<PathBuf>,
 }
 
 impl LearntArguments {
-    /// What is known before the clip's first row, and a word for where that is from.
+    /// Returns what is known before the clip's first row, and a word for its source.
     pub fn of(&self, clip: &Path) -> Result<(LearntCamera, &'static str), Failure> {
         if let Some(file) = &self.file {
             let unusable = |reason: String| Failure::Usage(format!("{}: {reason}", file.display()));

@@ -1,4 +1,4 @@
-//! Log messages to stderr, around the progress bar.
+//! Logs to stderr without breaking the progress bar.
 
 use std::io::{self, IsTerminal};
 use std::sync::OnceLock;
@@ -14,13 +14,14 @@ use crate::config::{LOG_LEVELS, LogFormat, LogSettings};
 use crate::printable::printable;
 use crate::telemetry::keep_log_line;
 
-/// The progress bar that log messages step aside for, once there is one.
+/// The progress bar, once there is one; it is suspended while a message is written.
 static BAR: OnceLock<ProgressBar> = OnceLock::new();
 
-/// `--log`, which overrides `[log] level`.
+/// The `--log` option, which overrides `[log] level`.
 #[derive(Debug, clap::Args)]
 pub(super) struct LogArguments {
-    /// What to log to stderr; `debug` has the time of every stage of every frame [default: the config's, else warn]
+    /// What to log to stderr; `debug` includes the time of every stage of every frame [default: the
+    /// config's, else warn]
     #[arg(long, value_name = "LEVEL", ignore_case = true, value_parser = levels())]
     log: Option<LevelFilter>,
 }
@@ -29,27 +30,29 @@ fn levels() -> impl TypedValueParser<Value = LevelFilter> {
     PossibleValuesParser::new(LOG_LEVELS.map(|(word, _)| word)).try_map(|word| word.parse::<LevelFilter>())
 }
 
-/// Starts logging; a second call changes nothing.
+/// Starts logging; a second call has no effect.
 pub(super) fn start(arguments: &LogArguments, settings: LogSettings) {
     start_as(arguments, settings, false);
 }
 
-/// The same for a command that tracks only to find something out: what a tracker would say to an operator is part of its report, or
-/// was tried and is not so. With `--log` it is heard all the same.
+/// As [`start`], for commands that track only to find something out. They report what a tracker
+/// would tell an operator, or only tried a setup that does not hold, so the tracker's messages are
+/// dropped unless `--log` is given.
 pub(super) fn start_for_trials(arguments: &LogArguments, settings: LogSettings) {
     start_as(arguments, settings, arguments.log.is_none());
 }
 
 fn start_as(arguments: &LogArguments, settings: LogSettings, trackers_are_quiet: bool) {
     let level = arguments.log.unwrap_or(settings.level);
-    // systemd says so where stderr goes to its journal, which has its own clock and reads "<4>" as a priority.
+    // systemd sets JOURNAL_STREAM if stderr goes to its journal, which adds its own time and reads
+    // "<4>" as a priority.
     let to_journal = std::env::var_os("JOURNAL_STREAM").is_some() && !io::stderr().is_terminal();
     let lines = Lines { with_priority: to_journal && settings.format == LogFormat::Text, trackers_are_quiet };
-    // Which part of the program speaks matters to those who look into it.
+    // The module name matters only for debugging and for programs.
     let with_target = level >= LevelFilter::DEBUG || settings.format == LogFormat::Json;
     let builder =
         tracing_subscriber::fmt().with_max_level(level).with_writer(lines).with_span_events(FmtSpan::CLOSE).with_target(with_target);
-    // It fails only where a subscriber is there already, which then does the work.
+    // This fails only if a subscriber is already installed, which then does the work.
     let _ = match settings.format {
         LogFormat::Text if to_journal => builder.with_ansi(false).without_time().try_init(),
         LogFormat::Text => builder.with_ansi(false).try_init(),
@@ -57,19 +60,19 @@ fn start_as(arguments: &LogArguments, settings: LogSettings, trackers_are_quiet:
     };
 }
 
-/// From now on, messages step aside for this bar.
+/// Suspends this bar around messages from now on.
 pub(super) fn beside(bar: &ProgressBar) {
     let _ = BAR.set(bar.clone());
 }
 
-/// Makes a writer for each message.
+/// Makes a writer per message.
 struct Lines {
     with_priority: bool,
-    /// Whether what the tracker says goes nowhere.
+    /// Whether the tracker's messages are dropped.
     trackers_are_quiet: bool,
 }
 
-/// The module whose messages are those of a tracker.
+/// The module prefix of the tracker's messages.
 const TRACKER: &str = "stagepose::track";
 
 impl<'a> MakeWriter<'a> for Lines {
@@ -85,7 +88,7 @@ impl<'a> MakeWriter<'a> for Lines {
     }
 }
 
-/// What the journal reads as the priority of a line (sd-daemon(3)).
+/// Returns the prefix that the journal reads as a line's priority (sd-daemon(3)).
 fn priority(level: Level) -> &'static str {
     match level {
         Level::ERROR => "<3>",
@@ -105,8 +108,9 @@ impl io::Write for BesideBar {
         if self.goes_nowhere {
             return Ok(text.len());
         }
-        // A message comes in one piece, with one line end of its own. What else would move a terminal, or begin a line that
-        // nobody logged, came with a name from outside. Escaped as JSON escapes it, a line of JSON stays one.
+        // A message arrives in one piece with one line end. Any other control character came from
+        // an outside name: escape it, so that it cannot move the terminal's cursor or forge a log
+        // line. The escapes are JSON's, so a JSON line stays valid.
         let whole = String::from_utf8_lossy(text);
         let (message, end) = whole.strip_suffix('\n').map_or((&*whole, ""), |message| (message, "\n"));
         let message = printable(message);

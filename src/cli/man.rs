@@ -1,4 +1,4 @@
-//! `stagepose man`: the manual pages, one a command, made from the same texts as `--help`.
+//! `stagepose man`: the manual pages, one per command, from the same texts as `--help`.
 
 use std::fs;
 use std::io::{self, Write};
@@ -11,11 +11,11 @@ use super::output_file::print;
 use super::{Arguments, Failure};
 use crate::safe_file;
 
-/// Write the manual pages, one a command.
+/// Write the manual pages, one per command.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  stagepose man ~/.local/share/man/man1 && man stagepose-replay\n\nThe Debian package brings them.")]
 pub(super) struct ManArguments {
-    /// The folder; it is made where it is not there, and pages of the same names are replaced
+    /// The folder; it is created if it is missing, and pages of the same names are replaced
     folder: PathBuf,
 }
 
@@ -32,7 +32,7 @@ pub(super) fn run(arguments: &ManArguments) -> Result<(), Failure> {
     print(format!("{} pages in {}\n", pages.len(), folder.display()))
 }
 
-/// File names and texts: the program's page, then one for each of its commands.
+/// Returns file names and texts: the program's page, then one page per command.
 fn pages(program: &Command) -> io::Result<Vec<(String, Vec<u8>)>> {
     let name = program.get_name();
     let mut pages = vec![page(program.clone(), name)?];

@@ -1,7 +1,7 @@
-//! The command line: one file a command, one sentence an error, one number an outcome.
+//! The command line: one file per command, one sentence per error, one exit code per outcome.
 //!
-//! Exit codes (contract C1): 0 success, 1 failure, 2 bad usage or config. Everything that a command has to
-//! say goes to stdout, everything that is wrong to stderr. A reader that closes the pipe is not an error.
+//! Exit codes (contract C1): 0 success, 1 failure, 2 bad usage or config. Results go to stdout,
+//! errors to stderr. A reader that closes the pipe is not an error.
 
 mod angles;
 mod board;
@@ -45,7 +45,7 @@ pub use failure::Failure;
 
 use crate::printable::{printable, printable_lines, stands_for_itself};
 
-/// Tells where a stage camera is: metric 6-DoF pose from a picture of the stage.
+/// Finds where a stage camera is: metric 6-DoF pose from a picture of the stage.
 #[derive(Debug, Parser)]
 #[command(
     name = "stagepose",
@@ -83,12 +83,13 @@ enum Command {
     Man(man::ManArguments),
 }
 
-/// Runs the command line of this process; `started` is when the process began.
+/// Runs this process's command line; `started` is when the process began.
 pub fn run(started: Instant) -> ExitCode {
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) => {
-            // Help and version go to stdout with 0, bad usage to stderr with 2; a closed pipe changes neither.
+            // Help and version go to stdout with exit code 0, bad usage to stderr with 2, even if
+            // the pipe is closed.
             let _ = print_usage(&error);
             return ExitCode::from(if error.use_stderr() { failure::USAGE } else { 0 });
         }
@@ -122,7 +123,7 @@ pub fn run(started: Instant) -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) if failure.is_closed_pipe() => ExitCode::SUCCESS,
         Err(failure) => {
-            // Written in one piece, and not with eprintln!, which panics where stderr is closed.
+            // Write it in one piece, and not with eprintln!, which panics if stderr is closed.
             let sentence = format!("stagepose: {}\n", printable(&failure.to_string()));
             let _ = io::stderr().write_all(sentence.as_bytes());
             failure.exit_code()
@@ -130,8 +131,8 @@ pub fn run(started: Instant) -> ExitCode {
     }
 }
 
-/// Help, the version, or what is wrong with the arguments; plain instead of in colours where an argument, which may be repeated
-/// there, has something that a terminal would obey.
+/// Prints help, the version, or the usage error. If an argument has control characters, the text,
+/// which may repeat it, is printed without colours and escaped.
 fn print_usage(error: &clap::Error) -> io::Result<()> {
     if std::env::args_os().all(|argument| argument.to_string_lossy().chars().all(stands_for_itself)) {
         return error.print();

@@ -1,32 +1,33 @@
-//! What a whole clip or show came to, in one or two sentences: how much was recognised and tracked, and why the rest was not.
+//! Summarises a whole clip or show in one or two sentences: how much was recognised and tracked,
+//! and why the rest was not.
 
 use serde::{Serialize, Serializer};
 
 use crate::record::{PoseSample, State};
 use crate::track::Reason;
 
-/// Frames, those that were tracked, and the reasons of the others.
+/// Counts of frames, tracked frames, and the reasons for the others.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Outcome {
     /// Frames so far.
     pub frames: u64,
-    /// Frames whose pose was given.
+    /// Frames with a reported pose.
     pub tracked: u64,
     reasons: [u64; Reason::ALL.len()],
 }
 
-/// Most frequent reasons that have a sentence each; the others are only counted. Chosen, not tuned. Raised, the end of a run is longer to
-/// read.
+/// Number of most frequent reasons that get a sentence each; the others are only counted. Chosen,
+/// not tuned. Raised, the summary is longer.
 const TOLD: usize = 2;
-/// What is said of a clip of one picture.
+/// The sentence for a clip of one picture.
 const ONE_FRAME: &str =
     "One picture does not settle a pose, for every pose is held against that of another frame: give two pictures or more, or a clip";
-/// A reason with a smaller share of the frames is not worth a sentence of its own where another has more. Chosen: that of `check`'s notes.
-/// Raised, rarer reasons are only counted.
+/// Minimum share of frames for a reason after the first to get a sentence. Chosen: as for `check`'s
+/// notes. Raised, rarer reasons are only counted.
 const LEAST_SHARE: f64 = 0.02;
 
 impl Outcome {
-    /// Counts a sample; a stale message is none.
+    /// Counts a sample; stale messages do not count.
     pub fn add(&mut self, sample: &PoseSample) {
         if sample.state == State::Stale {
             return;
@@ -35,22 +36,22 @@ impl Outcome {
         match sample.reason {
             _ if sample.state == State::Tracking => self.tracked += 1,
             Some(reason) => self.reasons[reason as usize] += 1,
-            // Every sample of a tracker has one; a sample from elsewhere may not.
+            // A tracker always states a reason; samples from elsewhere may not.
             None => {}
         }
     }
 
-    /// Frames with a verified pose, given or not.
+    /// Returns the number of frames with a verified pose, reported or not.
     pub fn followed(&self) -> u64 {
         self.tracked + self.sum(Reason::is_verified)
     }
 
-    /// Frames with this reason.
+    /// Returns the number of frames with this reason.
     fn count(&self, reason: Reason) -> u64 {
         self.reasons[reason as usize]
     }
 
-    /// Frames that showed the picture, whatever became of it.
+    /// Returns the number of frames that showed the picture, tracked or not.
     pub fn recognised(&self) -> u64 {
         self.tracked + self.sum(Reason::is_recognised)
     }
@@ -59,24 +60,24 @@ impl Outcome {
         Reason::ALL.iter().filter(|r| which(**r)).map(|r| self.count(*r)).sum()
     }
 
-    /// The reasons that there were, most frequent first.
+    /// Returns the reasons that occurred, most frequent first.
     pub fn reasons(&self) -> Vec<(Reason, u64)> {
         let mut found: Vec<(Reason, u64)> = Reason::ALL.iter().map(|r| (*r, self.count(*r))).filter(|(_, n)| *n > 0).collect();
         found.sort_by_key(|(_, n)| std::cmp::Reverse(*n));
         found
     }
 
-    /// Counts of the reasons that there were, for the summary.
+    /// Returns the counts of the reasons that occurred, for the summary.
     pub fn counts(&self) -> ByWord<u64> {
         ByWord(self.reasons().into_iter().map(|(reason, n)| (reason.word(), n)).collect())
     }
 
-    /// Whether all that there is is one frame, with a pose that another one would have to confirm.
+    /// Whether there is a single frame whose pose still needs a second frame to confirm it.
     pub fn awaits_a_second_frame(&self) -> bool {
         self.frames == 1 && self.count(Reason::Unconfirmed) == 1
     }
 
-    /// One sentence on what was tracked and one on why the rest was not.
+    /// Returns one sentence on what was tracked and up to [`TOLD`] on why the rest was not.
     pub fn sentences(&self) -> String {
         let Self { frames, tracked, .. } = *self;
         if frames == 0 {
@@ -92,7 +93,7 @@ impl Outcome {
             _ if tracked == frames => format!("The picture is tracked in all {frames} frames."),
             _ => format!("The picture is recognised in {recognised} of {frames} frames and tracked in {tracked}."),
         };
-        // Any find waits a frame for its confirmation: that is no fault.
+        // Every acquisition waits one frame for its confirmation, so a few of these are normal.
         let faults: Vec<(Reason, u64)> = self.reasons().into_iter().filter(|(r, n)| *r != Reason::Unconfirmed || *n * 4 > frames).collect();
         let worth = |k: usize, n: u64| k == 0 || n as f64 >= LEAST_SHARE * frames as f64;
         let told = faults.iter().enumerate().take(TOLD).filter(|(k, (_, n))| worth(*k, *n));
@@ -104,7 +105,7 @@ impl Outcome {
     }
 }
 
-/// Words with their values, as a JSON object in this order.
+/// Words with their values, serialised as a JSON object in this order.
 pub(super) struct ByWord<V>(pub Vec<(&'static str, V)>);
 
 impl<V: Serialize> Serialize for ByWord<V> {

@@ -1,7 +1,8 @@
-//! A file that a command writes: opened without waiting for anybody, written without being held by anybody.
+//! A file that a command writes. Neither opening nor writing can block the command forever.
 //!
-//! Beside plain files there are outputs that are read while they are written: standard output, a named pipe, a terminal.
-//! Whoever reads them may stop. So nothing here waits longer than until the end is asked for.
+//! Besides plain files there are outputs that someone reads meanwhile: standard output, a named
+//! pipe, a terminal. Their reader may stop reading, so every wait here ends at the latest when the
+//! command is interrupted.
 
 use std::fs::{File, Metadata};
 use std::io::{self, Seek, SeekFrom, Write};
@@ -17,31 +18,34 @@ use super::failure::Failure;
 use super::interrupt;
 use crate::safe_file;
 
-/// The file name that means standard output.
+/// The file name for standard output.
 pub(super) const STDOUT: &str = "-";
 
-/// An output that is open.
+/// An open output.
 #[derive(Debug)]
 pub(super) struct OutputFile {
     /// Its name, for messages.
     pub name: PathBuf,
     to: File,
     is_plain: bool,
-    /// How long a reader may take nothing; `None` is until the end is asked for.
+    /// Maximum time that a reader may take nothing; `None` waits until an interrupt.
     patience: Option<Duration>,
 }
 
-/// Bytes written to a pipe at once, Linux's PIPE_BUF: a pipe that is ready for writing has room for that and takes it whole (pipe(7)).
-/// Raised, a write may stop in the middle of a piece; lowered, there are more system calls.
+/// Bytes written to a pipe at once: Linux's PIPE_BUF. A pipe that polls as writable takes that many
+/// whole (pipe(7)). Raised, a write may block in the middle of a piece; lowered, there are more
+/// system calls.
 const PIPE_PIECE: usize = 4096;
-/// Between two looks whether the end is asked for. Chosen: below what a person notices. Raised, Ctrl-C takes longer.
+/// Interval between checks for an interrupt. Chosen: shorter than a person notices. Raised, Ctrl-C
+/// takes longer.
 const LOOK: Duration = Duration::from_millis(100);
 
 impl OutputFile {
-    /// Opens or makes a file, or takes standard output for `-`. What is in it stays until [`begin`](Self::begin).
+    /// Opens or creates a file, or takes standard output for `-`. Existing content stays until
+    /// [`begin`](Self::begin).
     ///
     /// # Errors
-    /// When the system refuses, when nobody reads a named pipe, and for what no output belongs in: folders, disks, sockets.
+    /// When the system refuses, when nobody reads a named pipe, and for folders, disks and sockets.
     pub fn open(name: &Path) -> Result<Self, Failure> {
         let opened = if name == Path::new(STDOUT) { stdout() } else { safe_file::open_output(name) };
         let described = opened.and_then(|to| to.metadata().map(|about| (to, about.is_file())));
@@ -49,15 +53,15 @@ impl OutputFile {
         Ok(Self { name: name.to_owned(), to, is_plain, patience: None })
     }
 
-    /// For outputs of a running show: a reader that takes nothing for so long is given up.
+    /// Gives up a reader that takes nothing for this long; for outputs of a running show.
     pub fn with_patience(self, patience: Duration) -> Self {
         Self { patience: Some(patience), ..self }
     }
 
-    /// Empties what was there.
+    /// Truncates the file.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system's error.
     pub fn begin(&self) -> Result<(), Failure> {
         if self.is_plain && self.name != Path::new(STDOUT) {
             self.to.set_len(0).map_err(Failure::output(&self.name))?;
@@ -65,10 +69,10 @@ impl OutputFile {
         Ok(())
     }
 
-    /// Begins a new file where a plain one has been moved away or removed.
+    /// Creates a new file if the plain one has been moved away or removed.
     ///
     /// # Errors
-    /// What the system says of the new one.
+    /// The system's error when it creates the new one.
     pub fn reopen(&mut self) -> Result<(), Failure> {
         let same = |a: &Metadata, b: &Metadata| (a.dev(), a.ino()) == (b.dev(), b.ino());
         let is_there = || Some(same(&std::fs::metadata(&self.name).ok()?, &self.to.metadata().ok()?));
@@ -78,11 +82,11 @@ impl OutputFile {
         let opened = Self::open(&self.name)?;
         let patience = self.patience;
         *self = Self { patience, ..opened };
-        // Another program may have begun it already.
+        // Another program may already have written to it.
         self.to.seek(SeekFrom::End(0)).map_err(Failure::output(&self.name)).map(|_| ())
     }
 
-    /// The open file, to compare it with others.
+    /// Returns the open file, to compare it with others.
     pub fn file(&self) -> &File {
         &self.to
     }
@@ -130,7 +134,7 @@ fn stdout() -> io::Result<File> {
     Ok(File::from(io::stdout().as_fd().try_clone_to_owned()?))
 }
 
-/// Writes to stdout what a command has to say.
+/// Writes a command's result to stdout.
 pub(super) fn print(text: impl AsRef<[u8]>) -> Result<(), Failure> {
     io::stdout().write_all(text.as_ref()).map_err(Failure::output(Path::new("stdout")))
 }

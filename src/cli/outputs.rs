@@ -1,4 +1,4 @@
-//! Where poses go while a command runs: the config's outputs, and the clients of the HTTP server.
+//! Publishes poses while a command runs: to the config's outputs and to the HTTP server's clients.
 
 use super::failure::Failure;
 use super::pages::Pages;
@@ -7,14 +7,14 @@ use crate::config::{HttpSettings, Settings};
 use crate::publish::{Context, OutputSettings, OutputStatistics, PoseWithheld, Publisher, Stamps};
 use crate::record::PoseSample;
 
-/// The running outputs, and the HTTP server beside them.
+/// The running outputs and the HTTP server.
 pub(super) struct Outputs {
     publisher: Publisher,
     pages: Pages,
 }
 
 impl Outputs {
-    /// Starts the outputs of the config, and an HTTP server where one is asked for, for samples of this camera.
+    /// Starts the config's outputs, and an HTTP server if requested, for samples of this camera.
     pub fn start(
         settings: &Settings,
         http: Option<&HttpSettings>,
@@ -27,29 +27,29 @@ impl Outputs {
         Self::open(&settings.outputs, http, &Context { camera, objects, mount, safety, stamps, frame_rate, is_test: false })
     }
 
-    /// The same, from what belongs to sending alone.
+    /// As [`start`](Self::start), from what sending needs.
     pub fn open(outputs: &[OutputSettings], http: Option<&HttpSettings>, context: &Context) -> Result<Self, Failure> {
         let publisher = Publisher::start(outputs, context)?;
         Ok(Self { publisher, pages: Pages::start(http, &context.safety, context.stamps.clone(), None)? })
     }
 
-    /// Tells everybody; never waits.
+    /// Sends a sample to all; never waits.
     pub fn send(&self, sample: &PoseSample) {
         self.publisher.send(sample);
         self.pages.publish(sample);
     }
 
-    /// What tells the HTTP server what the outputs have done so far.
+    /// Returns a function that reports the outputs' statistics to the HTTP server.
     pub fn watch(&self) -> impl Fn() -> Vec<OutputStatistics> + Send + Sync + 'static {
         self.publisher.watch()
     }
 
-    /// Poses that the safety limits began to hold back since the last call.
+    /// Returns the poses that the safety limits have withheld since the last call.
     pub fn withheld(&self) -> impl Iterator<Item = PoseWithheld> + '_ {
         self.publisher.events().try_iter()
     }
 
-    /// Sends what is left and says how it went.
+    /// Sends what is queued and logs each output's statistics.
     pub fn close(self) {
         for output in self.publisher.close() {
             let (name, sent, failed) = (&output.name, output.sent, output.failed);

@@ -1,4 +1,5 @@
-//! The HTTP server beside a command: pose and state as the server gives them, and for `run` all that is asked of a daemon.
+//! The HTTP server that runs with a command: pose and state, and for `run` the daemon's whole
+//! interface.
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -14,7 +15,7 @@ use crate::tracker::{Tracker, TrackerSetup};
 #[cfg(feature = "http")]
 use crate::{publish::FrameClock, web};
 
-/// The running server, where the config has one.
+/// The running server, if the config has one.
 pub(super) struct Pages {
     #[cfg(feature = "http")]
     server: Option<web::Server>,
@@ -22,15 +23,16 @@ pub(super) struct Pages {
     clock: Option<Arc<FrameClock>>,
 }
 
-/// What `run` has beside the poses: what steers its sessions, and the page's folder where one was named.
+/// What `run` adds to the poses: its sessions' supervisor, and the page's folder if one was given.
 pub(super) type OfRun<'a> = (&'a Arc<Supervisor>, Option<&'a Path>);
 
 impl Pages {
-    /// Starts the server; it judges the age of a pose by the clock that `stamps` are of.
+    /// Starts the server. It judges a pose's age by the clock of `stamps`.
     #[cfg(feature = "http")]
     pub fn start(http: Option<&HttpSettings>, safety: &SafetySettings, stamps: Stamps, run: Option<OfRun<'_>>) -> Result<Self, Failure> {
         let Some(http) = http else { return Ok(Self { server: None, clock: None }) };
-        // One clock for all pages: it is asked often enough to notice a suspend while nobody reads them.
+        // All pages share one clock. It is read often enough to notice a suspend even while nobody
+        // reads the pages.
         let clock = Arc::new(FrameClock::new(stamps));
         let events = run.map(|(supervisor, _)| supervisor.link.events.listen());
         let routes = run.map_or_else(Vec::new, |(supervisor, _)| web::routes(supervisor, &clock));
@@ -48,7 +50,8 @@ impl Pages {
         Ok(Self { server: Some(server), clock: Some(clock) })
     }
 
-    /// Starts a server on loopback, at a free port, that gives every pose as it comes, whatever its stamp; it keeps nothing.
+    /// Starts a server on loopback, at a free port. It shows every pose at once, whatever its
+    /// stamp, and stores nothing.
     #[cfg(feature = "http")]
     pub fn start_on_loopback() -> Result<Self, Failure> {
         let http = HttpSettings { listen: (std::net::Ipv4Addr::LOCALHOST, 0).into(), hosts: Vec::new() };
@@ -62,7 +65,7 @@ impl Pages {
         Ok(Self {})
     }
 
-    /// Where the server listens; none where there is no server.
+    /// Returns the server's address, if there is a server.
     pub fn listens(&self) -> Option<SocketAddr> {
         #[cfg(feature = "http")]
         return self.server.as_ref().map(web::Server::address);
@@ -70,7 +73,7 @@ impl Pages {
         None
     }
 
-    /// A session begins whose limit of age may be another.
+    /// Applies a new session's age limit.
     #[cfg(feature = "http")]
     pub fn use_limits(&self, safety: &SafetySettings) {
         if let (Some(server), Some(clock)) = (&self.server, &self.clock) {
@@ -78,11 +81,11 @@ impl Pages {
         }
     }
 
-    /// A session begins whose limit of age may be another.
+    /// Does nothing: there is no server in this build.
     #[cfg(not(feature = "http"))]
     pub fn use_limits(&self, _: &SafetySettings) {}
 
-    /// Says that there is no server in this build.
+    /// Warns that this build has no HTTP server.
     #[cfg(not(feature = "http"))]
     pub fn start(http: Option<&HttpSettings>, _: &SafetySettings, _: Stamps, _: Option<OfRun<'_>>) -> Result<Self, Failure> {
         if http.is_some() {
@@ -101,8 +104,9 @@ impl Pages {
         let _ = setup;
     }
 
-    /// What the session's pose stage calls with every row, for those who watch; none where there is no server. The tracker shows the pixels
-    /// that its poses rest on while somebody asks for them.
+    /// Returns what the session's pose stage calls per row, for the server's clients; `None`
+    /// without a server. The tracker reports the pixels behind its poses while a client asks for
+    /// them.
     pub fn observer(&self, tracker: &mut Tracker) -> Option<impl FnMut(&ClipEntry, &PoseSample) + Send + 'static> {
         #[cfg(feature = "http")]
         return self.server.as_ref().map(|server| server.observer(Some(tracker.watch_pixels_while(server.wants_pixels()))));
@@ -113,7 +117,7 @@ impl Pages {
         }
     }
 
-    /// Gives a sample, or a stale message, to the server's clients.
+    /// Publishes a sample, or a stale message, to the server's clients.
     pub fn publish(&self, sample: &PoseSample) {
         #[cfg(feature = "http")]
         if let Some(server) = &self.server {

@@ -1,4 +1,4 @@
-//! `pair`: the code by which a browser on another machine is let in.
+//! `pair`: prints the code that lets a browser on another machine in.
 
 use std::path::{Path, PathBuf};
 
@@ -8,10 +8,10 @@ use crate::daemon::state_folder;
 use crate::safe_file;
 use crate::web::code_file;
 
-/// More than a code has, bytes.
+/// Maximum bytes read of the code file, more than a code has. Raised, a wrong file is read further.
 const MOST_BYTES: u64 = 64;
 
-/// Print the code that lets a browser on another machine change something.
+/// Print the code that lets a browser on another machine change things.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  stagepose pair\n\n\
     Run it on the daemon's machine, as the daemon's user or as root, and type the code into the page. Each code is used once.")]
@@ -19,7 +19,8 @@ pub(super) struct PairArguments {
     /// The port of the daemon's server
     #[arg(long, value_name = "N", default_value_t = 8090)]
     port: u16,
-    /// The daemon's state folder [default: /var/lib/stagepose of the service where it is there, else this user's]
+    /// The daemon's state folder [default: the service's /var/lib/stagepose if it has a code there,
+    /// else this user's]
     #[arg(long, value_name = "FOLDER")]
     state: Option<PathBuf>,
 }

@@ -11,7 +11,8 @@ use super::output_file::print;
 use crate::targets::paper::Paper;
 use crate::targets::{pdf, poster, poster_sheet, svg};
 
-/// Write a picture to print that tracks well from near and far, with a ruler and what to put in the config.
+/// Write a picture to print that tracks well from near and far, with a ruler, and print the lines
+/// for the config.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  stagepose poster --paper a3 -o poster.pdf\n\n\
     Writes the page to print (poster.pdf) and, beside it, the picture alone (poster-picture.png): the config's `image`. Prints the lines for \
@@ -21,13 +22,13 @@ pub(super) struct PosterArguments {
     /// a0 to a5, letter, legal, tabloid, or a size such as "500x700 mm"
     #[arg(long, value_name = "PAPER")]
     paper: String,
-    /// Lay the paper on its long side
+    /// Use the paper in landscape orientation
     #[arg(long)]
     landscape: bool,
-    /// Which picture: every number makes another one
+    /// Seed of the picture: every number gives a different one
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// The page to write: .pdf, or .svg (which needs its picture beside it)
+    /// The page to write: .pdf, or .svg (which needs its picture file next to it)
     #[arg(long, short, value_name = "FILE.pdf|FILE.svg")]
     output: PathBuf,
 }
@@ -63,7 +64,7 @@ pub(super) fn run(arguments: &PosterArguments) -> Result<(), Failure> {
     print(text)
 }
 
-/// What a page is written as.
+/// File format of a page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum PageForm {
     Pdf,
@@ -71,7 +72,7 @@ pub(super) enum PageForm {
 }
 
 impl PageForm {
-    /// By the file's extension.
+    /// Returns the format for a file's extension.
     pub(super) fn of(file: &Path) -> Result<Self, Failure> {
         let extension = file.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
         match extension.as_str() {

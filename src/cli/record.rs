@@ -1,4 +1,4 @@
-//! `record`: as `run`, and everything is recorded as a clip that replays to the same records.
+//! `record`: like `run`, and records a clip that replays to the same records.
 
 use std::path::PathBuf;
 
@@ -13,14 +13,14 @@ use crate::daemon::recorder::taken_by_earlier;
     The replay gives take1/poses.jsonl byte for byte. A disk that is full ends the recording, not the tracking."
 )]
 pub(super) struct RecordArguments {
-    /// The folder of the clip, new or without anything of an earlier recording
+    /// The clip's folder: new, or without anything of an earlier recording
     clip: PathBuf,
     #[command(flatten)]
     live: LiveArguments,
 }
 
 pub(super) fn run(arguments: &RecordArguments) -> Result<(), Failure> {
-    // Said at once, not when a camera has come.
+    // Refuse at once, not when a camera has come.
     if let Some(taken) = taken_by_earlier(&arguments.clip) {
         return Err(Failure::ClipIsThere(taken));
     }

@@ -1,7 +1,9 @@
-//! `send-test`: a moving test pose to the configured outputs, so that the receiving side can be set up before there is a camera.
+//! `send-test`: sends a moving test pose to the configured outputs, to set up the receiving side
+//! before there is a camera.
 //!
-//! The pose goes round an ellipse half a metre wide and pans, tilts and rolls slowly by different amounts, so that exchanged or inverted
-//! axes are seen at once. Outputs that can say so mark it as a test.
+//! The pose moves on an ellipse one metre wide. Pan, tilt and roll change slowly by different
+//! amounts, so that swapped or inverted axes are obvious. Outputs whose protocol can mark a test do
+//! so.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -81,14 +83,14 @@ pub(super) fn run(arguments: &SendTestArguments) -> Result<(), Failure> {
             break;
         }
         outputs.send(&test_sample(sequence, due, &settings.objects));
-        // After a stop it goes on from now: frames are never sent late in a burst.
+        // After a pause, continue from now: frames are never sent late in a burst.
         sequence = (sequence + 1).max((begun.elapsed().as_secs_f64() * arguments.fps) as u64);
     }
     outputs.close();
     Ok(())
 }
 
-/// Why there is nothing to do.
+/// Returns the error for a config without an enabled output.
 fn nowhere_to_send(config: &Path, switched_off: usize) -> String {
     let file = config.display();
     match switched_off {
@@ -97,12 +99,12 @@ fn nowhere_to_send(config: &Path, switched_off: usize) -> String {
     }
 }
 
-/// A common webcam, where the config names no calibration.
+/// Returns a typical webcam, for a config that names no calibration.
 fn any_camera() -> CameraModel {
     CameraModel::pinhole(1280, 720, 1000.0, 1000.0, 639.5, 359.5).expect("these are good intrinsics")
 }
 
-/// The test pose after a time: twenty seconds a round.
+/// Returns the test pose at a time; a lap takes twenty seconds.
 fn test_pose(seconds: f64) -> Pose<Stage, Body> {
     let (sin, cos) = (std::f64::consts::TAU * seconds / 20.0).sin_cos();
     let angles = PanTiltRoll { pan_deg: 20.0 * sin, tilt_deg: 10.0 * cos, roll_deg: 5.0 * sin };

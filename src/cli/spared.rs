@@ -1,7 +1,8 @@
-//! What a command reads is not written over by what it writes, and no two of its outputs go to one file.
+//! Ensures that a command never overwrites its inputs and that no two of its outputs go to the same
+//! file.
 //!
-//! Names say little: a link, a second name of the same file, `./` in front. So files are compared by what the system says
-//! they are, device and inode, and those that are not there yet by their folder and name.
+//! Names are not enough: there are links, several names for one file, and `./` prefixes. So files
+//! are compared by device and inode, and files that do not exist yet by folder and name.
 
 use std::collections::HashMap;
 use std::ffi::OsString;
@@ -13,34 +14,34 @@ use super::failure::Failure;
 use super::output_file::{OutputFile, STDOUT};
 use crate::publish::{JsonSettings, OutputSettings, Protocol, StreamSettings};
 
-/// A file as the system knows it.
+/// A file's identity.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 enum Place {
-    /// One that is there: device and inode.
+    /// An existing file: device and inode.
     File(u64, u64),
-    /// One that is to be: its folder's device and inode, and its name.
+    /// A file yet to be created: its folder's device and inode, and its name.
     Name(u64, u64, OsString),
 }
 
-/// Why a place is not free.
+/// Why a file may not be written.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Taken {
-    /// It is read; holds what it is.
+    /// It is an input; holds a description.
     Input(String),
-    /// It is written; holds the argument that says so.
+    /// It is another output; holds the argument that names it.
     Output(String),
 }
 
-/// Files that must not be written over.
+/// Files that must not be overwritten.
 #[derive(Debug, Default)]
 pub(super) struct Spared {
     taken: HashMap<Place, Taken>,
-    /// Clips that are folders. Looked through only where an output is there already.
+    /// Clips that are folders. They are searched only if an output exists already.
     clips: Vec<PathBuf>,
 }
 
 impl Spared {
-    /// Spares the files that `what` means.
+    /// Protects these files, described by `what`.
     pub fn with_files<'a>(mut self, files: impl IntoIterator<Item = &'a PathBuf>, what: &str) -> Self {
         for file in files {
             self.take(file, what);
@@ -48,7 +49,7 @@ impl Spared {
         self
     }
 
-    /// Spares a clip: the file, or the folder and what is in it.
+    /// Protects a clip: the file, or the folder and its content.
     pub fn with_clip(mut self, clip: &Path) -> Self {
         if clip.as_os_str() != STDOUT {
             self.take(clip, "the clip");
@@ -65,15 +66,15 @@ impl Spared {
         }
     }
 
-    /// Opens an output, where it is wanted: `flag` is its argument.
+    /// Opens an output if one is wanted; `flag` is its argument.
     ///
     /// # Errors
-    /// [`Failure::Usage`] where it would be written over something; what [`OutputFile::open`] says.
+    /// [`Failure::Usage`] if it would overwrite something, and the errors of [`OutputFile::open`].
     pub fn open(&mut self, flag: &str, file: Option<&Path>) -> Result<Option<OutputFile>, Failure> {
         let Some(file) = file else { return Ok(None) };
         let was_there = std::fs::metadata(file).is_ok();
         if !was_there {
-            // Another output may have claimed the name and not made the file yet.
+            // Another output may have claimed the name and not created the file yet.
             self.claim(flag, file)?;
         }
         let output = OutputFile::open(file)?;
@@ -82,10 +83,10 @@ impl Spared {
         Ok(Some(output))
     }
 
-    /// Takes a place for an output that is opened later or replaced whole.
+    /// Claims a file for an output that is opened later or replaced as a whole.
     ///
     /// # Errors
-    /// [`Failure::Usage`] where it would be written over something.
+    /// [`Failure::Usage`] if it would overwrite something.
     pub fn claim(&mut self, flag: &str, file: &Path) -> Result<(), Failure> {
         if file == Path::new(STDOUT) {
             return Ok(());
@@ -98,10 +99,11 @@ impl Spared {
         self.claim_place(flag, file, Place::Name(folder.dev(), folder.ino(), name.to_owned()))
     }
 
-    /// Claims outputs that are whole files, each in a folder that is there.
+    /// Claims outputs that are written as whole files, each in an existing folder.
     ///
     /// # Errors
-    /// As [`claim`](Self::claim), and [`Failure::Output`] where the folder is missing or the file is a folder.
+    /// As [`claim`](Self::claim), and [`Failure::Output`] if the folder is missing or the file is a
+    /// folder.
     pub fn claim_whole_files(&mut self, named: &[(&str, &Option<PathBuf>)]) -> Result<(), Failure> {
         for (flag, file) in named.iter().filter_map(|(flag, file)| Some((flag, file.as_ref()?))) {
             let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -115,7 +117,7 @@ impl Spared {
         Ok(())
     }
 
-    /// Refuses a folder for pictures that is the clip's own, or in which a picture would be written over something.
+    /// Refuses a folder for pictures that belongs to a clip or holds a protected file.
     ///
     /// # Errors
     /// [`Failure::Usage`].
@@ -133,7 +135,7 @@ impl Spared {
         Ok(())
     }
 
-    /// Takes the places of the files that the config's outputs write.
+    /// Claims the files that the config's outputs write.
     ///
     /// # Errors
     /// As [`claim`](Self::claim).
@@ -146,7 +148,8 @@ impl Spared {
         Ok(())
     }
 
-    /// Refuses a folder that is one of these clips, or lies within a clip: whoever reads the clip later would read what is written there.
+    /// Refuses a folder that is one of these clips or lies within a clip: files written there would
+    /// later be read as part of it.
     ///
     /// # Errors
     /// [`Failure::Usage`].
@@ -154,7 +157,7 @@ impl Spared {
         let absolute = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
         let there = absolute.ancestors().find_map(|part| part.canonicalize().ok()).unwrap_or_default();
         let is_clip = |part: &Path| self.clips.iter().any(|clip| clip.canonicalize().is_ok_and(|clip| clip == part));
-        // A recording's pictures are at most two folders below its index.
+        // A recording's pictures lie at most two folders below its index.
         let recording = there.ancestors().take(3).find(|part| part.join("timestamps.csv").is_file());
         match there.ancestors().find(|part| is_clip(part)).or(recording) {
             Some(clip) => Err(Failure::Usage(format!(
@@ -167,7 +170,8 @@ impl Spared {
     }
 
     fn claim_file(&mut self, flag: &str, file: &Path, about: &Metadata, was_there: bool) -> Result<(), Failure> {
-        // A device takes what is written and keeps nothing that could be lost: /dev/null may stand for two outputs.
+        // A character device stores nothing that could be lost: two outputs may both go to
+        // /dev/null.
         if about.file_type().is_char_device() {
             return Ok(());
         }
@@ -187,7 +191,7 @@ impl Spared {
         }
     }
 
-    /// Takes every file and folder of the clips, links followed.
+    /// Protects every file and folder of the clips; links are followed.
     fn look_through_clips(&mut self) {
         let mut folders = std::mem::take(&mut self.clips);
         while let Some(folder) = folders.pop() {
@@ -200,7 +204,7 @@ impl Spared {
                 if is_new && (about.is_dir() || is_input(&path, &folder)) {
                     self.taken.insert(place, Taken::Input(what.to_owned()));
                 }
-                // Folders are entered once, so that a link back to one above ends.
+                // Each folder is entered once, so that links to a parent folder terminate.
                 if about.is_dir() && is_new && is_of_clip(&folder, &path) {
                     folders.push(path);
                 }
@@ -209,13 +213,15 @@ impl Spared {
     }
 }
 
-/// Whether a clip's pictures can be in a folder: beside its index, in frames or data, or below these.
+/// Whether a folder can hold a clip's pictures: frames or data next to its index, or a folder below
+/// these.
 fn is_of_clip(above: &Path, folder: &Path) -> bool {
     let is_picture_folder = |path: &Path| path.file_name().is_some_and(|name| name == "frames" || name == "data");
     is_picture_folder(folder) || above.ancestors().any(is_picture_folder)
 }
 
-/// Whether a file is read as part of a clip: records beside its pictures may be written anew.
+/// Whether a file is read as part of a clip. Records next to its pictures are not and may be
+/// overwritten.
 fn is_input(file: &Path, folder: &Path) -> bool {
     let extension = file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     let is_picture = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm", "csv"].contains(&extension.as_str());
