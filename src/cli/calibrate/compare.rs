@@ -1,4 +1,4 @@
-//! `--compare`: how far apart two calibrations put the same points, pixels over the picture.
+//! `--compare`: how far apart two calibrations project the same points, pixels over the picture.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -12,7 +12,7 @@ use crate::cli::output_file::print;
 use crate::config::read_calibration;
 use crate::printable::printable_lines;
 
-/// Another calibration, after its file's name.
+/// Another calibration with its file's name.
 pub(super) type Other<'a> = (&'a Path, Calibration);
 
 /// Reads the other calibration.
@@ -20,7 +20,7 @@ pub(super) fn read(file: &Path) -> Result<Other<'_>, Failure> {
     Ok((file, read_calibration(file).map_err(|e| Failure::Usage(e.to_string()))?))
 }
 
-/// The calibration file that stands where pictures would, if two files are to be compared.
+/// Returns the calibration file given in place of pictures, if two files are to be compared.
 pub(super) fn two_files(arguments: &CalibrateArguments) -> Option<&Path> {
     arguments.compare.as_ref()?;
     match arguments.images.as_slice() {
@@ -45,7 +45,8 @@ pub(super) fn run(own: &Path, arguments: &CalibrateArguments) -> Result<(), Fail
     }
 }
 
-/// The difference from a model to another calibration, which may be of another size of the same shape.
+/// Computes the difference from a model to another calibration, which may be for another size of
+/// the same aspect ratio.
 pub(super) fn between(model: &CameraModel, (name, other): &Other<'_>) -> Result<Comparison, Failure> {
     let scaled = other.model.scaled_to(model.width(), model.height());
     let scaled = scaled.map_err(|e| Failure::Usage(format!("{}: {e}", name.display())))?;
@@ -53,7 +54,7 @@ pub(super) fn between(model: &CameraModel, (name, other): &Other<'_>) -> Result<
     Ok(Comparison { name: name.display().to_string(), size: (model.width(), model.height()), field })
 }
 
-/// The difference as a grid of numbers.
+/// Returns the difference as a grid of numbers.
 pub(super) fn table(comparison: &Comparison) -> String {
     let lengths = comparison.lengths();
     let mut text = String::new();

@@ -7,7 +7,7 @@ use crate::calibrate::report::Comparison;
 use crate::calibrate::session::{CalibrationView, CameraCalibration};
 use crate::camera::Calibration;
 
-/// The whole text.
+/// Returns the whole document.
 pub(super) fn text(made: &CameraCalibration, calibration: &Calibration, comparison: Option<&Comparison>) -> String {
     let i = calibration.model.intrinsics();
     let u = calibration.uncertainty.unwrap_or_default();

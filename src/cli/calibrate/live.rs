@@ -1,4 +1,5 @@
-//! `--device`: a live camera takes the pictures by itself, one whenever a view is worth it, and says which are missing.
+//! `--device`: takes pictures from a live camera whenever a view is useful, and says which views
+//! are missing.
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -18,7 +19,7 @@ use crate::cli::interrupt;
 use crate::daemon::live::{LiveLink, LiveSource, LiveStop, Patience};
 use crate::printable::printable;
 
-/// Pictures from the camera until the set is good, there are enough, or Ctrl-C ends it.
+/// Takes pictures until the set is good, there are enough, or Ctrl-C is pressed.
 pub(super) fn taken(arguments: &CalibrateArguments, board: &Board) -> Result<Vec<Inspected>, Failure> {
     let folder = arguments.save.as_deref();
     folder.map(make_folder).transpose()?;
@@ -28,7 +29,7 @@ pub(super) fn taken(arguments: &CalibrateArguments, board: &Board) -> Result<Vec
     let done = AtomicBool::new(false);
     let stop = source.stopper();
     let pictures = std::thread::scope(|threads| {
-        // A camera that gives no picture must not keep Ctrl-C waiting.
+        // A camera that delivers no pictures must not delay Ctrl-C.
         threads.spawn(|| end_on_interrupt(&stop, &done));
         let pictures = watched(&mut source, board, arguments.pictures as usize, folder);
         done.store(true, Ordering::Relaxed);
@@ -52,7 +53,7 @@ fn end_on_interrupt(stop: &LiveStop, done: &AtomicBool) {
     }
 }
 
-/// Looks at frame after frame.
+/// Offers frame after frame to the picker.
 fn watched(source: &mut dyn FrameSource, board: &Board, most: usize, folder: Option<&Path>) -> Result<Vec<Inspected>, Failure> {
     let mut picker = ViewPicker::new(*board);
     let mut panel = Panel::new();
@@ -79,7 +80,8 @@ fn picture_file(folder: Option<&Path>, number: usize) -> PathBuf {
     folder.map_or_else(|| PathBuf::from(&name), |folder| folder.join(&name))
 }
 
-/// The folder for the pictures; one that has some already is refused, for they may be of another camera.
+/// Creates the folder for the pictures. A folder with content is refused: its pictures may be
+/// another camera's.
 fn make_folder(folder: &Path) -> Result<(), Failure> {
     std::fs::create_dir_all(folder).map_err(Failure::output(folder))?;
     let mut inside = std::fs::read_dir(folder).map_err(Failure::output(folder))?;
@@ -89,13 +91,13 @@ fn make_folder(folder: &Path) -> Result<(), Failure> {
     }
 }
 
-/// What opens the camera. A device is opened once to see that it can be.
+/// Returns what opens the camera. A device is opened once here to check that this works.
 fn opener(arguments: &CalibrateArguments) -> Result<Arc<dyn CameraOpener>, Failure> {
     match (&arguments.play, &arguments.device) {
         (Some(clip), _) => {
             let played = PlayedClip::open(clip, None)?;
             for line in played.notes() {
-                let _ = writeln!(std::io::stderr(), "stagepose: note: {}", printable(line)); // a terminal that is gone is no reason to stop
+                let _ = writeln!(std::io::stderr(), "stagepose: note: {}", printable(line)); // a closed terminal is no reason to stop
             }
             Ok(Arc::new(played))
         }
@@ -105,7 +107,7 @@ fn opener(arguments: &CalibrateArguments) -> Result<Arc<dyn CameraOpener>, Failu
             let mode = camera.mode();
             let first = format!("{}, {} x {}", mode.name, mode.size.0, mode.size.1);
             for line in std::iter::once(&first).chain(&mode.notes) {
-                // A terminal that is gone is no reason to stop.
+                // A closed terminal is no reason to stop.
                 let _ = writeln!(std::io::stderr(), "{}", printable(line));
             }
             drop(camera);

@@ -1,4 +1,5 @@
-//! `stagepose calibrate`: pictures of a chessboard in, a camera calibration out, and how far to trust it.
+//! `stagepose calibrate`: turns pictures of a chessboard into a camera calibration and says how far
+//! to trust it.
 
 mod compare;
 mod json;
@@ -41,22 +42,23 @@ pub(super) struct CalibrateArguments {
     /// A clip to pick the views from
     #[arg(long)]
     clip: Option<PathBuf>,
-    /// A camera that takes the pictures by itself, while you move the board as it says: a name of `stagepose devices`, a number, or first
+    /// A camera that takes the pictures by itself while you move the board as it says: a name from
+    /// `stagepose devices`, a number, or first
     #[arg(long, value_name = "NAME", conflicts_with_all = ["images", "clip", "play"])]
     device: Option<String>,
     /// Play a clip as if it were the camera
     #[arg(long, value_name = "CLIP", conflicts_with_all = ["images", "clip"])]
     play: Option<PathBuf>,
-    /// With --device: size of the pictures, the one that tracking will use [default: the camera's best]
+    /// With --device: size of the pictures, the same as for tracking [default: the camera's best]
     #[arg(long, value_name = "WxH")]
     size: Option<String>,
-    /// With --device or --play: end after this many pictures, if the set is not good before
+    /// With --device or --play: stop after this many pictures, or earlier if the set is good
     #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u64).range(3..=40))]
     pictures: u64,
-    /// With --device or --play: keep the pictures taken in this folder
+    /// With --device or --play: save the pictures in this folder
     #[arg(long, value_name = "FOLDER")]
     save: Option<PathBuf>,
-    /// INNER corners of the board along its sides, such as 9x6
+    /// Number of INNER corners of the board along its two sides, such as 9x6
     #[arg(long, value_name = "NxM")]
     board: Option<String>,
     /// Side of a square in millimetres
@@ -65,7 +67,7 @@ pub(super) struct CalibrateArguments {
     /// Write the calibration to this file
     #[arg(long, short, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Form of --output [default: by its name, .toml is stagepose's, .yaml and .yml are OpenCV's]
+    /// Format of --output [default: by its name: .toml is stagepose's, .yaml and .yml are OpenCV's]
     #[arg(long, value_name = "FORM")]
     format: Option<OutputForm>,
     /// Write a report with figures, one HTML file
@@ -74,27 +76,28 @@ pub(super) struct CalibrateArguments {
     /// Write everything as JSON
     #[arg(long, value_name = "OUT.json")]
     json: Option<PathBuf>,
-    /// `bouguet`: every corner and picture counts, uncertainties as his toolbox has them
+    /// `bouguet`: use every corner and picture, and state uncertainties as Bouguet's toolbox does
     #[arg(long, value_name = "NAME")]
     profile: Option<Profile>,
-    /// Hold numbers fixed: fx, fy, cx, cy, k1, k2, p1, p2, with =VALUE for another value than the default; `aspect` for fx = fy
+    /// Hold parameters fixed: fx, fy, cx, cy, k1, k2, p1, p2, with =VALUE for a value other than
+    /// the default; `aspect` for fx = fy
     #[arg(long, value_name = "NAME[=VALUE]", value_delimiter = ',', allow_hyphen_values = true)]
     fix: Vec<String>,
-    /// Estimate the skew too
+    /// Also estimate the skew
     #[arg(long)]
     skew: bool,
-    /// Estimate k3 too (lenses wider than about 90 degrees)
+    /// Also estimate k3 (for lenses wider than about 90 degrees)
     #[arg(long)]
     k3: bool,
-    /// Show the difference to another calibration, pixels over the picture
+    /// Show the difference from another calibration, pixels over the picture
     #[arg(long, value_name = "FILE")]
     compare: Option<PathBuf>,
-    /// Write --output even where the verdict is "do not use"
+    /// Write --output even if the verdict is "do not use"
     #[arg(long)]
     write_anyway: bool,
 }
 
-/// Forms of a calibration file that are written.
+/// Formats of a calibration file that can be written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum OutputForm {
     /// stagepose's own TOML
@@ -105,7 +108,7 @@ enum OutputForm {
     Ros,
 }
 
-/// Whose defaults.
+/// Whose defaults to use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Profile {
     /// Bouguet's toolbox
@@ -115,7 +118,8 @@ enum Profile {
 /// Runs the command.
 ///
 /// # Errors
-/// Bad usage, pictures that make no calibration, an output that cannot be written, the verdict "do not use".
+/// Bad usage, pictures that yield no calibration, an output that cannot be written, the verdict "do
+/// not use".
 pub(super) fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
     if let Some(own) = compare::two_files(arguments) {
         return compare::run(own, arguments);
@@ -174,7 +178,7 @@ fn write_results(
     Ok(())
 }
 
-/// When a report is made.
+/// Returns the time for a report.
 fn report_date() -> String {
     utc::date_and_time(utc::now_s()).replace('T', " ").replace('Z', " UTC")
 }
@@ -199,7 +203,7 @@ fn board_of(arguments: &CalibrateArguments) -> Result<Board, Failure> {
     Board::parse(text, square_mm).map_err(|e| Failure::Usage(e.to_string()))
 }
 
-/// The file's content; `None` where the numbers are no camera.
+/// Returns the file's content; `None` if the numbers are not a valid camera.
 fn calibration_of(made: &CameraCalibration) -> Option<Calibration> {
     let model = made.estimate.bundle.lens.model(made.size.0, made.size.1).ok()?;
     let u = made.estimate.lens_uncertainty();

@@ -1,4 +1,4 @@
-//! `--fix`, `--skew`, `--k3`, `--profile`: which numbers are estimated.
+//! `--fix`, `--skew`, `--k3`, `--profile`: which parameters are estimated.
 
 use super::{CalibrateArguments, Profile};
 use crate::calibrate::session::CalibrationOptions;
@@ -6,7 +6,7 @@ use crate::calibrate::solve::SolveOptions;
 use crate::calibrate::solve::lens::{FreeNumbers, LENS_NAMES};
 use crate::cli::failure::Failure;
 
-/// What the arguments ask to be estimated.
+/// Returns the options that the arguments ask for.
 pub(super) fn options(arguments: &CalibrateArguments) -> Result<CalibrationOptions, Failure> {
     let bouguet = arguments.profile == Some(Profile::Bouguet);
     let mut solve = SolveOptions { free: FreeNumbers::default(), bouguet, ..SolveOptions::default() };
@@ -18,7 +18,7 @@ pub(super) fn options(arguments: &CalibrateArguments) -> Result<CalibrationOptio
     Ok(CalibrationOptions { solve, keep_all_views: bouguet })
 }
 
-/// Takes in one word of `--fix`.
+/// Applies one word of `--fix`.
 fn fix(solve: &mut SolveOptions, word: &str) -> Result<(), Failure> {
     let (name, value) = match word.split_once('=') {
         Some((name, value)) => (name.trim(), Some(value.trim())),

@@ -1,4 +1,4 @@
-//! Writing results: whole files or none.
+//! Writes results: whole files or none.
 
 use std::io::Write;
 use std::path::Path;
@@ -9,17 +9,19 @@ use crate::cli::output_file::OutputFile;
 use crate::cli::spared::Spared;
 use crate::safe_file;
 
-/// Writes a file beside its place and moves it there, so that what was there is replaced by a whole file or not at all.
+/// Writes a temporary file and renames it, so that an existing file is replaced as a whole or not
+/// at all.
 pub(in crate::cli) fn write(file: &Path, content: impl AsRef<[u8]>) -> Result<(), Failure> {
     let content = content.as_ref();
-    // What is no plain file - a pipe, /dev/stdout - cannot be replaced, only written to.
+    // A pipe or /dev/stdout cannot be replaced, only written to.
     if std::fs::metadata(file).is_ok_and(|m| !m.is_file()) {
         return OutputFile::open(file)?.write_all(content).map_err(Failure::output(file));
     }
     safe_file::write_whole(file, content).map_err(Failure::output(file))
 }
 
-/// Finds an output's missing folder, or that it would be written over what is read, before the work is done, not after.
+/// Checks before the work, not after it, that the outputs' folders exist and that no output
+/// overwrites an input.
 pub(super) fn refuse_unwritable(arguments: &CalibrateArguments) -> Result<(), Failure> {
     let spared =
         Spared::default().with_files(&arguments.images, "one of the pictures").with_files(&arguments.compare, "the other calibration");

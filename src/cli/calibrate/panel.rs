@@ -1,4 +1,5 @@
-//! What the live mode shows while the board is moved: the parts of the picture and the tilts still missing, and what to do.
+//! The live mode's display while the board is moved: parts of the picture and tilts that are
+//! missing, and what to do next.
 
 use std::fmt::Write as _;
 use std::io::{self, IsTerminal, Write};
@@ -6,7 +7,8 @@ use std::io::{self, IsTerminal, Write};
 use crate::calibrate::guide::{GOOD_VIEWS, PART_COLUMNS, PART_ROWS, TiltSide, ViewSet};
 use crate::calibrate::pick::Look;
 
-/// On a terminal a few lines, drawn again with every frame; elsewhere a line for every picture taken.
+/// On a terminal a few lines that are redrawn with every frame, otherwise one line per picture
+/// taken.
 #[derive(Debug)]
 pub(super) struct Panel {
     is_terminal: bool,
@@ -18,25 +20,26 @@ impl Panel {
         Self { is_terminal: io::stderr().is_terminal(), drawn_lines: 0 }
     }
 
-    /// Shows where things stand.
+    /// Shows the current state.
     pub fn show(&mut self, taken: &ViewSet, look: &Look, most: usize) {
         if !self.is_terminal {
             if *look == Look::Taken {
-                // A terminal that is gone is no reason to stop.
+                // A closed terminal is no reason to stop.
                 let _ = writeln!(io::stderr(), "{}", line(taken));
             }
             return;
         }
         let text = lines(taken, look, most);
-        // Up to the first line and all below it away; long lines are cut, not folded, or the next way up would be longer.
+        // Move up to the first line and clear from there. Line wrapping is off, or a long line
+        // would make the next move too short.
         let up = if self.drawn_lines > 0 { format!("\x1b[{}A\x1b[J", self.drawn_lines) } else { String::new() };
-        // A terminal that is gone is no reason to stop.
+        // A closed terminal is no reason to stop.
         let _ = write!(io::stderr(), "\x1b[?7l{up}{text}\x1b[?7h");
         self.drawn_lines = text.lines().count();
     }
 }
 
-/// One line for a picture taken.
+/// Returns the line for a picture taken.
 fn line(taken: &ViewSet) -> String {
     let missing = taken.missing();
     let sides: Vec<&str> = missing.sides.iter().map(|side| side.name()).collect();
@@ -45,7 +48,7 @@ fn line(taken: &ViewSet) -> String {
     format!("picture {}: {} parts of the picture and these tilts are missing: {tilts}{next}", taken.len(), missing.parts.len())
 }
 
-/// The lines for a terminal.
+/// Returns the lines for a terminal.
 fn lines(taken: &ViewSet, look: &Look, most: usize) -> String {
     let missing = taken.missing();
     let mut text = String::new();
@@ -60,7 +63,7 @@ fn lines(taken: &ViewSet, look: &Look, most: usize) -> String {
         let _ = writeln!(text, "{}   {beside}", parts.collect::<String>());
     }
     let next = taken.next_picture().unwrap_or_else(|| "more views unlike those before".to_owned());
-    // Where to hold it, and below how: both fit a narrow terminal.
+    // Where to hold the board, and below that how: both fit a narrow terminal.
     let (place, tilt) = next.split_once(", with ").unwrap_or((&next, ""));
     let margin = "  ".repeat(PART_COLUMNS);
     let _ = writeln!(text, "{margin}   next: {place}");

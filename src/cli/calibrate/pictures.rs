@@ -1,4 +1,4 @@
-//! The pictures: named ones, whole folders, or those of a clip that are worth having.
+//! Collects the pictures: named files, whole folders, or useful frames of a clip.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -21,10 +21,10 @@ use crate::cli::interrupt;
 use crate::cli::replay::progress::Progress;
 use crate::safe_file;
 
-/// What the progress bar says, and what the counter says where nobody knows how many there are.
+/// Templates of the progress bar, and of the counter if the total is unknown.
 const PROGRESS_WORDS: [&str; 2] = ["{bar:32} {pos}/{len} pictures, {eta} left", "{spinner} {pos} pictures"];
 
-/// Every picture that the arguments name, looked through for the board.
+/// Searches every picture that the arguments name for the board.
 pub(super) fn inspected(arguments: &CalibrateArguments, board: &Board) -> Result<Vec<Inspected>, Failure> {
     if arguments.device.is_some() || arguments.play.is_some() {
         return live::taken(arguments, board);
@@ -56,16 +56,17 @@ pub(super) fn inspected(arguments: &CalibrateArguments, board: &Board) -> Result
     Ok(pictures)
 }
 
-/// Pixels of a picture beyond which it is looked at alone: all that is made of it takes about 14 bytes a pixel, and every processor looking
-/// at such a one would be more memory than small machines have. Raised, more memory is needed; lowered, large pictures take longer.
+/// Pixels above which a picture is inspected alone. Inspection takes about 14 bytes per pixel, and
+/// one large picture per processor would exceed a small machine's memory. Raised, more memory is
+/// needed; lowered, large pictures take longer.
 const LARGE_PIXELS: u64 = 16_000_000;
 
-/// What is shared by those that look at pictures side by side.
+/// State shared by threads that inspect pictures in parallel.
 #[derive(Default)]
 struct Looking {
-    /// Held while a large picture is looked at.
+    /// Held while a large picture is inspected.
     large: Mutex<()>,
-    /// Pictures that their files say to show turned.
+    /// Number of pictures whose EXIF data says to show them rotated.
     turned: AtomicU64,
 }
 
@@ -86,7 +87,7 @@ impl Looking {
         }
     }
 
-    /// Says what is done with pictures that are to be shown turned.
+    /// Notes how pictures with an EXIF rotation are handled.
     fn say_turned(&self) {
         let turned = self.turned.load(Ordering::Relaxed);
         if turned > 0 {
@@ -98,12 +99,12 @@ impl Looking {
     }
 }
 
-/// A sentence beside the results; a terminal that is gone is no reason to stop.
+/// Prints a note on stderr. A closed terminal is no reason to stop.
 fn note(sentence: &str) {
     let _ = std::io::stderr().write_all(format!("stagepose: note: {sentence}\n").as_bytes());
 }
 
-/// The files themselves, and the pictures of the folders in the order of their names as people count: view2 before view10.
+/// Returns the named files, and the folders' pictures in natural order: view2 before view10.
 fn files_of(images: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     let mut files = Vec::new();
     for path in images {
@@ -133,7 +134,7 @@ fn files_of(images: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     Ok(files)
 }
 
-/// The frames of a clip that are worth having.
+/// Picks the useful frames of a clip.
 fn picked(clip: &Path, board: &Board) -> Result<Vec<Inspected>, Failure> {
     let mut source = open_clip(clip, ClipOptions { is_stopped: Some(interrupt::is_interrupted), ..ClipOptions::default() })?;
     let progress = Progress::with(source.rows(), PROGRESS_WORDS);

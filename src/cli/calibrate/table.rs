@@ -1,4 +1,4 @@
-//! What the command prints: the pictures that were not used, Bouguet's table, the verdict.
+//! The command's output: the pictures that were not used, Bouguet's table, the verdict.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -7,7 +7,7 @@ use crate::calibrate::session::{CalibrationView, CameraCalibration};
 use crate::calibrate::table::bouguet;
 use crate::printable::printable;
 
-/// The whole text.
+/// Returns the whole text.
 pub(super) fn table(made: &CameraCalibration) -> String {
     let used = made.views.iter().filter(|v| v.used).count();
     let corners: usize = made.estimate.used.iter().flatten().filter(|used| **used).count();
@@ -42,7 +42,7 @@ pub(super) fn table(made: &CameraCalibration) -> String {
     text
 }
 
-/// A picture's name on its line, whatever characters are in it.
+/// Returns a picture's name on one line, whatever characters it has.
 fn name(file: &Path) -> String {
     printable(&file.display().to_string()).into_owned()
 }

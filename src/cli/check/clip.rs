@@ -1,4 +1,5 @@
-//! The clip of a check: tracked as `replay` would, counted, and diagnosed by what its frames show.
+//! Examines a check's clip: tracks it as `replay` would, counts the frames, and diagnoses what they
+//! show.
 
 use std::path::Path;
 
@@ -15,25 +16,25 @@ use crate::tracker::TrackerSetup;
 pub(super) struct Examined {
     /// Width and height of its frames, pixels.
     pub size: (u32, u32),
-    /// The clip itself, in words.
+    /// A description of the clip.
     pub line: String,
-    /// How many frames were found, followed and given.
+    /// How many frames were recognised, tracked and reported.
     pub counts: String,
-    /// What is to be said, worst first.
+    /// The findings, worst first.
     pub findings: Vec<Finding>,
     /// Share of the frames in which the stage is followed.
     pub followed: f64,
-    /// Whether what poses leave displaced is worth no word.
+    /// Whether the poses' residuals are too small to mention.
     pub is_as_modelled: bool,
-    /// What the clip tells of the shutter, where that was asked already.
+    /// What the clip says about the shutter, if that has been estimated already.
     pub shutter: Option<Vec<String>>,
 }
 
-/// Tracks a clip and finds out why what is not followed is not.
+/// Tracks a clip and diagnoses the frames that are not followed.
 pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>, learnt: LearntCamera) -> Result<Examined, Failure> {
     let as_configured = Pass::over(settings, settings.shutter, clip, fps, learnt)?;
-    // What rows of a rolling shutter are displaced by looks like another lens, another shape and another layout, and those are asked
-    // only once it is none of it.
+    // Rolling-shutter displacements look like another lens, shape or layout. So try the readout
+    // first, and blame the others only if it does not help.
     let readout = Readout::that_helps(settings, &as_configured, clip, fps)?;
     let (mut findings, shutter, pass) = match readout {
         Some(readout) => (vec![readout.finding(&as_configured)], Some(readout.lines), readout.pass),
@@ -69,7 +70,7 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>, learnt
     })
 }
 
-/// What a pass over the clip says of the stage, the lens and the camera's way.
+/// Returns what a pass over the clip says about the stage, the lens and the camera's motion.
 fn of_pass(pass: &Pass, settings: &Settings) -> Vec<Finding> {
     let Pass { setup, outcome, frames, travel, model, objects, .. } = pass;
     let share = pass.followed();
@@ -80,14 +81,14 @@ fn of_pass(pass: &Pass, settings: &Settings) -> Vec<Finding> {
     };
     let mut findings = of_clip(&Shown { setup, frames, is_followed: share >= WELL_FOLLOWED, is_explained: is_small, travel, guess });
     findings.extend(of_model(model, &findings));
-    // A lens or a layout that is named explains why no pose fits, too.
+    // A named lens or layout fault also explains why no pose fits.
     let has_cause = findings.iter().any(|f| f.grade == Grade::Fault || (is_small && f.grade == Grade::Doubt));
-    // The lens is accused last.
+    // Blame the lens last.
     let has_doubt = findings.iter().any(|f| matches!(f.grade, Grade::Fault | Grade::Doubt));
     if !outcome.awaits_a_second_frame() {
         findings.extend(of_reasons(outcome, [has_cause, has_doubt], setup));
     }
-    // Where something graver was found, that is why.
+    // A graver finding already explains it.
     if outcome.tracked == 0 && outcome.frames > 0 && !findings.iter().any(|f| matches!(f.grade, Grade::Fault | Grade::Doubt)) {
         findings.push(of_no_pose(outcome.frames));
     }
@@ -97,7 +98,7 @@ fn of_pass(pass: &Pass, settings: &Settings) -> Vec<Finding> {
     findings
 }
 
-/// A clip that gave no pose shows nothing good, however short it is.
+/// Returns the warning for a clip without any pose, however short: it confirms nothing.
 fn of_no_pose(frames: u64) -> Finding {
     Finding::warning(match frames {
         1 => "the clip is one picture, which has no frame after it that confirms its pose: check a clip of two seconds or more".to_owned(),
@@ -105,11 +106,13 @@ fn of_no_pose(frames: u64) -> Finding {
     })
 }
 
-/// Views that differ from which on it may be said that no part explains them; fewer show much the same, however many frames they have, and some of what one frame shows
-/// always fits no part. Chosen, not tuned. Raised, only long walks are judged.
+/// Minimum number of different views for saying that no part of the model explains the residuals.
+/// Fewer show much the same however many frames there are, and some residuals of a single frame
+/// never fit any part. Chosen, not tuned. Raised, only long walks are judged.
 const LEAST_VIEWS: usize = 4;
 
-/// Which part of the stage or the lens is not as told, by what poses leave of the tiles' displacements; where something graver was found, that comes first.
+/// Names the part of the stage or lens that is not as configured, from the poses' residuals.
+/// Returns nothing if there is a graver finding.
 fn of_model(model: &ModelReport, findings: &[Finding]) -> Vec<Finding> {
     if findings.iter().any(|f| matches!(f.grade, Grade::Fault | Grade::Doubt)) {
         return Vec::new();
@@ -127,19 +130,20 @@ fn of_model(model: &ModelReport, findings: &[Finding]) -> Vec<Finding> {
         }];
     }
     let grade = |news: &ModelNews| match news.part {
-        // Cloth hangs in folds, and is tracked, less well than it could be.
+        // Hanging cloth has folds. It is tracked, but less accurately than it could be.
         Part::Shape { .. } => Finding::warning(news.text()),
         _ => Finding::doubt(news.text()),
     };
     parts.iter().map(grade).collect()
 }
 
-/// The reasons of the frames that were not tracked. Where a fault was found that explains why no pose fits, that one has the mend.
+/// Returns the reasons for frames that were not tracked. If a fault already explains why no pose
+/// fits, its fix is stated there only.
 fn of_reasons(outcome: &Outcome, [has_cause, has_doubt]: [bool; 2], setup: &TrackerSetup) -> Vec<Finding> {
     let frames = outcome.frames;
     let share = |n: u64| n as f64 / frames.max(1) as f64;
     let told = outcome.reasons().into_iter().filter(|(reason, n)| match reason {
-        // A find waits a frame for the next one.
+        // Each acquisition waits one frame for confirmation.
         Reason::Unconfirmed => share(*n) > 1.0 - FOLLOWED && frames > 2,
         _ => share(*n) >= NOTED || *n == frames,
     });
@@ -161,7 +165,8 @@ fn of_reasons(outcome: &Outcome, [has_cause, has_doubt]: [bool; 2], setup: &Trac
     .collect()
 }
 
-/// What to do about a reason. Corners that were read off a photograph are likelier a pixel off than a lens is moved, and look the same.
+/// Returns the fix for a reason. Corners read off a photograph are more likely a pixel off than the
+/// lens moved, and look the same.
 fn mend(reason: Reason, setup: &TrackerSetup) -> String {
     let photograph = setup.stage.surfaces.iter().find(|surface| matches!(surface.kind, ReferenceKind::Photograph { .. }));
     match (reason, photograph) {
@@ -175,7 +180,7 @@ fn mend(reason: Reason, setup: &TrackerSetup) -> String {
     }
 }
 
-/// How often an object was tracked, of the frames in which the stage was.
+/// Returns how often an object was tracked among the frames in which the stage was.
 fn of_object(name: &str, tracked: u64, frames: u64) -> Option<Finding> {
     match (tracked, frames) {
         (_, 0) => None,
@@ -187,7 +192,8 @@ fn of_object(name: &str, tracked: u64, frames: u64) -> Option<Finding> {
     }
 }
 
-/// A camera that hangs upside down tracks as well as any; so does one whose picture was given upside down.
+/// Notes a rolled camera. A camera that hangs upside down tracks well; so does one whose reference
+/// picture was given upside down.
 fn of_roll(travel: &Travel, setup: &TrackerSetup) -> Option<Finding> {
     let roll = travel.roll_deg()?;
     let surface = setup.stage.surfaces.first()?;
@@ -204,7 +210,7 @@ fn of_roll(travel: &Travel, setup: &TrackerSetup) -> Option<Finding> {
     )))
 }
 
-/// A clip without stamps is played at a rate that nobody gave.
+/// Warns if a clip has no stamps and no rate was given.
 fn of_rate(clip: &Path, fps: Option<f64>) -> Option<Finding> {
     let is_stream = clip.extension().is_some_and(|e| e.eq_ignore_ascii_case("mjpeg") || e.eq_ignore_ascii_case("mjpg"));
     let has_none = if clip.is_dir() { !clip.join("timestamps.csv").is_file() } else { is_stream };

@@ -1,4 +1,4 @@
-//! The camera that a config names, tried: opened, its controls set, a few pictures read.
+//! Tries the camera that a config names: opens it, sets its controls, reads a few pictures.
 
 use std::fmt::Write as _;
 use std::time::{Duration, Instant};
@@ -11,14 +11,15 @@ use crate::config::Settings;
 use crate::daemon::live::{contradiction, exposure_of};
 use crate::publish::SafetySettings;
 
-/// How long pictures are read: 45 at 30 a second, enough to measure the rate and see stamps that repeat. Raised, `check` makes its user
-/// wait.
+/// Time to read pictures: 45 at 30 per second, enough to measure the rate and detect repeated
+/// stamps. Raised, `check` takes longer.
 const SPAN: Duration = Duration::from_millis(1500);
-/// How long the first picture may take. Chosen, not measured: cameras may take a second or two to start. Raised, a camera that gives none
-/// is named later.
+/// Maximum time for the first picture. Chosen, not measured: cameras may take a second or two to
+/// start. Raised, a camera without pictures is reported later.
 const FIRST: Duration = Duration::from_secs(5);
 
-/// What the camera is and does, or what to do about it. A camera that blocks does not block the check.
+/// Returns what the camera is and does, or how to fix it. A camera that blocks does not block the
+/// check.
 pub(super) fn try_camera(settings: &Settings) -> Result<String, String> {
     let opener = crate::cli::run::opener(settings);
     let (shutter, size, safety) = (settings.shutter.or_zero(), settings.lens.size(&settings.camera), settings.safety);
@@ -29,7 +30,7 @@ pub(super) fn try_camera(settings: &Settings) -> Result<String, String> {
     result.recv_timeout(FIRST + 2 * SPAN).unwrap_or_else(|_| Err(blocked()))
 }
 
-/// What was seen of a camera.
+/// What was observed of a camera.
 #[derive(Debug, Default)]
 struct Seen {
     pictures: u32,

@@ -1,9 +1,9 @@
-//! Where the lens comes from, and what its doubt means for the poses, in sentences.
+//! Describes the lens' source and what its uncertainty means for the poses.
 
 use crate::camera::{CameraModel, LensGuess};
 use crate::config::LensSource;
 
-/// The name of it.
+/// Returns the name of the lens' source.
 pub(super) fn source(lens: &LensSource) -> String {
     match lens {
         LensSource::Calibration(file) => file.display().to_string(),
@@ -17,7 +17,7 @@ pub(super) fn source(lens: &LensSource) -> String {
     }
 }
 
-/// What is uncertain about it, and what that does at a distance.
+/// Describes the lens' uncertainty and its effect at a distance.
 pub(super) fn doubt(lens: &LensSource, camera: &CameraModel) -> Vec<String> {
     let Some(doubt) = camera.doubt() else { return Vec::new() };
     let (i, u) = (camera.intrinsics(), doubt.uncertainty);

@@ -1,4 +1,5 @@
-//! `check`: reads a config and everything that it names, tries its camera, and says what was found and what will happen.
+//! `check`: reads a config and everything it names, tries its camera, and reports what it found and
+//! what will happen.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -21,7 +22,7 @@ use crate::web::{AllowedHosts, page_address};
 
 use ratings::Ratings;
 
-/// Check a config and everything that it names.
+/// Check a config and everything it names.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:\n  stagepose check --config stage.toml --clip clip\n\nWithout --clip the camera is tried that `run` would take: the one that the config names with `device`, else the first."
@@ -30,16 +31,17 @@ pub(super) struct CheckArguments {
     /// The config of the camera and the stage
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// A clip that it shall fit: tracked, and diagnosed where that does not go well; shaken by hand, it tells readout_s and exposure_s
+    /// A clip to check against the config: it is tracked, and diagnosed if that goes badly; if
+    /// shaken by hand, it yields readout_s and exposure_s
     #[arg(long)]
     clip: Option<PathBuf>,
     /// Frames per second of a clip without stamps
     #[arg(long, value_name = "N", value_parser = super::replay::frames_per_second, requires = "clip")]
     fps: Option<f64>,
-    /// Leave the camera alone
+    /// Do not open the camera
     #[arg(long)]
     no_device: bool,
-    /// Write a picture of each surface that shows where there is something to hold on to, and print it
+    /// Write a picture for each surface that shows where it has trackable texture, and print it too
     #[arg(long, value_name = "DIR")]
     ratings: Option<PathBuf>,
     #[command(flatten)]
@@ -63,7 +65,8 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
         let seen = clip::examine(&settings, file, arguments.fps, arguments.learnt.of(file)?.0)?;
         let (scaled, note) = settings.camera_for(seen.size.0, seen.size.1)?;
         camera = scaled;
-        // Of the same grade, what the clip shows comes first: it was seen, and the config only looks odd.
+        // Among findings of one grade, the clip's come first: they were observed, while the config
+        // only looks odd.
         findings.splice(0..0, seen.findings);
         findings.extend(note.map(Finding::note));
         is_followed = seen.followed >= pass::FOLLOWED;
@@ -105,8 +108,9 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     Err(Failure::Check { file, reason })
 }
 
-/// What trying the camera that `run` would open came to: a line, and what is to be said of it. A camera that the config names must be
-/// there; where it names none, `run` takes the first one and waits for it, and a machine that only replays clips needs none.
+/// Returns the line and the finding for the camera that `run` would open. A camera named in the
+/// config must be there. If none is named, `run` waits for the first one, and a machine that only
+/// replays clips needs none.
 fn of_camera(named: &Option<String>, tried: Result<String, String>) -> (String, Option<Finding>) {
     match (named, tried) {
         (Some(_), Ok(seen)) => (seen, None),
@@ -118,7 +122,7 @@ fn of_camera(named: &Option<String>, tried: Result<String, String>) -> (String, 
     }
 }
 
-/// What a check comes to.
+/// The result of a check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Verdict {
     Good,
@@ -126,7 +130,7 @@ enum Verdict {
     Warned(usize),
     /// This many things are almost certainly wrong, though the stage may be followed.
     Doubtful(usize),
-    /// Something must be mended before the clip can be followed.
+    /// Something must be fixed before the clip can be followed.
     NotFollowed,
 }
 
@@ -153,11 +157,12 @@ impl Verdict {
     }
 }
 
-/// A larger share of the picture under the mask is likelier a mask painted the wrong way round. Chosen: a speaker and a lectern may hide
-/// half, an inverted mask hides most. Raised, some inverted masks pass; lowered, right ones are doubted.
+/// Share of the picture under the mask above which the mask is probably inverted. Chosen: a speaker
+/// and a lectern may hide half, an inverted mask hides most. Raised, some inverted masks pass;
+/// lowered, correct ones are doubted.
 const LARGEST_MASK: f64 = 0.6;
 
-/// What is odd about the config itself, without a clip.
+/// Returns what is odd about the config itself, without a clip.
 fn of_config(settings: &Settings) -> Vec<Finding> {
     let mut findings: Vec<Finding> = settings.notes.iter().map(Finding::note).collect();
     findings.extend(settings.warnings.iter().map(Finding::warning));
@@ -178,12 +183,12 @@ fn of_config(settings: &Settings) -> Vec<Finding> {
     findings
 }
 
-/// Share of the pixels that a mask hides.
+/// Returns the share of pixels that a mask hides.
 fn hidden_share(mask: &GrayImage) -> f64 {
     mask.as_raw().iter().filter(|&&level| level == 0).count() as f64 / mask.as_raw().len().max(1) as f64
 }
 
-/// The whole text.
+/// Returns the whole text.
 fn report(
     settings: &Settings,
     camera: &CameraModel,
@@ -264,7 +269,8 @@ fn output_line(output: &OutputSettings, settings: &Settings) -> String {
     format!("{}: {}{bodies} to {}, {rate}{late}, {on_loss}{off}", output.name, output.protocol.word(), to.join(", "))
 }
 
-/// Angles across the middle of the picture, through the lens' distortion where it can be inverted.
+/// Returns the angles across the middle of the picture, through the lens' distortion if it can be
+/// inverted.
 fn field_of_view(camera: &CameraModel) -> String {
     let i = camera.intrinsics();
     let (right, bottom) = (f64::from(i.width) - 0.5, f64::from(i.height) - 0.5);
@@ -287,7 +293,8 @@ fn shutter(settings: &Settings) -> String {
     format!("exposure {}, {readout}", in_ms(settings.shutter.exposure_s))
 }
 
-/// The lines of a body; `number` is that of its first surface among all, and becomes that of the next body's.
+/// Writes a body's lines. `number` counts surfaces over all bodies: on return it is that of the
+/// next body's first surface.
 fn body(text: &mut String, title: &str, body: &BodySpec, camera: &CameraModel, ratings: &Ratings, number: &mut usize) {
     for (index, surface) in body.surfaces.iter().enumerate() {
         let label = if index == 0 { title } else { "" };
@@ -328,10 +335,10 @@ fn distance_line(surface: &SurfaceSpec, camera: &CameraModel) -> String {
     format!("best seen head-on from {least:.2} m to {most:.2} m")
 }
 
-/// The advised distances in metres.
+/// Returns the recommended distances, in metres.
 ///
-/// Nearest: a tenth of the surface's width fills the picture, or a texel covers two pixels, whichever comes first on the way in.
-/// Farthest: the surface is a tenth of the picture wide.
+/// Nearest: a tenth of the surface's width fills the picture, or a texel covers two pixels,
+/// whichever comes first on approach. Farthest: the surface is a tenth of the picture wide.
 fn distances(surface: &SurfaceSpec, camera: &CameraModel) -> (f64, f64) {
     let i = camera.intrinsics();
     let (width_m, width_px) = (surface.size_m[0], f64::from(i.width));
@@ -352,7 +359,7 @@ mod shutter;
 mod device;
 #[cfg(not(feature = "live"))]
 mod device {
-    /// A build without cameras tries none, and says so.
+    /// Returns the error of a build without cameras.
     pub(super) fn try_camera(_: &crate::config::Settings) -> Result<String, String> {
         Err(crate::cli::run::no_live_feature().to_string())
     }
@@ -402,7 +409,8 @@ mod tests {
             shape: crate::track::SurfaceShape::Flat,
             doubt: crate::track::SurfaceDoubt::default(),
         };
-        // A texel covers two pixels at 0.5 m; a tenth of the surface, 0.4 m, fills the picture at 0.4 m.
+        // A texel covers two pixels at 0.5 m; a tenth of the surface, 0.4 m, fills the picture at
+        // 0.4 m.
         assert_eq!(distances(&surface, &camera), (0.5, 40.0));
         surface.artwork = GrayImage::new(8000, 4000);
         assert_eq!(distances(&surface, &camera), (0.4, 40.0));

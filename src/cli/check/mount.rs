@@ -1,4 +1,4 @@
-//! `[mount]` in words.
+//! Describes `[mount]` in words.
 
 use std::time::Duration;
 
@@ -6,7 +6,7 @@ use crate::cli::angles::angles;
 use crate::config::Settings;
 use crate::publish::{BodyChoice, MountSettings, OutputSettings};
 
-/// Where the filming camera sits, and its lens.
+/// Describes where the filming camera sits, and its lens.
 pub(super) fn lines(mount: &MountSettings, settings: &Settings) -> Vec<String> {
     let carrier = match mount.mount.carrier {
         BodyChoice::Object(index) => settings.objects.get(index).map_or("an object", |object| object.name.as_str()),
@@ -25,12 +25,12 @@ pub(super) fn lines(mount: &MountSettings, settings: &Settings) -> Vec<String> {
     lines
 }
 
-/// The delay of poses, from the comma on.
+/// Describes the poses' delay, starting with the comma.
 pub(super) fn late(delay: Duration) -> String {
     if delay.is_zero() { String::new() } else { format!(", {} ms late", delay.as_millis()) }
 }
 
-/// Whom an output speaks of, where that is no matter of course.
+/// Names the bodies that an output reports, if there is a `[mount]` and so a choice.
 pub(super) fn bodies(output: &OutputSettings, settings: &Settings) -> String {
     let Some(mount) = &settings.mount else { return String::new() };
     let name = |body: &BodyChoice| match body {

@@ -1,4 +1,5 @@
-//! One pass over the clip of a check: every frame tracked with one shutter, counted, and some of them kept.
+//! One pass over a check's clip: tracks every frame with one shutter, counts outcomes and keeps
+//! some frames.
 
 use std::path::Path;
 
@@ -15,47 +16,51 @@ use crate::record::State;
 use crate::track::{LearntCamera, ModelReport, Reason};
 use crate::tracker::{Tracker, TrackerSetup};
 
-/// Share of the frames that must be followed for a clip to count as followed, and to be called good. Chosen, not tuned. The first raised,
-/// more reasons are faults; the second, more clips are searched for every fault and get no readout time.
+/// Minimum shares of frames followed: for a clip to count as followed, and to be called good.
+/// Chosen, not tuned. Raised: for the first, more reasons are faults; for the second, more clips
+/// are searched for every fault and get no readout time.
 pub(super) const FOLLOWED: f64 = 0.5;
 pub(super) const WELL_FOLLOWED: f64 = 0.85;
-/// Share of the frames from which a reason is a warning, and from which it is named at all. Chosen, not tuned: a reason of one frame in
-/// fifty says nothing of the setup. Raised, fewer lines; lowered, good clips get warnings.
+/// Minimum shares of frames for a reason to be a warning, and to be mentioned at all. Chosen, not
+/// tuned: a reason in one of fifty frames says nothing about the setup. Raised, fewer lines;
+/// lowered, good clips get warnings.
 pub(super) const TOLD: f64 = 0.1;
 pub(super) const NOTED: f64 = 0.02;
 
-/// Rows that are tracked at most: half a minute at 30 frames a second, chosen so that a check stays short. Raised, faults late in a long
-/// clip are seen, and the check takes longer.
+/// Maximum rows tracked: half a minute at 30 frames per second, chosen to keep a check short.
+/// Raised, faults late in a long clip are found, and the check takes longer.
 const MOST_ROWS: u64 = 900;
-/// Frames that are kept for trying, at least half as many where the clip has them. Chosen: what tries them takes 8 or 10 at even steps.
-/// Raised, more whole frames are held in memory.
+/// Maximum number of frames kept for diagnosis; at least half as many if the clip has them. Chosen:
+/// diagnosis takes 8 or 10 at even steps. Raised, more whole frames are held in memory.
 const KEPT: usize = 24;
-/// How far poses may be off, one sigma and as a share of the camera's distance, for it to be told where no part of the model explains it: a pixel in what follows the camera at a focal
-/// length of 1000. Chosen: twice what a part must cost that has a name and a mend. Raised, what does not fit goes unsaid; lowered, stages that are good enough are to be surveyed.
+/// Pose error, one sigma as a share of the camera's distance, above which it is reported even if no
+/// part of the model explains it. It equals one pixel, at a focal length of 1000, in graphics that
+/// follow the camera. Chosen: twice the cost at which a named part with a fix is reported. Raised,
+/// misfits go unreported; lowered, stages that are good enough are sent to a survey.
 pub(super) const LEAST_DOUBT: f64 = 0.001;
 
-/// What a pass over the clip came to.
+/// The result of a pass over the clip.
 #[derive(Clone)]
 pub(super) struct Pass {
     /// Width and height of its frames, pixels.
     pub size: (u32, u32),
-    /// Rows of the whole clip, where that is known.
+    /// Number of rows of the whole clip, if known.
     pub rows: Option<u64>,
-    /// What it was tracked with.
+    /// The setup it was tracked with.
     pub setup: TrackerSetup,
-    /// What became of its frames.
+    /// The outcome of its frames.
     pub outcome: Outcome,
-    /// Some of them.
+    /// Some of the frames, at even intervals.
     pub frames: Vec<Frame>,
-    /// The camera's way.
+    /// The camera's motion.
     pub travel: Travel,
-    /// What its poses leave displaced.
+    /// How the model fits, from the poses' residuals.
     pub model: ModelReport,
     /// Frames in which each object was tracked.
     pub objects: Vec<u64>,
-    /// What the clip's reader says of it.
+    /// The clip reader's notes.
     pub notes: Vec<String>,
-    /// Why the clip's stamps are not to be believed.
+    /// Why the clip's stamps are implausible.
     pub doubt_of_stamps: Option<String>,
     stamps: Vec<Timestamp>,
 }
@@ -100,30 +105,33 @@ impl Pass {
         Ok(Self { size: source.size(), rows, setup, outcome, frames: kept.frames, travel, model, objects, notes, doubt_of_stamps, stamps })
     }
 
-    /// Share of the frames in which the stage is followed.
+    /// Returns the share of frames in which the stage is followed.
     pub(super) fn followed(&self) -> f64 {
         self.outcome.followed() as f64 / self.outcome.frames.max(1) as f64
     }
 
-    /// Share of the frames whose pose is given.
+    /// Returns the share of frames whose pose is reported.
     pub(super) fn given(&self) -> f64 {
         self.outcome.tracked as f64 / self.outcome.frames.max(1) as f64
     }
 
-    /// Whether what poses leave displaced is worth no word, and no lens was called moved.
+    /// Whether the poses' residuals are too small to mention and no frames were lost to a moved
+    /// lens.
     pub(super) fn is_as_modelled(&self) -> bool {
         let moved: u64 = self.outcome.reasons().into_iter().filter(|(reason, _)| *reason == Reason::LensMoved).map(|(_, n)| n).sum();
         let is_moved = moved as f64 > NOTED * self.outcome.frames as f64;
         self.model.parts.is_empty() && self.model.doubt_share < LEAST_DOUBT && !is_moved
     }
 
-    /// Whether a readout that nobody configured may be what does not fit: the picture is there, and poses are not, or not where they should be.
+    /// Whether an unconfigured readout time may be the cause of a misfit: the picture is
+    /// recognised, but poses are missing or misplaced.
     pub(super) fn may_lack_readout(&self) -> bool {
         let recognised = self.outcome.recognised() as f64 / self.outcome.frames.max(1) as f64;
         recognised >= FOLLOWED && (!self.is_as_modelled() || self.given() < WELL_FOLLOWED)
     }
 
-    /// The median time between two frames, seconds; rows that are out of order are skipped, with their intervals.
+    /// Returns the median interval between frames, seconds; intervals of rows out of order are
+    /// skipped.
     pub(super) fn frame_interval_s(&self) -> Option<f64> {
         interval_s(&self.stamps)
     }
@@ -135,7 +143,8 @@ fn interval_s(stamps: &[Timestamp]) -> Option<f64> {
     steps.get(steps.len() / 2).copied()
 }
 
-/// Frames at even intervals from a clip of unknown length: whenever there are too many, every other one is dropped.
+/// Keeps frames at even intervals from a clip of unknown length: when there are too many, it drops
+/// every second one.
 #[derive(Default)]
 struct Kept {
     frames: Vec<Frame>,

@@ -1,4 +1,4 @@
-//! How well each picture can be tracked, as `check` prints it and `--ratings` draws it.
+//! How well each picture can be tracked: printed by `check` and drawn by `--ratings`.
 
 use std::io::{self, Cursor};
 use std::path::{Path, PathBuf};
@@ -22,10 +22,11 @@ pub(super) struct Ratings {
 }
 
 impl Ratings {
-    /// Rates every picture as this camera sees it; with a folder the maps are written there, one a picture, and printed.
+    /// Rates every picture as this camera sees it. With a folder, one map per picture is written
+    /// there and printed.
     ///
     /// # Errors
-    /// Where a map would be written over what the config reads, and what the system says.
+    /// When a map would overwrite a file of the config, and the system's error.
     pub(super) fn of(settings: &Settings, camera: &CameraModel, folder: Option<&Path>) -> Result<Self, Failure> {
         let all = trackability::rate(&settings.stage, &settings.objects, camera);
         if let Some(folder) = folder {
@@ -34,13 +35,13 @@ impl Ratings {
         Ok(Self { all, has_maps: folder.is_some() })
     }
 
-    /// What is so weak that it should be mended before the show. A body is tracked by its best surface.
+    /// Returns weaknesses to fix before the show. A body is as good as its best surface.
     pub(super) fn findings(&self) -> Vec<Finding> {
         let mut findings = Vec::new();
         for body in self.all.chunk_by(|a, b| a.body == b.body) {
             for rating in body {
                 let twins = rating.weaknesses.iter().filter_map(|w| w.same_as());
-                // Each pair is named once.
+                // Report each pair once.
                 findings.extend(twins.filter(|[other, _]| *other > rating.body).map(|[other, surface]| {
                     Finding::doubt(format!(
                         "{} of {} and {surface} of {other} show the same picture: nothing can tell the two apart, and neither is found; give each \
@@ -59,7 +60,7 @@ impl Ratings {
         findings
     }
 
-    /// The lines below one surface, by its number among all.
+    /// Returns the lines below one surface, by its number over all bodies.
     pub(super) fn lines(&self, number: usize) -> Vec<String> {
         let Some(rating) = self.all.get(number) else { return Vec::new() };
         let [across, down] = rating.seen_px;
@@ -76,7 +77,8 @@ impl Ratings {
     }
 }
 
-/// A body all of whose surfaces show a picture of its own twice, as a sign with one on both sides: no feature tells which of them is seen.
+/// Returns a finding for a body all of whose surfaces repeat a picture of the same body, such as a
+/// sign with one picture on both sides: no feature tells which surface is seen.
 fn alike(body: &[Rating]) -> Option<Finding> {
     let is_alike = |rating: &Rating| rating.weaknesses.iter().filter_map(|w| w.same_as()).any(|[other, _]| *other == rating.body);
     let first = body.first().filter(|_| body.iter().all(is_alike))?;
@@ -86,7 +88,7 @@ fn alike(body: &[Rating]) -> Option<Finding> {
     )))
 }
 
-/// Writes `rating-BODY-N.png` for every surface, N from 1 in its body.
+/// Writes `rating-BODY-N.png` for every surface; N counts from 1 in each body.
 fn write_maps(settings: &Settings, ratings: &[Rating], folder: &Path) -> Result<(), Failure> {
     std::fs::create_dir_all(folder).map_err(Failure::output(folder))?;
     let mut spared = Spared::default().with_files(&settings.files, "a file of the config");
@@ -102,7 +104,7 @@ fn write_maps(settings: &Settings, ratings: &[Rating], folder: &Path) -> Result<
     Ok(())
 }
 
-/// A name without what file names cannot have or what leads elsewhere.
+/// Replaces characters that a file name cannot have or that lead to another folder.
 fn as_file_name(name: &str) -> String {
     name.chars().map(|c| if c.is_alphanumeric() || c == '-' || c == '_' { c } else { '_' }).collect()
 }

@@ -1,4 +1,4 @@
-//! A readout that explains a clip: tried before a lens, a shape or a layout is blamed.
+//! Tries whether a readout time explains a clip, before a lens, shape or layout is blamed.
 
 use std::path::Path;
 
@@ -10,11 +10,11 @@ use crate::config::Settings;
 use crate::diagnose::{Finding, known_to, written};
 use crate::track::LearntCamera;
 
-/// A shutter with which the clip is tracked better than as configured.
+/// A shutter that tracks the clip better than the configured one.
 pub(super) struct Readout {
     /// The clip tracked with it.
     pub pass: Pass,
-    /// What the clip tells of the shutter, in words.
+    /// What the clip says about the shutter.
     pub lines: Vec<String>,
     /// One sigma of the readout, seconds.
     sigma_s: f64,
@@ -23,9 +23,10 @@ pub(super) struct Readout {
 }
 
 impl Readout {
-    /// Estimates the shutter where something does not fit, and tracks the clip with it; none where that is no better.
+    /// Estimates the shutter if something does not fit, and tracks the clip with it. Returns `None`
+    /// if that is no better.
     pub(super) fn that_helps(settings: &Settings, before: &Pass, clip: &Path, fps: Option<f64>) -> Result<Option<Self>, Failure> {
-        // A shutter that is configured as global is taken at its word.
+        // A shutter configured as global is trusted.
         if settings.shutter.readout_s == Some(0.0) || !before.may_lack_readout() {
             return Ok(None);
         }
@@ -37,7 +38,7 @@ impl Readout {
         Ok(is_better(before, &pass).then_some(Self { pass, lines, sigma_s, shutter: found, configured: settings.shutter }))
     }
 
-    /// The line to write, and what it is good for.
+    /// Returns the line for the config and what it gains.
     pub(super) fn finding(&self, before: &Pass) -> Finding {
         let Self { pass, shutter, configured, sigma_s, .. } = self;
         // One digit more than is known.
@@ -60,7 +61,7 @@ impl Readout {
     }
 }
 
-/// Whether more poses are given, or as many and nothing is left to be explained.
+/// Whether more poses are reported, or as many with no unexplained residuals.
 fn is_better(before: &Pass, after: &Pass) -> bool {
     let explains = after.is_as_modelled() && !before.is_as_modelled();
     after.given() > before.given() + TOLD || (explains && after.given() >= before.given())

@@ -1,4 +1,4 @@
-//! What a clip tells of the camera's shutter, in sentences, with the lines for the config.
+//! What a clip says about the camera's shutter, with the lines for the config.
 
 use std::path::Path;
 
@@ -12,15 +12,16 @@ use crate::frame::Frame;
 use crate::survey::shutter::{MOST_FRAMES, ShutterEstimate, ShutterTime, estimate_shutter};
 use crate::tracker::{Tracker, TrackerSetup};
 
-/// A time whose sigma is larger than both of these is not printed: seconds, and as a share of the time. Chosen, not tuned. Raised, numbers
-/// get into configs that are worse than none.
+/// A time whose sigma exceeds both of these is not printed: seconds, and as a share of the time.
+/// Chosen, not tuned. Raised, configs get times that are worse than none.
 const LARGEST_SIGMA_S: f64 = 0.001;
 const LARGEST_SHARE: f64 = 0.15;
-/// No sensor reads its rows one after the other faster than this, seconds: below it the estimate is that of a global shutter, off by a
-/// little. Raised, fast rolling shutters are taken for global ones; lowered, global ones for rolling.
+/// Shortest readout of a rolling shutter, seconds; no sensor is faster. A shorter estimate is a
+/// global shutter's with a small error. Raised, fast rolling shutters are taken for global;
+/// lowered, global ones for rolling.
 const FASTEST_READOUT_S: f64 = 5e-4;
 
-/// What the clip tells, or why it cannot be asked.
+/// Estimates the shutter from the clip, or says why that is impossible.
 pub(super) fn estimate(settings: &Settings, clip: &Path, fps: Option<f64>) -> Result<Result<ShutterEstimate, &'static str>, Failure> {
     if clip == Path::new("-") {
         return Ok(Err("not estimated: a clip from standard input cannot be read twice; save it to a file"));
@@ -39,13 +40,14 @@ pub(super) fn estimate(settings: &Settings, clip: &Path, fps: Option<f64>) -> Re
     estimate.map(Ok)
 }
 
-/// The lines of the report, the first with its label.
+/// Returns the report's lines.
 pub(super) fn lines(settings: &Settings, clip: &Path, fps: Option<f64>) -> Result<Vec<String>, Failure> {
     Ok(estimate(settings, clip, fps)?.map_or_else(|why| vec![why.to_owned()], |estimate| told(&estimate, settings)))
 }
 
-/// The shutter by an estimate of a rolling one, read from the top down, other than the configured one: something to try. How well its readout is known
-/// matters where it is written down, not here.
+/// Returns a shutter to try: the estimated one, if it is a rolling one read from the top down and
+/// differs from the configured one. The readout's sigma matters only when it is written into a
+/// config.
 pub(super) fn other_than(configured: &Shutter, estimate: &ShutterEstimate) -> Option<Shutter> {
     let ShutterTime { seconds, .. } = estimate.readout.filter(|time| time.seconds > FASTEST_READOUT_S)?;
     let exposure = estimate.exposure.filter(is_known).filter(|time| !is_same(configured.exposure_s, time.seconds, time.sigma_s));
@@ -54,7 +56,7 @@ pub(super) fn other_than(configured: &Shutter, estimate: &ShutterEstimate) -> Op
     is_other.then_some(Shutter { readout_s: seconds, exposure_s })
 }
 
-/// A clip's frames, counted on the terminal as they are read, pass after pass.
+/// Returns a clip's frames and counts them on the terminal, pass after pass.
 fn frames(mut source: Box<dyn FrameSource>, progress: Progress) -> impl Iterator<Item = Frame> {
     let rows = std::iter::from_fn(move || {
         progress.advance();
@@ -66,7 +68,7 @@ fn frames(mut source: Box<dyn FrameSource>, progress: Progress) -> impl Iterator
     })
 }
 
-/// The estimate in words.
+/// Describes the estimate in words.
 pub(super) fn told(estimate: &ShutterEstimate, settings: &Settings) -> Vec<String> {
     let ShutterEstimate { frames, aligned, .. } = estimate;
     let mut lines = vec![format!("from the clip's first {frames} frames (of {MOST_FRAMES} at most), the stage was followed in {aligned}")];
@@ -108,12 +110,12 @@ fn exposure(found: Option<ShutterTime>, configured_s: f64) -> String {
     format!("{measured}: exposure_s = {seconds:.5}{}", kept(configured_s, seconds, sigma_s))
 }
 
-/// Whether the config has what was found.
+/// Whether the config already has the estimated time.
 fn is_same(configured_s: f64, found_s: f64, sigma_s: f64) -> bool {
     (configured_s - found_s).abs() <= (3.0 * sigma_s).max(0.05 * found_s)
 }
 
-/// How that compares with the config.
+/// Describes how an estimate compares with the config.
 fn kept(configured_s: f64, found_s: f64, sigma_s: f64) -> &'static str {
     if is_same(configured_s, found_s, sigma_s) { ", as the config has it" } else { " belongs below [camera] in the config" }
 }

@@ -1,4 +1,5 @@
-//! The flags that choose a detector, a descriptor and what is a match: one for each option of the source.
+//! The flags that choose a detector, a descriptor and the matching criterion: one per option of the
+//! library.
 
 use clap::Args;
 use clap::builder::PossibleValuesParser;
@@ -7,22 +8,23 @@ use crate::cli::failure::Failure;
 use crate::features::{DescriptorKind, DetectorKind, FeatureSettings};
 use crate::matching::ExactOptions;
 
-/// Which features, and what is a match.
+/// The choice of features and the matching criterion.
 #[derive(Debug, Clone, Args)]
 pub(in crate::cli) struct FeatureArguments {
-    /// How keypoints are found [default of compare: sift; of detectors: all of them]
+    /// How keypoints are detected [default of compare: sift; of detectors: all of them]
     #[arg(long, value_name = "NAME", value_parser = names(DetectorKind::ALL.map(|(name, _)| name)))]
     pub(in crate::cli) detector: Option<String>,
-    /// How they are described [default: the one that goes with the detector]
+    /// How they are described [default: the detector's usual one]
     #[arg(long, value_name = "NAME", value_parser = names(DescriptorKind::ALL.map(|(name, _)| name)))]
     descriptor: Option<String>,
-    /// Keypoints at most, the most distinctive ones (asift: of each simulated view)
+    /// Maximum number of keypoints, the most distinctive ones (asift: per simulated view)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     nfeat: Option<u64>,
-    /// Least strength of a keypoint, in the detector's own unit
+    /// Minimum strength of a keypoint, in the detector's own unit
     #[arg(long, value_name = "X")]
     cmin: Option<f32>,
-    /// Of two corners closer together than this, pixels, take the stronger (harris, noble, shi-tomasi)
+    /// Of two corners closer together than this, pixels, keep the stronger (harris, noble,
+    /// shi-tomasi)
     #[arg(long, value_name = "PX")]
     suppress: Option<f64>,
     /// Half the width of a patch, pixels: 2 N + 1 across (descriptor patch)
@@ -34,10 +36,10 @@ pub(in crate::cli) struct FeatureArguments {
     /// Smoothing of the gradients' products, pixels (harris, noble, shi-tomasi, structure-tensor)
     #[arg(long, value_name = "PX")]
     sigma: Option<f64>,
-    /// Largest ratio of a match's distance to that of the nearest elsewhere; 1 lets all pass
+    /// Maximum ratio of a match's distance to that of the nearest other candidate; 1 accepts all
     #[arg(long, value_name = "R", default_value_t = ExactOptions::default().ratio)]
     ratio: f32,
-    /// Take matches that hold in one direction only too
+    /// Also accept matches that hold in one direction only
     #[arg(long)]
     one_way: bool,
 }
@@ -47,7 +49,7 @@ fn names<const N: usize>(all: [&'static str; N]) -> PossibleValuesParser {
 }
 
 impl FeatureArguments {
-    /// The features that were asked for.
+    /// Returns the requested features.
     pub fn settings(&self) -> Result<FeatureSettings, Failure> {
         let kind =
             DetectorKind::ALL.iter().find(|(name, _)| self.detector.as_deref() == Some(name)).map_or(DetectorKind::Sift, |(_, kind)| *kind);
@@ -56,7 +58,7 @@ impl FeatureArguments {
         Ok(settings)
     }
 
-    /// Names a flag that would change nothing: whoever typed it expects something else.
+    /// Refuses a flag that would have no effect: whoever typed it expects one.
     fn refuse_idle(&self, settings: &FeatureSettings) -> Result<(), Failure> {
         let is_corners = matches!(settings.detector, DetectorKind::Harris | DetectorKind::Noble | DetectorKind::ShiTomasi);
         let flags = [
@@ -81,7 +83,8 @@ impl FeatureArguments {
         }
     }
 
-    /// The same of another detector, with the descriptor that was asked for, if any. Flags that do not go with it are passed over.
+    /// Returns the settings for another detector, with the requested descriptor, if any. Flags that
+    /// do not apply to it are ignored.
     pub fn settings_of(&self, kind: DetectorKind) -> Result<FeatureSettings, Failure> {
         let chosen = self.descriptor.as_ref().and_then(|wanted| DescriptorKind::ALL.iter().find(|(name, _)| name == wanted));
         let within = |flag: &str, value: Option<f64>, least: f64, most: f64| match value {
@@ -105,7 +108,7 @@ impl FeatureArguments {
         })
     }
 
-    /// What is a match.
+    /// Returns the matching criterion.
     pub fn matching(&self) -> Result<ExactOptions, Failure> {
         if !(self.ratio > 0.0 && self.ratio <= 1.0) {
             return Err(Failure::Usage(format!("--ratio is {}; give a number above 0, at most 1", self.ratio)));

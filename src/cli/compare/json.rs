@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 
 use crate::compare::{Comparison, Model, Relation};
 
-/// The whole text.
+/// Returns the whole document.
 pub(super) fn text(made: &Comparison) -> String {
     let matrix = |relation: &Option<Relation>| relation.as_ref().map_or(Value::Null, |r| row_major(&r.matrix));
     let inliers = |relation: &Option<Relation>| relation.as_ref().map_or(0, |r| r.inliers.len());
@@ -39,7 +39,7 @@ fn row_major(matrix: &Matrix3<f64>) -> Value {
     json!(matrix.transpose().as_slice())
 }
 
-/// w is not below 0, and no number is -0.
+/// Returns the rotation with w >= 0 and without negative zeros.
 fn xyzw(rotation: &nalgebra::UnitQuaternion<f64>) -> [f64; 4] {
     let sign = if rotation.w < 0.0 { -1.0 } else { 1.0 };
     [rotation.i, rotation.j, rotation.k, rotation.w].map(|v| sign * v + 0.0)

@@ -1,4 +1,5 @@
-//! `stagepose compare`: two pictures in; how points of the one lie in the other, and how the camera moved between them (contract C10).
+//! `stagepose compare`: relates the points of two pictures and finds how the camera moved between
+//! them (contract C10).
 
 mod choice;
 mod json;
@@ -23,7 +24,7 @@ use crate::utc;
 pub(super) use choice::FeatureArguments;
 pub(super) use pictures::read_picture;
 
-/// Compare two pictures: how points of the one lie in the other, and how the camera moved.
+/// Compare two pictures: relate their points, and find how the camera moved.
 #[derive(Debug, Clone, Args)]
 #[command(after_help = "Examples:\n  stagepose compare before.png after.png --camera camera.toml --report compare.html\n  \
     stagepose compare backdrop.jpg photo.jpg --detector asift --json relation.json\n\n\
@@ -35,7 +36,7 @@ pub(super) struct CompareArguments {
     a: PathBuf,
     /// The second picture
     b: PathBuf,
-    /// Calibration of the camera that took A, and B where --camera-b is not given
+    /// Calibration of the camera that took A, and also B unless --camera-b is given
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
     /// Calibration of the camera that took B
@@ -43,14 +44,14 @@ pub(super) struct CompareArguments {
     camera_b: Option<PathBuf>,
     #[command(flatten)]
     features: FeatureArguments,
-    /// Largest distance of a match from its epipolar line, pixels, at which it agrees; the
-    /// homography's noise is estimated, up to 2.5 times this
+    /// Maximum distance of an inlier match from its epipolar line, pixels; the homography's noise
+    /// is estimated, up to 2.5 times this
     #[arg(long, value_name = "PX", default_value_t = CompareOptions::default().threshold_px)]
     threshold_px: f64,
-    /// How far the camera moved, metres: gives the move its length
+    /// How far the camera moved, metres: sets the length of the translation
     #[arg(long, value_name = "M", requires = "camera")]
     baseline_m: Option<f64>,
-    /// Seed of the random samples: the same gives the same
+    /// Seed of the random samples: the same seed gives the same result
     #[arg(long, value_name = "N", default_value_t = CompareOptions::default().seed)]
     seed: u64,
     /// Write everything as JSON
@@ -61,13 +62,14 @@ pub(super) struct CompareArguments {
     report: Option<PathBuf>,
 }
 
-/// Parts of a step on the bar: finer than its columns.
+/// Progress units per step: finer than the bar's columns. Raised, nothing visible changes.
 const PARTS: u64 = 100;
 
-/// Runs the command. Pictures without a relation are a success: the answer is that there is none.
+/// Runs the command. Unrelated pictures are a success: the answer is that there is no relation.
 ///
 /// # Errors
-/// Bad usage, a picture or a calibration that cannot be read or does not fit, an output that cannot be written, an interrupt.
+/// Bad usage, a picture or calibration that is unreadable or does not fit, an output that cannot be
+/// written, an interrupt.
 pub(super) fn run(arguments: &CompareArguments) -> Result<(), Failure> {
     let options = options_of(arguments)?;
     refuse_unwritable(arguments)?;
@@ -91,11 +93,11 @@ pub(super) fn run(arguments: &CompareArguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Shows what is being done, and ends it where Ctrl-C was pressed.
+/// Returns a callback that shows the progress and returns false after Ctrl-C.
 fn going_on(progress: &Progress) -> impl Fn(Step, Share) -> bool {
     let shown = Cell::new(None);
     move |step, share| {
-        // Asked at every keypoint; most of the time there is nothing new to show.
+        // It is called at every keypoint; usually there is nothing new to show.
         if shown.replace(Some((step, share))) != Some((step, share)) {
             let before = Step::ALL.iter().position(|s| *s == step).unwrap_or(0) as u64;
             let parts = if share.of > 1 { format!(", view {} of {}", share.done + 1, share.of) } else { String::new() };
@@ -120,7 +122,8 @@ fn options_of(arguments: &CompareArguments) -> Result<CompareOptions, Failure> {
     })
 }
 
-/// Finds an output's missing folder, or that it would be written over what is read, before the work is done, not after.
+/// Checks before the work, not after it, that the outputs' folders exist and that no output
+/// overwrites an input.
 fn refuse_unwritable(arguments: &CompareArguments) -> Result<(), Failure> {
     let mut spared = Spared::default()
         .with_files([&arguments.a, &arguments.b], "one of the pictures")

@@ -1,4 +1,4 @@
-//! Reading a picture to compare, and the calibration of the camera that took it.
+//! Reads a picture to compare, and the calibration of the camera that took it.
 
 use std::path::Path;
 
@@ -12,24 +12,24 @@ use crate::compare::View;
 use crate::config::read_calibration;
 use crate::safe_file;
 
-/// A picture with what is known of it.
+/// A picture with what is known about it.
 pub(in crate::cli) struct NamedPicture {
     /// Grey levels, as they lie in the file.
     pub picture: GrayImage,
     /// The camera that took it.
     pub camera: Option<CameraModel>,
-    /// What is to be said beside the result.
+    /// A note to print with the result.
     pub note: Option<String>,
 }
 
 impl NamedPicture {
-    /// What is compared.
+    /// Returns what is compared.
     pub fn view(&self) -> View<'_> {
         View { picture: &self.picture, camera: self.camera.as_ref() }
     }
 }
 
-/// Both pictures.
+/// Reads both pictures.
 pub(super) fn views(arguments: &CompareArguments) -> Result<[NamedPicture; 2], Failure> {
     let camera_b = arguments.camera_b.as_ref().or(arguments.camera.as_ref());
     Ok([with_camera(&arguments.a, arguments.camera.as_deref())?, with_camera(&arguments.b, camera_b.map(|p| p.as_path()))?])
@@ -55,7 +55,7 @@ fn with_camera(file: &Path, calibration: Option<&Path>) -> Result<NamedPicture, 
     Ok(named)
 }
 
-/// A picture from a file, as its pixels lie there: a calibration counts them so.
+/// Reads a picture as its pixels lie in the file, which is how a calibration counts them.
 pub(in crate::cli) fn read_picture(file: &Path) -> Result<NamedPicture, Failure> {
     let bytes =
         safe_file::read(file, LARGEST_PICTURE_FILE).map_err(|source| CaptureError::NotReadable { path: file.to_owned(), source })?;

@@ -1,4 +1,4 @@
-//! The comparison as the terminal shows it.
+//! The comparison as text for the terminal.
 
 use std::fmt::Write as _;
 
@@ -6,7 +6,7 @@ use super::CompareArguments;
 use super::pictures::NamedPicture;
 use crate::compare::{Comparison, Model, Relation};
 
-/// What was compared, what relates it, and what that means.
+/// Describes what was compared, what relates it, and what that means.
 pub(super) fn text(made: &Comparison, a: &NamedPicture, b: &NamedPicture, arguments: &CompareArguments) -> String {
     let mut text = String::new();
     let size = |picture: &NamedPicture| format!("{} x {}", picture.picture.width(), picture.picture.height());

@@ -1,12 +1,13 @@
-//! How far off the poses were: the table at the end of the demo.
+//! Errors of the poses against the truth: the table at the end of the demo.
 
 use std::fmt;
 
 use crate::geometry::{Camera, Pose, Stage};
 use crate::record::{PoseSample, State};
 
-/// A pose is wrong when its position is off by more than this share of the camera's distance, or its direction by more than this many
-/// degrees. Chosen: errors that would be seen on a stage. Raised, fewer count as wrong.
+/// A pose is wrong if its position is off by more than this share of the camera's distance, or its
+/// direction by more than this many degrees. Chosen: errors that would be visible on a stage.
+/// Raised, fewer count as wrong.
 const WRONG_SHARE: f64 = 0.01;
 const WRONG_DEG: f64 = 0.3;
 
@@ -14,7 +15,7 @@ const WRONG_DEG: f64 = 0.3;
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct PoseError {
     position_mm: f64,
-    /// Of the camera's distance from the stage's origin.
+    /// Thousandths of the camera's distance from the stage's origin.
     permille: f64,
     rotation_deg: f64,
 }
@@ -27,19 +28,19 @@ pub(super) struct PoseErrors {
 }
 
 impl PoseErrors {
-    /// Counts a frame, and compares what was measured in it with the truth.
+    /// Counts a frame and compares its measured pose with the truth.
     pub(super) fn add(&mut self, sample: &PoseSample, truth: &Pose<Stage, Camera>) {
         self.frames += 1;
         let Some(measured) = sample.measurement.as_ref().filter(|_| sample.state == State::Tracking) else { return };
         self.tracked.push(PoseError::between(&measured.pose, truth));
     }
 
-    /// Poses given as good that are not.
+    /// Returns the number of poses reported as tracking that are wrong.
     fn wrong(&self) -> usize {
         self.tracked.iter().filter(|e| e.permille > 1e3 * WRONG_SHARE || e.rotation_deg > WRONG_DEG).count()
     }
 
-    /// Median, 95th percentile and maximum of one figure.
+    /// Returns the median, 95th percentile and maximum of one quantity.
     fn spread(&self, figure: fn(&PoseError) -> f64) -> [f64; 3] {
         let mut values: Vec<f64> = self.tracked.iter().map(figure).collect();
         values.sort_by(f64::total_cmp);
@@ -58,7 +59,7 @@ impl PoseError {
     }
 }
 
-/// The value below which a share of sorted values lies, straight between neighbours; NaN of none.
+/// Returns a percentile of sorted values, linearly interpolated; NaN if there are none.
 fn percentile(sorted: &[f64], share: f64) -> f64 {
     let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
     let place = share * last as f64;

@@ -1,4 +1,5 @@
-//! The pose while it is being tracked: one line that is rewritten on a terminal, now and then a line elsewhere.
+//! Prints the pose while tracking: one line that is rewritten on a terminal, otherwise a line now
+//! and then.
 
 use std::io::{self, IsTerminal, Stdout, Write};
 
@@ -6,19 +7,20 @@ use crate::cli::angles::camera_words;
 use crate::geometry::{Camera, Pose, Stage};
 use crate::record::PoseSample;
 
-/// Frames a line where no terminal shows them: two lines a second at 30 frames a second. Raised, a log has fewer lines.
+/// Frames per line if the output is not a terminal: two lines a second at 30 frames per second.
+/// Raised, a log has fewer lines.
 const LINE_EVERY: u64 = 15;
 
 /// Prints poses as they come.
 #[derive(Debug)]
 pub(super) struct LivePrint<W> {
     out: W,
-    /// At a terminal: rewrite one line.
+    /// On a terminal: rewrite one line.
     rewrite: bool,
 }
 
 impl LivePrint<Stdout> {
-    /// To standard output.
+    /// Prints to standard output.
     pub(super) fn stdout() -> Self {
         let out = io::stdout();
         Self { rewrite: out.is_terminal(), out }
@@ -31,10 +33,10 @@ impl<W: Write> LivePrint<W> {
         Self { out, rewrite }
     }
 
-    /// Shows a frame's pose and how far off it is.
+    /// Shows a frame's pose and its error.
     pub(super) fn show(&mut self, sample: &PoseSample, truth: &Pose<Stage, Camera>) -> io::Result<()> {
         if self.rewrite {
-            // Back to the line's start, and clear what a longer line left behind.
+            // Return to the line's start, and clear the rest of a longer line.
             write!(self.out, "\r{}\x1b[K", line(sample, truth, false))?;
             return self.out.flush();
         }
@@ -44,13 +46,13 @@ impl<W: Write> LivePrint<W> {
         Ok(())
     }
 
-    /// Leaves the rewritten line.
+    /// Ends the rewritten line.
     pub(super) fn end(&mut self) -> io::Result<()> {
         if self.rewrite { writeln!(self.out) } else { Ok(()) }
     }
 }
 
-/// On a terminal a line must not be longer than it is wide: there the quaternion is left out.
+/// Returns the line. On a terminal it must fit the width, so the quaternion is left out.
 fn line(sample: &PoseSample, truth: &Pose<Stage, Camera>, with_quaternion: bool) -> String {
     let state = sample.state.word();
     let start = format!("{:>6} {state:<9}", sample.sequence);

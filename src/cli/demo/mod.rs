@@ -1,8 +1,8 @@
-//! `stagepose demo`: tracks a virtual stage and says how far off the poses were.
+//! `stagepose demo`: tracks a virtual stage and prints the poses' errors.
 //!
-//! No camera, no files: the stage is painted and rendered in the process, so the true pose of every frame is known. The page
-//! shows it to this machine's browsers, and nothing leaves the machine. `--save` also writes the frames with everything that
-//! `stagepose replay` needs.
+//! It needs no camera and no files: the stage is painted and rendered in the process, so the true
+//! pose of every frame is known. The page shows it to browsers on this machine only. `--save` also
+//! writes the frames with everything that `stagepose replay` needs.
 
 mod errors;
 mod live;
@@ -28,12 +28,14 @@ use live::LivePrint;
 use page::Page;
 use saved_clip::SavedClip;
 
-/// Frames without `--frames`: five seconds. Raised, scripts wait longer for the table of errors.
+/// Number of frames without `--frames`: five seconds. Raised, scripts wait longer for the table of
+/// errors.
 const FRAMES: u64 = 150;
-/// Seconds without `--frames` at a terminal with the page, unless Ctrl-C ends it before. Raised, a demo that nobody ends runs longer.
+/// Duration without `--frames` at a terminal with the page, seconds, unless Ctrl-C ends it earlier.
+/// Raised, an unattended demo runs longer.
 const SHOWN_S: f64 = 600.0;
 
-/// Track a virtual stage and print the error against the truth; needs no camera.
+/// Track a virtual stage and print the errors against the truth; needs no camera.
 #[derive(Debug, Clone, PartialEq, Args)]
 #[command(
     after_help = "Example:\n  stagepose demo\n  stagepose demo --frames 60 --save clip && stagepose replay clip --config clip/stage.toml --poses poses.jsonl\n\n\
@@ -52,22 +54,22 @@ pub struct DemoArguments {
     /// Picture height in pixels
     #[arg(long, value_name = "PX", default_value_t = 480, value_parser = clap::value_parser!(u32).range(64..=4096))]
     pub height: u32,
-    /// Frames a second
+    /// Frames per second
     #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = super::send_test::rate)]
     pub fps: f64,
-    /// Another number paints another stage and shakes the camera another way
+    /// Seed: another number paints another stage and shakes the camera in another way
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
     /// Save the frames as JPEG of this quality, 1 to 100, instead of PNG
     #[arg(long, value_name = "QUALITY", requires = "save", value_parser = clap::value_parser!(u8).range(1..=100))]
     pub jpeg: Option<u8>,
-    /// Serve no page, and track as fast as it goes
+    /// Serve no page, and track as fast as possible
     #[arg(long)]
     pub no_page: bool,
 }
 
 impl DemoArguments {
-    /// How many frames are rendered.
+    /// Returns the number of frames to render.
     fn frame_count(&self, is_terminal: bool) -> u64 {
         let is_watched = is_terminal && !self.no_page && self.save.is_none() && cfg!(feature = "http");
         self.frames.unwrap_or(if is_watched { (SHOWN_S * self.fps).ceil() as u64 } else { FRAMES })
@@ -85,13 +87,13 @@ pub enum DemoError {
     Save {
         /// The file or folder.
         file: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
     /// A frame or a stamp of the saved clip cannot be written.
     #[error(transparent)]
     Clip(#[from] CaptureError),
-    /// What the saved clip consists of is in its folder already; holds the first such file.
+    /// The folder already holds part of a saved clip; holds the first such file.
     #[error("{}: is there already and would be written over; give --save a new folder", .0.display())]
     Exists(PathBuf),
     /// The tracker cannot be set up.
@@ -117,10 +119,11 @@ impl From<DemoError> for Failure {
 /// Renders, tracks, and prints the errors.
 ///
 /// # Errors
-/// When the saved clip or standard output cannot be written; a stage that is not found is no error.
+/// When the saved clip or standard output cannot be written. A stage that is not found is not an
+/// error.
 pub fn run(arguments: &DemoArguments) -> Result<(), DemoError> {
     interrupt::watch();
-    // Painting and preparing takes a moment: the address comes before that.
+    // Print the address first: painting and preparing take a moment.
     let mut page = if arguments.no_page { None } else { served()? };
     let frames = arguments.frame_count(io::stdout().is_terminal());
     let stage = scene(arguments, frames)?;
@@ -148,7 +151,7 @@ pub fn run(arguments: &DemoArguments) -> Result<(), DemoError> {
     Ok(out.flush()?)
 }
 
-/// The page, with its address printed; none where no port can be had, which is said and ends nothing.
+/// Starts the page and prints its address. If no port is available, it says so and returns `None`.
 fn served() -> io::Result<Option<Page>> {
     match Page::start() {
         Ok(page) => {
@@ -166,15 +169,15 @@ fn served() -> io::Result<Option<Page>> {
     }
 }
 
-/// The dolly scene that the arguments ask for; its artwork has about two texels a pixel.
+/// Returns the dolly scene that the arguments ask for; its artwork has about two texels per pixel.
 fn scene(arguments: &DemoArguments, frames: u64) -> Result<VirtualStage, DemoError> {
     let (width, height, seed) = (arguments.width, arguments.height, arguments.seed);
     let duration_s = frames as f64 / arguments.fps;
     Ok(dolly(Dolly { width, height, seed, duration_s, artwork_width: (2 * width).clamp(400, 2400) })?)
 }
 
-/// Tracks every frame until a signal comes: saves it where wanted, prints it, shows it, and compares it with the truth. With a
-/// page, and where nothing is saved, frames come at their own pace.
+/// Tracks every frame until a signal: saves it if requested, prints it, shows it, and compares it
+/// with the truth. With a page and without saving, frames come in real time.
 fn session<W: Write>(
     camera: &mut VirtualCamera,
     mut track: impl FnMut(&Frame) -> Result<PoseSample, FrameError>,

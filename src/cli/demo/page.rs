@@ -1,4 +1,4 @@
-//! The page beside the demo: on loopback alone, at a free port, with the picture and the outlines as for a camera.
+//! The demo's page: on loopback only, at a free port, with picture and outlines as for a camera.
 
 use std::time::{Duration, Instant};
 
@@ -9,10 +9,10 @@ use crate::cli::pages::Pages;
 use crate::record::PoseSample;
 use crate::tracker::{Tracker, TrackerSetup};
 
-/// What the page is called with for every row.
+/// Called with every row, for the page.
 type Observer = Box<dyn FnMut(&ClipEntry, &PoseSample) + Send>;
 
-/// The running page. Frames come at the pace of their stamps, so that there is something to see.
+/// The running page. Frames come at the pace of their stamps, so that they can be watched.
 pub(super) struct Page {
     pages: Pages,
     observer: Option<Observer>,
@@ -20,22 +20,22 @@ pub(super) struct Page {
 }
 
 impl Page {
-    /// Serves it, before there is anything to show.
+    /// Starts the server, before there is anything to show.
     ///
     /// # Errors
-    /// Where no port can be had.
+    /// When no port is available.
     pub(super) fn start() -> Result<Self, Failure> {
         Ok(Self { pages: Pages::start_on_loopback()?, observer: None, begun: Instant::now() })
     }
 
-    /// From now on it shows what this tracker does, and time counts.
+    /// Shows this tracker's output from now on, and starts the clock.
     pub(super) fn watch(&mut self, setup: &TrackerSetup, tracker: &mut Tracker) {
         self.pages.show_scene(setup);
         self.observer = self.pages.observer(tracker).map(|observer| Box::new(observer) as Observer);
         self.begun = Instant::now();
     }
 
-    /// What to type into a browser; none in a build without a server.
+    /// Returns the address for a browser; `None` in a build without a server.
     pub(super) fn address(&self) -> Option<String> {
         self.pages.listens().map(crate::web::page_address)
     }
@@ -45,7 +45,7 @@ impl Page {
         interrupt::wait_until(self.begun, stamp);
     }
 
-    /// Shows a row and what became of it.
+    /// Shows a row and its sample.
     pub(super) fn show(&mut self, row: &ClipEntry, sample: &PoseSample) {
         if let Some(observer) = &mut self.observer {
             observer(row, sample);

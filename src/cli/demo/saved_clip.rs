@@ -1,7 +1,8 @@
-//! The saved clip: a folder that `stagepose replay` reads like a recorded one, with the truth beside it.
+//! The saved clip: a folder that `stagepose replay` reads like a recorded one, plus the true poses.
 //!
-//! `frames/` and `timestamps.csv` are the clip (contract C2), `stage.toml`, `camera.toml` and the artwork what the
-//! tracker knows, and `groundtruth.txt` the exact poses in TUM form, at the same stamps.
+//! `frames/` and `timestamps.csv` are the clip (contract C2). `stage.toml`, `camera.toml` and the
+//! artwork are the tracker's input. `groundtruth.txt` has the exact poses in TUM format, at the
+//! same stamps.
 
 use std::fmt::Write as _;
 use std::fs::{self, File};
@@ -29,10 +30,12 @@ pub(super) struct SavedClip {
 }
 
 impl SavedClip {
-    /// Makes the folder and writes everything but the frames; `jpeg` is a quality from 1 to 100, PNG without.
+    /// Creates the folder and writes everything but the frames; `jpeg` is a quality from 1 to 100,
+    /// `None` for PNG.
     pub(super) fn create(folder: &Path, stage: &VirtualStage, jpeg: Option<u8>) -> Result<Self, DemoError> {
         let frames = folder.join("frames");
-        // Frames of another clip among these would make a clip of neither, and a config or calibration of that name is work of hours.
+        // Mixed with another clip's frames, neither clip would be usable; and a config or
+        // calibration of that name may be hours of work.
         let artwork: Vec<String> = stage.stage.surfaces.iter().map(picture_of).collect();
         let names = ["frames", "timestamps.csv", CAMERA, STAGE, TRUTH].into_iter().chain(artwork.iter().map(String::as_str));
         if let Some(taken) = first_taken(folder, names) {
@@ -60,19 +63,20 @@ impl SavedClip {
             .map_err(at(&self.folder.join(TRUTH)))
     }
 
-    /// Writes what is still held back.
+    /// Flushes the buffers.
     pub(super) fn finish(mut self) -> Result<(), DemoError> {
         self.clip.finish()?;
         self.truth.flush().map_err(at(&self.folder.join(TRUTH)))
     }
 }
 
-/// Names of the files beside the frames of a saved clip: the true poses (in TUM's format), the calibration, the config.
+/// Names of the files next to a saved clip's frames: the true poses (TUM format), the calibration,
+/// the config.
 const TRUTH: &str = "groundtruth.txt";
 const CAMERA: &str = "camera.toml";
 const STAGE: &str = "stage.toml";
 
-/// The file of a surface's artwork.
+/// Returns the file name of a surface's artwork.
 fn picture_of(surface: &SurfaceSpec) -> String {
     format!("{}.png", surface.name)
 }
@@ -97,7 +101,7 @@ fn save_picture(file: &Path, picture: &GrayImage) -> Result<(), DemoError> {
     written.and_then(|()| out.flush()).map_err(at(file))
 }
 
-/// The config (contract C5).
+/// Returns the config (contract C5).
 fn stage_toml(stage: &VirtualStage) -> String {
     let mut text = format!(
         "# A virtual stage, written by `stagepose demo --save`; groundtruth.txt has the true poses.\n[camera]\ncalibration = \"{CAMERA}\"\nexposure_s = {:?}\n{}\n",

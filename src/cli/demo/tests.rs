@@ -68,7 +68,7 @@ fn a_session_scores_what_the_tracker_says_against_the_truth() {
     let truth: Vec<_> = (0..31).map(|k| camera.truth(k)).collect();
     let mut printed = Vec::new();
     let mut live = LivePrint::to(&mut printed, false);
-    // 3 mm aside in every frame, and half a metre in one.
+    // Off by 3 mm sideways in every frame, and by half a metre in one.
     let off_m = |sequence: u64| if sequence == 20 { 0.5 } else { 0.003 };
     let track = |frame: &Frame| {
         let truth = truth[frame.sequence as usize];

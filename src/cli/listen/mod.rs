@@ -1,4 +1,4 @@
-//! `listen`: prints the packets of a protocol that arrive on a port, decoded.
+//! `listen`: prints the packets that arrive on a port, decoded.
 
 mod packets;
 
@@ -14,13 +14,13 @@ use super::interrupt;
 use crate::printable::printable;
 use crate::publish::Interface;
 
-/// Print what arrives on a UDP port, decoded.
+/// Print the packets that arrive on a UDP port, decoded.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:\n  stagepose listen freed 40000\n  stagepose listen psn 56565 --group 236.10.10.10 --interface 192.168.1.10"
 )]
 pub(super) struct ListenArguments {
-    /// What is spoken
+    /// The protocol
     protocol: Spoken,
     /// UDP port
     #[arg(value_parser = clap::value_parser!(u16).range(1..))]
@@ -28,10 +28,11 @@ pub(super) struct ListenArguments {
     /// Multicast group to join
     #[arg(long, value_name = "ADDRESS")]
     group: Option<IpAddr>,
-    /// The network of the group: this machine's address on it, or for an IPv6 group its name, such as eth0
+    /// The group's network: this machine's address on it, or for an IPv6 group the interface's
+    /// name, such as eth0
     #[arg(long, value_name = "NETWORK", requires = "group", value_parser = network)]
     interface: Option<Interface>,
-    /// End after this many packets [default: at Ctrl-C]
+    /// Stop after this many packets [default: at Ctrl-C]
     #[arg(long, value_name = "N")]
     count: Option<u64>,
 }
@@ -54,7 +55,7 @@ pub(super) fn run(arguments: &ListenArguments) -> Result<(), Failure> {
     let mut buffer = vec![0; 65_536];
     let mut heard = 0;
     while !interrupt::is_interrupted() && arguments.count.is_none_or(|count| heard < count) {
-        // The time limit lets Ctrl-C through; other errors of one packet do not end the listening.
+        // The timeout lets Ctrl-C through; an error with one packet does not stop listening.
         let Ok((length, from)) = socket.recv_from(&mut buffer) else { continue };
         heard += 1;
         print(from, &packets::line(arguments.protocol, &buffer[..length])).map_err(Failure::output(Path::new("stdout")))?;
@@ -62,15 +63,16 @@ pub(super) fn run(arguments: &ListenArguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A line of its own for every packet, whatever characters are in it.
+/// Prints one line per packet, whatever characters it has.
 fn print(from: SocketAddr, line: &str) -> io::Result<()> {
     let mut out = io::stdout().lock();
-    // An IPv4 sender is shown as such, also where IPv6 listens for both.
+    // Show an IPv4 sender as IPv4, even on the dual-stack socket.
     writeln!(out, "{} {}", SocketAddr::new(from.ip().to_canonical(), from.port()), printable(line))?;
     out.flush()
 }
 
-/// A socket for IPv6 and IPv4, or for IPv4 alone where the group is of it or this machine has no IPv6.
+/// Opens a socket for IPv6 and IPv4, or for IPv4 only if the group is IPv4 or this machine has no
+/// IPv6.
 fn open(arguments: &ListenArguments) -> io::Result<UdpSocket> {
     let v6 = || bound(arguments, Domain::IPV6, Ipv6Addr::UNSPECIFIED.into());
     let v4 = || bound(arguments, Domain::IPV4, Ipv4Addr::UNSPECIFIED.into());
@@ -98,7 +100,7 @@ fn open(arguments: &ListenArguments) -> io::Result<UdpSocket> {
 
 fn bound(arguments: &ListenArguments, domain: Domain, address: IpAddr) -> io::Result<Socket> {
     let socket = Socket::new(domain, Type::DGRAM, Some(Protocol::UDP))?;
-    // Others may listen to the same multicast.
+    // Other programs may listen to the same multicast.
     socket.set_reuse_address(arguments.group.is_some())?;
     if domain == Domain::IPV6 {
         socket.set_only_v6(false)?;

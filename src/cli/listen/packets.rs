@@ -1,4 +1,4 @@
-//! One packet of each protocol as a line of text.
+//! Formats one packet of each protocol as a line of text.
 
 use rosc::{OscMessage, OscPacket, OscTime, OscType, decoder};
 
@@ -9,13 +9,15 @@ use crate::protocols::psn::{PsnPacket, PsnTracker};
 use crate::publish::osc::FROM_1900_TO_1970_S;
 use crate::utc;
 
-/// Bytes of a blob that are shown; the rest is counted. Chosen: 64 hexadecimal digits fit a terminal's line. Raised, lines wrap.
+/// Maximum bytes of a blob that are shown; the rest is counted. Chosen: 64 hexadecimal digits fit a
+/// terminal's line. Raised, lines wrap.
 const SHOWN_OF_A_BLOB: usize = 32;
-/// Levels that OSC's bundles and arrays may nest. Decoding, printing and forgetting them takes a piece of the stack for each level, and a
-/// datagram has room for 30,000. Chosen: far more than senders use. Raised to thousands, a forged datagram overflows the stack.
+/// Maximum nesting of OSC bundles and arrays. Decoding, printing and dropping them recurse once per
+/// level, and a datagram has room for 30,000 levels. Chosen: far more than senders use. Raised to
+/// thousands, a forged datagram overflows the stack.
 const MOST_LEVELS: usize = 16;
 
-/// One packet as a line; names in it are as they came.
+/// Returns one packet as a line; names in it are not escaped.
 pub(super) fn line(protocol: Spoken, bytes: &[u8]) -> String {
     let decoded = match protocol {
         Spoken::Freed => FreedPacket::decode(bytes).map(|p| freed(&p)).map_err(|e| e.to_string()),
@@ -30,7 +32,7 @@ pub(super) fn line(protocol: Spoken, bytes: &[u8]) -> String {
     decoded.unwrap_or_else(|reason| format!("{} bytes: {reason}", bytes.len()))
 }
 
-/// A line as it came; what is no JSON object is named, with the place.
+/// Returns the line as it came, or the place where it is not a JSON object.
 fn json(bytes: &[u8]) -> Result<String, String> {
     let text = std::str::from_utf8(bytes).map_err(|_| "it is no UTF-8; check the sender's port".to_owned())?;
     let line = text.trim_end_matches(['\r', '\n']);
@@ -69,7 +71,8 @@ fn psn_tracker(tracker: &PsnTracker) -> String {
     text + &tracker.validity.map_or(String::new(), |v| format!(" validity {v}"))
 }
 
-/// A message or a bundle; `None` where there is neither an address nor a bundle's mark. Nesting has been counted before.
+/// Formats a message or bundle; `None` if there is neither an address nor a bundle marker. The
+/// nesting has been checked before.
 fn osc_packet(bytes: &[u8]) -> Option<String> {
     if !bytes.starts_with(b"#bundle\0") {
         return osc_message(bytes);
@@ -80,7 +83,7 @@ fn osc_packet(bytes: &[u8]) -> Option<String> {
         let length = u32::from_be_bytes(*length) as usize;
         let element = &behind[..length.min(behind.len())];
         let is_whole = element.len() == length;
-        // A bundle that is cut off is not looked into: its levels have not been counted.
+        // A truncated bundle is not descended into: its levels have not been counted.
         let line = if is_whole { osc_packet(element) } else { osc_message(element) };
         let cut = if is_whole { String::new() } else { format!(" (cut off, {} of {length} bytes)", element.len()) };
         elements.push(line.unwrap_or_else(|| format!("({} bytes that are no message)", element.len())) + &cut);
@@ -89,8 +92,8 @@ fn osc_packet(bytes: &[u8]) -> Option<String> {
     Some(if elements.is_empty() { "#bundle (empty)".to_owned() } else { elements.join(" | ") })
 }
 
-/// A message as the decoder reads it, or what can be said of it without: senders leave out type tags, or use types and letters that it
-/// does not know.
+/// Formats a message as decoded, or as far as possible without the decoder: senders omit type tags,
+/// or use types and letters that the decoder does not know.
 fn osc_message(bytes: &[u8]) -> Option<String> {
     if let Ok((_, OscPacket::Message(message))) = decoder::decode_udp(bytes) {
         return Some(format!("{} {}", message.addr, osc_arguments(&message.args)));
@@ -103,7 +106,7 @@ fn osc_message(bytes: &[u8]) -> Option<String> {
     }
 }
 
-/// Arguments one by one, up to the first that cannot be passed over.
+/// Formats arguments one by one, up to the first whose length is unknown.
 fn loose_arguments(types: &[u8], mut data: &[u8]) -> String {
     let mut line = String::new();
     for tag in types {
@@ -132,12 +135,12 @@ fn loose_arguments(types: &[u8], mut data: &[u8]) -> String {
     line
 }
 
-/// The text of a string with its filling.
+/// Returns the text of a padded string.
 fn own_text(bytes: &[u8]) -> String {
     text_of(osc_string(bytes, 0).map_or(bytes, |(text, _)| text))
 }
 
-/// A text as it came, or with escapes where it is not UTF-8.
+/// Returns a text as it came, or with escapes if it is not UTF-8.
 fn text_of(bytes: &[u8]) -> String {
     std::str::from_utf8(bytes).map_or_else(|_| bytes.escape_ascii().to_string(), str::to_owned)
 }
@@ -153,7 +156,7 @@ fn osc_argument(argument: &OscType) -> String {
         OscType::String(v) => v.clone(),
         OscType::Array(array) => format!("[{}]", osc_arguments(&array.content)),
         OscType::Blob(bytes) => blob(bytes),
-        // The library's own words for a time panic before 1970, and "immediately" is such a time.
+        // The library's formatting of a time panics before 1970, and "immediately" is such a time.
         OscType::Time(tag) => format!("(t) {}", time(*tag)),
         other => other.to_string(),
     }
@@ -168,7 +171,8 @@ fn blob(bytes: &[u8]) -> String {
     }
 }
 
-/// A time tag in UTC. The seconds count from 1900 and begin again in 2036; what would lie before 1970 is after that.
+/// Formats a time tag in UTC. Its seconds count from 1900 and wrap in 2036, so a time before 1970
+/// means one after 2036.
 fn time(tag: OscTime) -> String {
     if (tag.seconds, tag.fractional) == (0, 1) {
         return "immediately".to_owned();
@@ -179,7 +183,8 @@ fn time(tag: OscTime) -> String {
     format!("{}.{us:06}Z", to_the_second.trim_end_matches('Z'))
 }
 
-/// Whether bundles or arrays nest deeper than [`MOST_LEVELS`], seen without recursion. What is damaged is left to the decoder.
+/// Whether bundles or arrays nest deeper than [`MOST_LEVELS`], without recursion. Damaged packets
+/// are left to the decoder.
 fn nests_too_deep(datagram: &[u8]) -> bool {
     let mut open = vec![(0, datagram.len(), 1)];
     while let Some((begin, end, level)) = open.pop() {
@@ -189,7 +194,7 @@ fn nests_too_deep(datagram: &[u8]) -> bool {
         }
         let Some((address, mut at)) = osc_string(packet, begin) else { continue };
         if address == b"#bundle" {
-            // Behind the time tag: a length and that many bytes, again and again.
+            // After the time tag: a length and that many bytes, repeated.
             at += 8;
             while let Some(length) = packet.get(at..).and_then(|rest| rest.first_chunk::<4>()) {
                 let element = at + 4;
@@ -216,7 +221,8 @@ fn nests_too_deep(datagram: &[u8]) -> bool {
     false
 }
 
-/// The bytes up to the next zero byte, and where what follows begins: OSC fills up to a multiple of four.
+/// Returns the bytes up to the next zero byte and the offset after the padding: OSC pads to a
+/// multiple of four.
 fn osc_string(packet: &[u8], at: usize) -> Option<(&[u8], usize)> {
     let rest = packet.get(at..)?;
     let length = memchr::memchr(0, rest)?;

@@ -56,7 +56,7 @@ fn a_long_blob_is_counted_not_shown() {
     assert!(long.len() < 120 && long.ends_with("… of 60000 bytes"), "{long}");
 }
 
-/// A string with its filling.
+/// Returns a string with its padding.
 fn filled(text: &[u8]) -> Vec<u8> {
     let mut bytes = [text, b"\0"].concat();
     bytes.resize(bytes.len().next_multiple_of(4), 0);
@@ -99,7 +99,7 @@ fn what_the_decoder_does_not_know_is_shown_all_the_same() {
     assert_eq!(line(Spoken::Osc, &cut), "/a (i) and 0 bytes that cannot be read (cut off, 8 of 12 bytes)");
 }
 
-/// A bundle in a bundle, and so on.
+/// Returns bundles nested this deep.
 fn nested_bundles(levels: usize) -> Vec<u8> {
     let mut packet = message(vec![OscType::Int(5)]);
     for _ in 0..levels {
@@ -122,7 +122,7 @@ fn what_nests_without_end_is_refused() {
     for packet in [nested_bundles(MOST_LEVELS), nested_bundles(3000), nested_arrays(MOST_LEVELS + 1), nested_arrays(32_000)] {
         assert!(line(Spoken::Osc, &packet).contains("nest more than 16 deep"));
     }
-    // Siblings are no nesting.
+    // Siblings do not nest.
     let element = OscPacket::Message(OscMessage { addr: "/b".to_owned(), args: vec![OscType::Bool(true)] });
     let bundle = OscBundle { timetag: OscTime { seconds: 0, fractional: 1 }, content: vec![element; 1000] };
     let siblings = encoder::encode(&OscPacket::Bundle(bundle)).unwrap();

@@ -1,4 +1,4 @@
-//! The camera's pose in every row of a clip of still views.
+//! Measures the camera's pose in every row of a clip of still views.
 
 use std::path::Path;
 
@@ -15,23 +15,25 @@ use crate::record::State;
 use crate::track::TrackerSettings;
 use crate::tracker::{Tracker, TrackerSetup};
 
-/// Rows of a clip up to which they are taken for single pictures, and how often the tracker is shown each of these, because it gives no
-/// pose before another frame confirms it. Chosen: the first is two seconds of film; raised, short films are solved as stills. The second is
-/// more than the two that a confirmed pose needs; raised, it only takes longer.
+/// Maximum rows of a clip that is taken for single pictures, and how often the tracker is shown
+/// each of them, because it reports no pose until another frame confirms it. Chosen: the first is
+/// two seconds of film; raised, short films are solved as stills. The second is more than the two
+/// that a confirmed pose needs; raised, it only takes longer.
 const MOST_STILLS: u64 = 60;
 const TIMES_SHOWN: u64 = 4;
-/// The interval at which stills are shown to the tracker, nanoseconds: a webcam's at 30 frames a second. They stand still, so it decides
-/// little.
+/// Interval at which stills are shown to the tracker, nanoseconds: a webcam's at 30 frames per
+/// second. Nothing moves, so the value matters little.
 const PACE_NS: i64 = 33_333_333;
-/// Time from one still to the next, nanoseconds: the rig was carried meanwhile, and what is found
-/// elsewhere is no jump.
+/// Interval from one still to the next, nanoseconds. The rig was carried meanwhile, so a pose
+/// elsewhere is not a jump; lowered, it may be taken for one.
 const CARRIED_NS: i64 = 10_000_000_000;
 
-/// What a clip tells.
+/// The measurements of a clip.
 pub(super) struct Measured {
-    /// The camera at the size of the clip's pictures.
+    /// The camera, scaled to the size of the clip's pictures.
     pub camera: CameraModel,
-    /// The pose in every row, without what the calibration's doubt adds to its covariance; none where the stage was not found.
+    /// The pose in every row, without the calibration's share of the covariance; `None` if the
+    /// stage was not found.
     pub rows: Vec<Option<View>>,
 }
 
@@ -45,7 +47,7 @@ pub(super) fn measure(settings: &Settings, clip: &Path) -> Result<Measured, Fail
     source.notes().iter().for_each(|note| tracing::warn!("{note}"));
     let setup = tracker_setup(settings, source.size(), None)?;
     let camera = setup.camera;
-    // Objects say nothing of the mount.
+    // Objects say nothing about the mount.
     let settings = TrackerSettings { adds_lens_doubt: false, ..setup.settings };
     let setup = TrackerSetup { settings, objects: Vec::new(), ..setup };
     let (first, is_stills) = beginning(source.as_mut());
@@ -70,7 +72,8 @@ pub(super) fn measure(settings: &Settings, clip: &Path) -> Result<Measured, Fail
     Ok(Measured { camera, rows })
 }
 
-/// The rows that had to be read to know whether the clip is one of single pictures, and whether it is.
+/// Returns the rows that had to be read to tell whether the clip is one of single pictures, and the
+/// answer.
 fn beginning(source: &mut dyn FrameSource) -> (Vec<ClipEntry>, bool) {
     if let Some(rows) = source.rows() {
         return (Vec::new(), rows <= MOST_STILLS);
@@ -80,14 +83,14 @@ fn beginning(source: &mut dyn FrameSource) -> (Vec<ClipEntry>, bool) {
     (first, is_stills)
 }
 
-/// A row of a film.
+/// Tracks a row of a film.
 fn view(tracker: &mut Tracker, row: &ClipEntry) -> Option<View> {
     let sample = track_entry(tracker, row);
     let measured = sample.measurement.filter(|_| sample.state == State::Tracking)?;
     Some(View { pose: measured.pose, covariance: measured.covariance })
 }
 
-/// A single picture: shown until it is confirmed or not; the last answer counts.
+/// Tracks a single picture: shows it until it could be confirmed; the last result counts.
 fn still(tracker: &mut Tracker, row: &ClipEntry, index: usize) -> Option<View> {
     let EntryContent::Frame(frame) = &row.content else { return None };
     let mut last = None;
@@ -95,7 +98,7 @@ fn still(tracker: &mut Tracker, row: &ClipEntry, index: usize) -> Option<View> {
         let sequence = index as u64 * TIMES_SHOWN + k;
         let timestamp = Timestamp::from_ns(index as i64 * CARRIED_NS + k as i64 * PACE_NS);
         let shown = Frame { image: frame.image.clone(), sequence, timestamp };
-        // A picture of another size shows nothing.
+        // A picture of another size yields nothing.
         last = tracker.track(&shown).ok().and_then(|sample| sample.measurement.filter(|_| sample.state == State::Tracking));
     }
     last.map(|measured| View { pose: measured.pose, covariance: measured.covariance })

@@ -1,4 +1,5 @@
-//! `mount`: where the filming camera sits on the rig, from clips that both cameras took of still views.
+//! `mount`: measures where the filming camera sits on the rig, from clips that both cameras took of
+//! still views.
 
 mod measure;
 mod report;
@@ -23,7 +24,8 @@ use crate::publish::BodyChoice;
 use measure::{Measured, measure};
 use report::MountReport;
 
-/// Measure where the filming camera sits beside the tracking camera, from still views that both took.
+/// Measure where the filming camera sits next to the tracking camera, from still views that both
+/// took.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  stagepose mount --config tracking.toml --clip a --with filming.toml --clip b\n\n\
     Bolt both cameras to the rig, put it in five or six places, and let each camera take a picture or a few seconds of film in every place, the \
@@ -41,7 +43,7 @@ pub(super) struct MountArguments {
     /// The filming camera's config
     #[arg(long, value_name = "FILE")]
     with: PathBuf,
-    /// Each camera sees a board of its own: the two configs have different stage frames
+    /// Each camera sees its own board: the two configs have different stage frames
     #[arg(long)]
     own_boards: bool,
     /// Write the result as JSON
@@ -74,7 +76,7 @@ pub(super) fn run(arguments: &MountArguments) -> Result<(), Failure> {
         ObservationModel { camera: &tracking.camera, stage: &settings.stage },
         ObservationModel { camera: &filming.camera, stage: &other.stage },
     ];
-    // What the lenses are in doubt about is the same in all views, and does not shrink with their number.
+    // The lenses' uncertainty is common to all views and does not shrink with their number.
     let by_lenses = lens_doubt(models, &complete, &solution);
     let covariance = solution.covariance + by_lenses;
     let (verdict, reasons) = judge(&solution, &by_lenses);
@@ -88,7 +90,7 @@ pub(super) fn run(arguments: &MountArguments) -> Result<(), Failure> {
         verdict,
         reasons,
         next,
-        // One that an object carries is another thing.
+        // A mount on an object is a different one.
         typed: settings.mount.as_ref().filter(|typed| typed.mount.carrier == BodyChoice::Camera),
         lens: other.lens.calibration_file(),
         tracking_config: &arguments.config,
@@ -109,7 +111,7 @@ pub(super) fn run(arguments: &MountArguments) -> Result<(), Failure> {
     }
 }
 
-/// The still views of both clips.
+/// Returns the still views of both clips, paired.
 fn paired(tracking: &Measured, filming: &Measured, clips: [&PathBuf; 2]) -> Result<Vec<StillPair>, Failure> {
     still_pairs(&tracking.rows, &filming.rows).map_err(|Unpaired([a, b])| {
         let [clip, other] = clips.map(|clip| clip.display().to_string());
@@ -127,7 +129,8 @@ fn complete_pair(pair: &StillPair) -> Option<ViewPair> {
     Some(ViewPair { tracking: tracking?, filming: filming? })
 }
 
-/// The covariance of the mount by what the lenses are in doubt about: as if it were the same in every view, which is the careful side.
+/// Returns the part of the mount's covariance due to the lenses, as if fully correlated over all
+/// views, which is conservative.
 fn lens_doubt(models: [ObservationModel<'_>; 2], pairs: &[ViewPair], solution: &Solution) -> Matrix6<f64> {
     let of_pair = |pair: &ViewPair| {
         let doubted = |model: ObservationModel<'_>, view: &View| View { covariance: model.doubt(&view.pose), ..*view };
@@ -137,7 +140,7 @@ fn lens_doubt(models: [ObservationModel<'_>; 2], pairs: &[ViewPair], solution: &
     pairs.iter().map(of_pair).sum::<Matrix6<f64>>() / pairs.len().max(1) as f64
 }
 
-/// Why there is no mount, and what to do.
+/// Returns why there is no mount, and what to do.
 fn unsolvable(why: Unsolvable, pairs: &[StillPair], arguments: &MountArguments) -> Failure {
     let missing = report::missing(pairs);
     let missing = if missing.is_empty() { String::new() } else { format!(" ({})", missing.join("; ")) };

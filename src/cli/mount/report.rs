@@ -1,4 +1,4 @@
-//! The result as text, as the config's lines, and as JSON.
+//! The result as text, as lines for the config, and as JSON.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -11,18 +11,20 @@ use crate::mount::{NextView, Solution, StillPair, Verdict, worst_sigmas};
 use crate::protocols::{PanTiltRoll, to_body_axes};
 use crate::publish::MountSettings;
 
-/// Squared Mahalanobis distance that two mounts which are the same exceed once in a hundred times: the 99 % quantile of chi-squared with
-/// six degrees of freedom. Raised, typed mounts that are wrong by more still agree.
+/// Squared Mahalanobis distance that two identical mounts exceed once in a hundred times: the 99 %
+/// quantile of chi-squared with six degrees of freedom. Raised, configured mounts with larger
+/// errors still agree.
 const SAME: f64 = 16.8;
-/// What a tape measure and an inclinometer give, one sigma each: metres and radians. Typed values are judged with these where they name no
-/// sigma. Chosen, not measured. Raised, larger differences from the measured mount still agree.
+/// Accuracy of a tape measure and an inclinometer, one sigma each: metres and radians. Used for
+/// configured values without a sigma. Chosen, not measured. Raised, larger differences from the
+/// measured mount still agree.
 const TYPED_SIGMA_M: f64 = 2e-3;
 const TYPED_SIGMA_RAD: f64 = 0.1 * std::f64::consts::PI / 180.0;
 
-/// What was measured, as it is printed.
+/// The measurement, ready to print.
 pub(super) struct MountReport<'a> {
     pub mount: &'a Pose<Camera, FilmingCamera>,
-    /// With the lenses' doubt.
+    /// Including the lenses' uncertainty.
     pub covariance: Matrix6<f64>,
     pub solution: &'a Solution,
     pub pairs: &'a [StillPair],
@@ -35,19 +37,19 @@ pub(super) struct MountReport<'a> {
     pub tracking_config: &'a Path,
 }
 
-/// The camera's optical axes as its body's: x right, y forward, z up.
+/// Returns the rotation from the camera's optical axes to its body's: x right, y forward, z up.
 fn body_axes() -> UnitQuaternion<f64> {
     to_body_axes(&Pose::identity()).rotation.inverse()
 }
 
 impl MountReport<'_> {
-    /// The mount between the cameras' bodies.
+    /// Returns the mount between the cameras' bodies.
     fn of_bodies(&self) -> Pose<Body, Body> {
         let axes = body_axes();
         Pose::new(axes * self.mount.rotation * axes.inverse(), axes * self.mount.translation)
     }
 
-    /// Its covariance in the tracking camera's body axes.
+    /// Returns its covariance in the tracking camera's body axes.
     fn of_bodies_covariance(&self) -> Matrix6<f64> {
         let turn = body_axes().to_rotation_matrix().into_inner();
         let mut both = Matrix6::zeros();
@@ -57,7 +59,7 @@ impl MountReport<'_> {
         (turned + turned.transpose()) * 0.5
     }
 
-    /// One sigma of right, forward, up (metres), then of pan, tilt, roll (degrees).
+    /// Returns one sigma of right, forward, up (metres), then of pan, tilt, roll (degrees).
     fn sigmas(&self) -> [f64; 6] {
         let s = self.of_bodies_covariance().diagonal().map(f64::sqrt);
         [s[0], s[1], s[2], s[5].to_degrees(), s[3].to_degrees(), s[4].to_degrees()]
@@ -92,7 +94,7 @@ impl MountReport<'_> {
         text
     }
 
-    /// Pairs that contradict the others.
+    /// Describes pairs that contradict the others.
     fn left_out(&self) -> Vec<String> {
         let measured = self.pairs.iter().filter(|pair| pair.views.iter().all(Option::is_some));
         let wrong = measured.zip(&self.solution.views).filter(|(_, view)| !view.is_used);
@@ -106,7 +108,7 @@ impl MountReport<'_> {
         wrong.map(line).collect()
     }
 
-    /// The mount in the config against the measured one.
+    /// Compares the config's mount with the measured one.
     fn judged(&self, typed: &MountSettings) -> String {
         let (measured, typed_pose) = (self.of_bodies(), typed.mount.pose);
         let shift = typed_pose.translation - measured.translation;
@@ -131,7 +133,7 @@ impl MountReport<'_> {
         format!("its [mount] is {apart} off what was measured ({}); replace it by the lines below, or measure again", worst.join(", "))
     }
 
-    /// The lines for the config.
+    /// Returns the lines for the config.
     fn section(&self) -> String {
         let (mount, s) = (self.of_bodies(), self.sigmas());
         let (o, angles) = (mount.translation, PanTiltRoll::of_rotation(&mount.rotation, 0.0));
@@ -155,7 +157,7 @@ impl MountReport<'_> {
         text
     }
 
-    /// A file as the tracking camera's config names it.
+    /// Returns a file's path relative to the tracking camera's config.
     fn beside(&self, file: &Path) -> PathBuf {
         let folder = self.tracking_config.parent().unwrap_or(Path::new(""));
         let inside = file.strip_prefix(folder).map(Path::to_owned);
@@ -196,7 +198,7 @@ impl MountReport<'_> {
     }
 }
 
-/// A pair as the user counts, from 1.
+/// Names a pair, counting from 1.
 fn named(pair: &StillPair) -> String {
     match pair.rows {
         [a, b] if a == b => format!("picture {}", a + 1),
@@ -204,7 +206,7 @@ fn named(pair: &StillPair) -> String {
     }
 }
 
-/// Pairs in which a camera does not see its stage.
+/// Describes the pairs in which a camera does not see its stage.
 pub(super) fn missing(pairs: &[StillPair]) -> Vec<String> {
     let line = |pair: &StillPair| {
         let who = match pair.views {
@@ -218,7 +220,7 @@ pub(super) fn missing(pairs: &[StillPair]) -> Vec<String> {
     pairs.iter().filter_map(line).collect()
 }
 
-/// The turn about an axis of the tracking camera, and the others.
+/// Names a rotation about an axis of the tracking camera, and the two other rotations.
 pub(super) fn axis_words(axis: &Vector3<f64>) -> (&'static str, &'static str) {
     match axis.abs().imax() {
         0 => ("it was tilted", "panned or rolled"),

@@ -1,6 +1,7 @@
-//! A picture that is drawn on: smooth lines with a dark seam, translucent panels, text.
+//! A picture to draw on: smooth lines with a dark seam, translucent panels, text.
 //!
-//! The seam keeps a line visible on pictures that are as bright as the line. Nothing here knows what is drawn.
+//! The seam keeps a line visible on pictures that are as bright as the line. Nothing here knows
+//! what is drawn.
 
 use image::RgbImage;
 use nalgebra::Vector2;
@@ -11,19 +12,19 @@ use super::lettering::Lettering;
 /// Red, green, blue.
 pub(super) type Colour = [u8; 3];
 
-/// What of the picture a panel hides, 0 to 1: white pictures still leave white text readable. Chosen for looks. Raised, less of the stage
-/// shows through.
+/// Opacity of a panel, 0 to 1: white text stays readable on white pictures. Chosen for looks.
+/// Raised, less of the stage shows through.
 const PANEL: f32 = 0.68;
-/// What of the picture the seam of a line hides, 0 to 1. Chosen for looks. Raised, lines stand out more and cover more.
+/// Opacity of a line's seam, 0 to 1. Chosen for looks. Raised, lines stand out more and hide more.
 const SEAM: f32 = 0.55;
 
-/// A picture under the pen.
+/// A picture being drawn on.
 pub(super) struct Canvas {
     pixels: Pixmap,
 }
 
 impl Canvas {
-    /// `None` for a picture without pixels.
+    /// Copies a picture; `None` if it has no pixels.
     pub fn new(picture: &RgbImage) -> Option<Self> {
         let mut pixels = Pixmap::new(picture.width(), picture.height())?;
         for (to, from) in pixels.data_mut().chunks_exact_mut(4).zip(picture.pixels()) {
@@ -32,22 +33,23 @@ impl Canvas {
         Some(Self { pixels })
     }
 
-    /// Width and height, pixels.
+    /// Returns width and height, pixels.
     pub fn size(&self) -> [f32; 2] {
         [self.pixels.width() as f32, self.pixels.height() as f32]
     }
 
-    /// The picture as drawn.
+    /// Returns the drawn picture.
     pub fn finish(self) -> RgbImage {
         let mut picture = RgbImage::new(self.pixels.width(), self.pixels.height());
-        // The base hides all behind it, so nothing is premultiplied.
+        // The base is opaque, so premultiplied and plain colours are equal.
         for (to, from) in picture.pixels_mut().zip(self.pixels.data().chunks_exact(4)) {
             to.0.copy_from_slice(&from[..3]);
         }
         picture
     }
 
-    /// Lines through the points of each run, pixel centres at integers, `width` pixels thick without their seam.
+    /// Draws lines through the points of each run, pixel centres at integers, `width` pixels thick
+    /// without the seam.
     pub fn lines(&mut self, runs: &[Vec<Vector2<f64>>], width: f32, colour: Colour) {
         let Some(path) = path_of(runs) else { return };
         let stroke = |width| Stroke { width, line_cap: LineCap::Round, line_join: LineJoin::Round, ..Stroke::default() };
@@ -56,7 +58,7 @@ impl Canvas {
         self.pixels.stroke_path(&path, &paint(colour, 1.0), &stroke(width), Transform::identity(), None);
     }
 
-    /// A filled disc with a seam.
+    /// Draws a filled disc with a seam.
     pub fn disc(&mut self, [x, y]: [f32; 2], radius: f32, seam: f32, colour: Colour) {
         for (radius, paint) in [(radius + seam, paint([0; 3], SEAM)), (radius, paint(colour, 1.0))] {
             if let Some(path) = PathBuilder::from_circle(x + 0.5, y + 0.5, radius) {
@@ -65,12 +67,12 @@ impl Canvas {
         }
     }
 
-    /// A dark panel to write on: left, top, width and height.
+    /// Draws a dark panel to write on: left, top, width and height.
     pub fn panel(&mut self, place: [f32; 4]) {
         self.fill(place, &paint([12, 14, 18], PANEL));
     }
 
-    /// A filled rectangle: left, top, width and height.
+    /// Draws a filled rectangle: left, top, width and height.
     pub fn rect(&mut self, place: [f32; 4], colour: Colour) {
         self.fill(place, &paint(colour, 1.0));
     }
@@ -81,7 +83,7 @@ impl Canvas {
         }
     }
 
-    /// A frame along the picture's edge.
+    /// Draws a frame along the picture's edge.
     pub fn border(&mut self, thickness: f32, colour: Colour) {
         let [w, h] = self.size();
         for side in
@@ -91,7 +93,7 @@ impl Canvas {
         }
     }
 
-    /// Text that begins at a place; what does not fit is cut.
+    /// Writes text at a place and clips what does not fit.
     pub fn text(&mut self, lettering: Lettering, at: (f32, f32), colour: Colour, text: &str) {
         let (width, height) = (self.pixels.width() as i32, self.pixels.height() as i32);
         let data = self.pixels.data_mut();
@@ -105,7 +107,7 @@ impl Canvas {
         });
     }
 
-    /// Text with a seam, for places without a panel.
+    /// Writes text with a seam, for places without a panel.
     pub fn label(&mut self, lettering: Lettering, (x, baseline): (f32, f32), colour: Colour, text: &str) {
         let seam = (0.07 * lettering.size_px).max(1.0);
         for (dx, dy) in [(-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0), (-0.7, -0.7), (0.7, -0.7), (-0.7, 0.7), (0.7, 0.7)] {
@@ -126,7 +128,7 @@ fn paint([r, g, b]: Colour, opacity: f32) -> Paint<'static> {
 fn path_of(runs: &[Vec<Vector2<f64>>]) -> Option<Path> {
     let mut builder = PathBuilder::new();
     for run in runs {
-        // A pixel's centre is half a pixel into it.
+        // Pixmap coordinates start at the pixel's corner, half a pixel before its centre.
         let mut points = run.iter().map(|p| (p.x as f32 + 0.5, p.y as f32 + 0.5));
         let Some((x, y)) = points.next() else { continue };
         builder.move_to(x, y);

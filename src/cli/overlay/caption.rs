@@ -1,6 +1,8 @@
-//! What an overlay says in words: the state, position and angles above, the meaning of the marks below.
+//! The overlay's text: state, position and angles at the top, the legend of the marks at the
+//! bottom.
 //!
-//! Phrases flow into as many lines as the picture's width asks for, so that the same caption reads at 320 and at 1920 pixels.
+//! Phrases flow into as many lines as the picture's width requires, so the same caption is readable
+//! at 320 and at 1920 pixels.
 
 use super::canvas::{Canvas, Colour};
 use super::fit::{LEFT_OUT, fit_colour};
@@ -9,22 +11,22 @@ use super::{CYAN, Scene, state_colour};
 use crate::cli::angles::camera_angles;
 use crate::record::{PoseSample, State};
 
-/// Colours of the text: poses and legends, and the lesser facts beside them.
+/// Text colours: poses and legend, and secondary facts.
 const WHITE: Colour = [240, 242, 245];
 const PALE: Colour = [186, 192, 200];
 
-/// Size of the type as a share of the picture's height (of three quarters of its width where that is less). Chosen for looks. Raised,
-/// captions cover more of the picture.
+/// Type size as a share of the picture's height (or of three quarters of its width if that is
+/// smaller). Chosen for looks. Raised, captions hide more of the picture.
 const TYPE_SHARE: f32 = 1.0 / 38.0;
-/// Smallest type that still reads, pixels. Raised, captions cover more of small pictures.
+/// Minimum readable type size, pixels. Raised, captions hide more of small pictures.
 const LEAST_TYPE_PX: f32 = 11.0;
 
-/// The type for a picture of a size.
+/// Returns the type for a picture of this size.
 pub(super) fn lettering([width, height]: [f32; 2]) -> Lettering {
     Lettering { size_px: (TYPE_SHARE * height.min(0.75 * width)).max(LEAST_TYPE_PX).round() }
 }
 
-/// A phrase that is not broken, with the mark in front of it.
+/// A phrase that is not broken over lines, with its mark in front.
 struct Phrase {
     /// Text before the mark.
     lead: &'static str,
@@ -33,12 +35,12 @@ struct Phrase {
     text: String,
 }
 
-/// What stands before a phrase.
+/// The mark in front of a phrase.
 enum Mark {
     None,
     Disc(Colour),
     Line(Colour),
-    /// From fits to does not fit.
+    /// The colour scale from "fits" to "does not fit".
     Scale,
 }
 
@@ -51,12 +53,12 @@ impl Phrase {
         Self { lead: "", mark, colour: WHITE, text: text.to_owned() }
     }
 
-    /// Width of what stands before the text, with the gap behind it.
+    /// Returns the width of the text before the mark, with the gap after it.
     fn lead_px(&self, lettering: Lettering) -> f32 {
         if self.lead.is_empty() { 0.0 } else { lettering.width_px(self.lead) + 0.4 * lettering.size_px }
     }
 
-    /// Width of the mark with the gap behind it.
+    /// Returns the width of the mark, with the gap after it.
     fn mark_px(&self, em: f32) -> f32 {
         match self.mark {
             Mark::None => 0.0,
@@ -71,7 +73,7 @@ impl Phrase {
     }
 }
 
-/// The upper panel: state and pose; and why there is none.
+/// Draws the upper panel: state and pose, or why there is none.
 pub(super) fn status(canvas: &mut Canvas, sample: &PoseSample, edge: f32) {
     let colour = state_colour(sample.state);
     let mut facts = vec![
@@ -98,7 +100,7 @@ pub(super) fn status(canvas: &mut Canvas, sample: &PoseSample, edge: f32) {
     Block::of(canvas, &paragraphs, edge).draw(canvas, Anchor::Top);
 }
 
-/// The lower panel: what the marks mean.
+/// Draws the lower panel: the legend of the marks.
 pub(super) fn legend(canvas: &mut Canvas, sample: &PoseSample, scene: &Scene, edge: f32) {
     let mut phrases = vec![Phrase::marked(Mark::Line(state_colour(sample.state)), "stage")];
     if !scene.objects.is_empty() {
@@ -109,7 +111,7 @@ pub(super) fn legend(canvas: &mut Canvas, sample: &PoseSample, scene: &Scene, ed
     Block::of(canvas, &[phrases], edge).draw(canvas, Anchor::Bottom);
 }
 
-/// A number with its sign, the true minus as wide as the plus.
+/// Formats a number with its sign; the true minus is as wide as the plus.
 fn signed(value: f64, digits: usize) -> String {
     format!("{value:+.digits$}").replace('-', "\u{2212}")
 }
@@ -129,7 +131,8 @@ struct Block<'a> {
 }
 
 impl<'a> Block<'a> {
-    /// A paragraph of phrases begins a new line; single words of a sentence stand nearer to each other than facts.
+    /// Lays out paragraphs, each on a new line. A sentence's words stand closer together than
+    /// facts.
     fn of(canvas: &Canvas, paragraphs: &'a [Vec<Phrase>], edge: f32) -> Self {
         let size = canvas.size();
         let lettering = lettering(size);
@@ -178,7 +181,7 @@ impl<'a> Block<'a> {
     }
 }
 
-/// A mark whose left end and middle height are given.
+/// Draws a mark with this left end and middle height.
 fn mark(canvas: &mut Canvas, mark: &Mark, [left, middle]: [f32; 2], em: f32) {
     let thick = (0.16 * em).max(2.0).round();
     match mark {
@@ -186,7 +189,7 @@ fn mark(canvas: &mut Canvas, mark: &Mark, [left, middle]: [f32; 2], em: f32) {
         Mark::Disc(colour) => canvas.disc([left + 0.4 * em, middle], 0.32 * em, 0.0, *colour),
         Mark::Line(colour) => canvas.rect([left, (middle - 0.5 * thick).round(), 1.25 * em, thick], *colour),
         Mark::Scale => {
-            /// Fields of the legend's colour scale. Raised, it looks smoother.
+            /// Number of fields in the legend's colour scale. Raised, it looks smoother.
             const STEPS: u8 = 12;
             let step = 2.7 * em / f32::from(STEPS);
             for k in 0..STEPS {

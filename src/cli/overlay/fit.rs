@@ -1,24 +1,28 @@
-//! How well the picture fits the pose, place by place: one small dot for each cell of the frame.
+//! How well the picture fits the pose, place by place: one small dot per cell of the frame.
 //!
-//! Alignment asks thousands of pixels. A mark for each would hide the very picture that is to be compared. So the frame is cut into
-//! cells, and the dot in the middle of a cell's pixels says how well they fit on average.
+//! Alignment uses thousands of pixels. A mark for each would hide the picture that is to be
+//! compared. So the frame is divided into cells, and the dot at the mean position of a cell's
+//! pixels shows how well they fit on average.
 
 use super::canvas::{Canvas, Colour};
 use crate::track::UsedPixel;
 
-/// Cells across the frame. Chosen for looks. More show where the fit changes more finely, and their marks hide more of the picture.
+/// Cells across the frame. Chosen for looks. Raised, the fit is resolved more finely, and the marks
+/// hide more of the picture.
 const ACROSS: f32 = 26.0;
-/// Smallest side of a cell, pixels: in smaller ones the dots would be all there is to see. Raised, small pictures have fewer cells.
+/// Minimum side of a cell, pixels: dots of smaller cells would hide the picture. Raised, small
+/// pictures have fewer cells.
 const LEAST_CELL_PX: f32 = 18.0;
-/// Residuals beyond this many sigmas count nothing: that is where the aligner's kernel ends.
+/// Residuals beyond this many sigmas have no weight: the end of the aligner's kernel.
 const COUNTS_NOTHING: f32 = crate::geometry::robust_kernel::TUKEY as f32;
 
-/// Colour of pixels of tiles that take no part, for they show something else: grey, outside the scale of the fit.
+/// Colour for pixels of rejected tiles, which show something else: grey, outside the fit's colour
+/// scale.
 pub(super) const LEFT_OUT: Colour = [165, 165, 170];
 
-/// From fits (0) to counts nothing (1): green, yellow, red.
+/// Returns the colour from fits (0) to no weight (1): green, yellow, red.
 pub(super) fn fit_colour(share: f32) -> Colour {
-    /// The scale's beginning, middle and end: red, green and blue from 0 to 255.
+    /// Start, middle and end of the scale: red, green and blue from 0 to 255.
     const GREEN: [f32; 3] = [60.0, 215.0, 85.0];
     const YELLOW: [f32; 3] = [250.0, 215.0, 60.0];
     const RED: [f32; 3] = [245.0, 55.0, 45.0];
@@ -27,14 +31,14 @@ pub(super) fn fit_colour(share: f32) -> Colour {
     std::array::from_fn(|k| (from[k] + (to[k] - from[k]) * along).round() as u8)
 }
 
-/// What the pixels of a cell say together.
+/// Accumulated pixels of a cell.
 #[derive(Debug, Clone, Copy, Default)]
 struct Cell {
     asked: u32,
     left_out: u32,
-    /// Sum of the places of all.
+    /// Sum of all pixels' positions.
     places: [f32; 2],
-    /// Sum of the shares of those that take part.
+    /// Sum of the inliers' shares of the kernel's width.
     shares: f32,
 }
 
@@ -49,12 +53,12 @@ impl Cell {
         }
     }
 
-    /// The mean place of its pixels.
+    /// Returns the mean position of its pixels.
     fn middle(&self) -> [f32; 2] {
         self.places.map(|sum| sum / self.asked.max(1) as f32)
     }
 
-    /// `None` where no pixel was asked.
+    /// Returns the dot's colour; `None` if the cell has no pixels.
     fn colour(&self) -> Option<Colour> {
         let taken = self.asked - self.left_out;
         match (self.asked, taken > self.left_out) {
@@ -65,7 +69,7 @@ impl Cell {
     }
 }
 
-/// Marks the cells of all pixels that alignment asked.
+/// Draws a dot for each cell with pixels that alignment used.
 pub(super) fn draw(canvas: &mut Canvas, pixels: &[UsedPixel]) {
     let [width, height] = canvas.size();
     let side = (width / ACROSS).max(LEAST_CELL_PX);
@@ -73,7 +77,7 @@ pub(super) fn draw(canvas: &mut Canvas, pixels: &[UsedPixel]) {
     let mut cells = vec![Cell::default(); columns * rows];
     for pixel in pixels {
         let [column, row] = pixel.centre_px.map(|p| (p / side).floor());
-        // What lies outside the frame, or nowhere, has no cell.
+        // Pixels outside the frame, or at NaN, have no cell.
         if column >= 0.0 && row >= 0.0 && (column as usize) < columns && (row as usize) < rows {
             cells[row as usize * columns + column as usize].add(pixel);
         }
@@ -84,7 +88,7 @@ pub(super) fn draw(canvas: &mut Canvas, pixels: &[UsedPixel]) {
     }
 }
 
-/// Radius of a cell's dot in a frame of a width.
+/// Returns the radius of a cell's dot for a frame of this width.
 fn dot_px(width: f32) -> f32 {
     (width / 420.0).max(1.5)
 }
@@ -121,7 +125,7 @@ mod tests {
 
     #[test]
     fn marks_leave_most_of_the_picture_untouched() {
-        // Every pixel of the whole frame at half size was asked.
+        // Every pixel of the whole frame at half size was used.
         let all: Vec<UsedPixel> = (0..320 * 240).map(|k| pixel((k % 320) as f32 * 2.0, (k / 320) as f32 * 2.0, 1.0, true)).collect();
         let picture = drawn(&all);
         let untouched = picture.pixels().filter(|p| p.0 == [100; 3]).count() as f64 / f64::from(640 * 480);

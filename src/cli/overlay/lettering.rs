@@ -1,26 +1,27 @@
-//! Text in pictures, in one proportional typeface that is part of the program.
+//! Text in pictures, in one proportional typeface that is built into the program.
 //!
-//! The typeface is DejaVu Sans Condensed, cut down to Latin, Greek and Cyrillic and a few signs (its licence lies beside it).
-//! Its digits are all equally wide, so numbers stand still from one frame of a video to the next.
+//! The typeface is DejaVu Sans Condensed, reduced to Latin, Greek and Cyrillic and a few signs (its
+//! licence is in this folder). Its digits have equal widths, so numbers do not jitter from one
+//! video frame to the next.
 
 use std::sync::LazyLock;
 
 use ab_glyph::{Font, FontRef, PxScale, ScaleFont, point};
 
-/// The typeface of the captions, with the letters that they need.
+/// The captions' typeface, reduced to the letters they need.
 static TYPEFACE: LazyLock<FontRef<'static>> = LazyLock::new(|| {
     FontRef::try_from_slice(include_bytes!("DejaVuSansCondensed-subset.ttf"))
         .expect("the typeface is part of the program, and a test reads it")
 });
 
-/// Pixels from a line's baseline to the next one's, as a share of the type's size. Chosen for DejaVu Sans, whose letters take 1.16. Raised,
-/// panels are higher.
+/// Line spacing as a share of the type size. Chosen for DejaVu Sans, whose letters take 1.16.
+/// Raised, panels are taller.
 pub(super) const LINE: f32 = 1.28;
-/// What a line reaches above its baseline, as a share of the type's size: a little more than DejaVu's 0.93. Raised, text stands lower in
-/// its panel.
+/// Ascent of a line above its baseline, as a share of the type size: a little more than DejaVu's
+/// 0.93. Raised, text sits lower in its panel.
 pub(super) const ASCENT: f32 = 0.98;
 
-/// Letters of one size.
+/// Lettering of one size.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Lettering {
     /// Height of the em square, pixels.
@@ -28,27 +29,29 @@ pub(super) struct Lettering {
 }
 
 impl Lettering {
-    /// Height of the em square into the scale that `ab_glyph` counts in, the height from the lowest to the highest letter.
+    /// Converts the em square's height to `ab_glyph`'s scale, the height from the lowest to the
+    /// highest letter.
     fn scale(self) -> PxScale {
         let font = &*TYPEFACE;
         let per_em = font.units_per_em().unwrap_or(2048.0);
         PxScale::from(self.size_px * font.height_unscaled() / per_em)
     }
 
-    /// How wide a text is, pixels.
+    /// Returns a text's width, pixels.
     pub fn width_px(self, text: &str) -> f32 {
         let font = TYPEFACE.as_scaled(self.scale());
         text.chars().map(|c| font.h_advance(font.glyph_id(c))).sum()
     }
 
-    /// Calls `dot` with each pixel that a text covers and by how much, 0 to 1; `(x, baseline)` is where the text begins.
+    /// Calls `dot` with each pixel that a text covers and its coverage, 0 to 1; the text starts at
+    /// `(x, baseline)`.
     pub fn draw(self, text: &str, (x, baseline): (f32, f32), mut dot: impl FnMut(i32, i32, f32)) {
         let scale = self.scale();
         let font = TYPEFACE.as_scaled(scale);
         let mut pen = x;
         for character in text.chars() {
             let id = font.glyph_id(character);
-            // Letters stand on whole rows: their horizontal strokes stay sharp.
+            // Place letters on whole rows, so that horizontal strokes stay sharp.
             let glyph = id.with_scale_and_position(scale, point(pen, baseline.round()));
             pen += font.h_advance(id);
             let Some(outline) = TYPEFACE.outline_glyph(glyph) else { continue };
@@ -86,7 +89,7 @@ mod tests {
     fn digits_are_equally_wide_and_signs_are_there() {
         let width = |text: &str| Lettering { size_px: 20.0 }.width_px(text);
         assert!("0123456789+\u{2212}".chars().all(|c| c == '+' || c == '\u{2212}' || (width(&c.to_string()) - width("0")).abs() < 1e-3));
-        // What the typeface lacks is drawn as a box. These are not.
+        // A missing letter is drawn as a box. These are not.
         let lacking = ink("\u{1F600}", 30.0);
         for sign in ["\u{b0}", "\u{2212}", "é", "Ж", "Ω", "\u{b1}", "\u{2013}"] {
             assert_ne!(ink(sign, 30.0), lacking, "{sign}");

@@ -1,9 +1,10 @@
-//! A frame as a person wants to see it: what the tracker believes, drawn on the picture.
+//! Draws what the tracker believes on the picture, for people.
 //!
-//! Outlines of all surfaces run through the lens' distortion, so that they lie on the picture's own edges
-//! when the pose is right. The border says the state: green tracking, yellow coasting, red lost, grey
-//! searching. Dots say how well the picture fits the pose (`fit`), a panel above says state, position, angles
-//! and why a frame is not tracked, and one below says what the marks mean (`caption`).
+//! The outlines of all surfaces are projected with the lens' distortion, so they match the
+//! picture's own edges if the pose is right. The border shows the state: green tracking, yellow
+//! coasting, red lost, grey searching. Dots show how well the picture fits the pose (`fit`). A
+//! panel at the top states state, position, angles and why a frame is not tracked; one at the
+//! bottom explains the marks (`caption`).
 
 mod canvas;
 mod caption;
@@ -20,7 +21,7 @@ use crate::record::{PoseSample, State};
 use crate::track::{BodySpec, SurfaceSpec, UsedPixel};
 use canvas::{Canvas, Colour};
 
-/// Colours of outlines, axes and states: bright ones, so that they stand out from the picture.
+/// Colours of outlines, axes and states: bright, to stand out from the picture.
 const RED: Colour = [250, 75, 65];
 const GREEN: Colour = [60, 215, 85];
 const BLUE: Colour = [95, 150, 255];
@@ -28,28 +29,28 @@ const YELLOW: Colour = [250, 210, 60];
 const GREY: Colour = [170, 172, 178];
 const CYAN: Colour = [70, 220, 235];
 
-/// Nearer than this in metres a point is taken as behind the camera. It keeps the division by depth finite; no lens sees a stage from so
-/// near, so any value below a centimetre would do.
+/// Points nearer than this, metres, count as behind the camera. It keeps the division by depth
+/// finite. No lens sees a stage from so near, so any value below a centimetre would do.
 const NEAR_M: f64 = 1e-3;
-/// Pieces that an edge is cut into, so that distortion and folds show. Chosen for looks. Raised, edges bend more smoothly and take longer to
-/// draw.
+/// Segments per edge, so that distortion and folds show. Chosen for looks. Raised, edges bend more
+/// smoothly and take longer to draw.
 const PIECES: u32 = 48;
 
 /// What a picture is drawn from.
 pub struct Scene<'a> {
-    /// At the frame's size.
+    /// The camera, at the frame's size.
     pub camera: &'a CameraModel,
-    /// Its surfaces are drawn where the sample has a pose of it.
+    /// The stage. Its surfaces are drawn if the sample has its pose.
     pub stage: &'a BodySpec,
-    /// Likewise.
+    /// The objects, drawn likewise.
     pub objects: &'a [BodySpec],
     /// The pixels that the frame's poses rest on.
     pub pixels: &'a [UsedPixel],
-    /// The frame in colour, where the clip has colours.
+    /// The frame in colour, if the clip has colours.
     pub colours: Option<&'a RgbImage>,
 }
 
-/// Draws the state, the fit of the picture, the surfaces and the stage's axes on a frame.
+/// Draws the state, the fit, the surfaces and the stage's axes on a frame.
 pub fn draw(frame: &Frame, sample: &PoseSample, scene: &Scene) -> RgbImage {
     let of_size = scene.colours.filter(|colours| colours.dimensions() == frame.image.dimensions());
     let picture = of_size.cloned().unwrap_or_else(|| DynamicImage::from(frame.image.clone()).into_rgb8());
@@ -88,7 +89,7 @@ fn state_colour(state: State) -> Colour {
     }
 }
 
-/// A body as the camera sees it.
+/// A body as seen by the camera.
 struct Seen<'a> {
     camera: &'a CameraModel,
     t_camera_body: Pose<Camera, Body>,
@@ -102,7 +103,7 @@ impl Seen<'_> {
         }
     }
 
-    /// The body's name inside the top left corner of its first surface.
+    /// Writes the body's name inside the top left corner of its first surface.
     fn name(&self, canvas: &mut Canvas, body: &BodySpec, colour: Colour) {
         let lettering = caption::lettering(canvas.size());
         let corner = body.surfaces.first().and_then(|surface| self.pixel(&self.t_camera_body.transform(&along_side(surface, 0, 0.0))));
@@ -112,7 +113,8 @@ impl Seen<'_> {
         }
     }
 
-    /// x red, y green, z blue, a tenth of the first surface's width long, with their letters.
+    /// Draws x red, y green, z blue, each a tenth of the first surface's width long, with their
+    /// letters.
     fn axes(&self, canvas: &mut Canvas, stage: &BodySpec, thickness: f32) {
         let Some(first) = stage.surfaces.first() else { return };
         let length = 0.1 * first.size_m[0];
@@ -128,7 +130,7 @@ impl Seen<'_> {
         }
     }
 
-    /// A line in space, by its points from 0 to 1, as the lens shows it: runs of points within the picture.
+    /// Projects a line in space, parametrised from 0 to 1: runs of points within the picture.
     fn line(&self, canvas: &Canvas, at: impl Fn(f64) -> Point3<f64>) -> Vec<Vec<Vector2<f64>>> {
         let size = canvas.size().map(f64::from);
         let pixel = |k: u32| self.pixel(&self.t_camera_body.transform(&at(f64::from(k) / f64::from(PIECES))));
@@ -138,7 +140,7 @@ impl Seen<'_> {
             let next = pixel(k);
             if let Some((a, b)) = previous.zip(next).and_then(|(a, b)| cut(a, b, Vector2::from(size))) {
                 match runs.last_mut() {
-                    // A piece that begins where the last one ended belongs to the same stroke.
+                    // A piece that starts where the last one ended continues its stroke.
                     Some(run) if run.last() == Some(&a) => run.push(b),
                     _ => runs.push(vec![a, b]),
                 }
@@ -148,7 +150,7 @@ impl Seen<'_> {
         runs
     }
 
-    /// The raw pixel of a point in front of the camera, within the lens' valid field.
+    /// Returns the raw pixel of a point in front of the camera, within the lens' valid field.
     fn pixel(&self, point: &Point3<f64>) -> Option<Vector2<f64>> {
         if point.z.is_nan() || point.z <= NEAR_M {
             return None;
@@ -159,7 +161,8 @@ impl Seen<'_> {
     }
 }
 
-/// A point along a side of a surface as it hangs, in the body's frame: sides clockwise from the upper one, which begins top left; `share` from 0 to 1.
+/// Returns a point along a side of a surface as it hangs, in the body's frame. Sides go clockwise
+/// from the upper one, which starts at the top left; `share` is from 0 to 1.
 fn along_side(surface: &SurfaceSpec, side: usize, share: f64) -> Point3<f64> {
     let [w, h] = surface.size_m.map(|m| m / 2.0);
     let corners = [(-w, h), (w, h), (w, -h), (-w, -h)];
@@ -168,7 +171,8 @@ fn along_side(surface: &SurfaceSpec, side: usize, share: f64) -> Point3<f64> {
     surface.pose.transform(&Point3::from(place))
 }
 
-/// The part of a line inside of the picture (Liang and Barsky), so that a far end costs nothing.
+/// Returns the part of a line inside the picture (Liang and Barsky), so that a far end costs
+/// nothing.
 fn cut(a: Vector2<f64>, b: Vector2<f64>, size: Vector2<f64>) -> Option<(Vector2<f64>, Vector2<f64>)> {
     let along = b - a;
     let (mut first, mut last) = (0.0_f64, 1.0_f64);
@@ -252,7 +256,7 @@ mod tests {
         picture.get_pixel(x, y).0.iter().zip(colour).all(|(a, b)| a.abs_diff(b) < 12)
     }
 
-    /// What the panels leave of a frame of 640 x 480.
+    /// Returns the pixels that the panels leave free in a frame of 640 x 480.
     fn inside() -> impl Iterator<Item = (u32, u32)> {
         (5..635).flat_map(|x| (70..440).map(move |y| (x, y)))
     }
@@ -265,7 +269,8 @@ mod tests {
             assert!(is(&picture, at, GREEN), "{at:?} {:?}", picture.get_pixel(at.0, at.1));
         }
         assert_eq!(picture.get_pixel(200, 200).0, [100; 3]);
-        // The axes: x to the right, z up, 0.3 m long, that is 45 pixels; y points away from the camera.
+        // The axes: x to the right, z up, 0.3 m long, that is 45 pixels; y points away from the
+        // camera.
         assert!(is(&picture, (355, 240), RED));
         assert!(is(&picture, (320, 205), BLUE));
         assert_eq!(picture.get_pixel(390, 240).0, [100; 3]);
@@ -281,7 +286,8 @@ mod tests {
 
     #[test]
     fn the_outline_of_a_bent_surface_is_bent_as_it_hangs() {
-        // A cylinder about the vertical: the middle of the upper side 0.5 m nearer than its ends, which lie in the plane.
+        // A cylinder about the vertical: the middle of the upper side 0.5 m nearer than its ends,
+        // which lie in the plane.
         let mut height = BicubicSpline::zero([8, 2], [3.0, 2.0]);
         for k in 0..height.coefficients().len() {
             let [x, _] = height.middles()(k);
@@ -295,7 +301,7 @@ mod tests {
         let picture = draw(&frame, &sample(State::Tracking, -4.0), &scene);
         let greenness = |x: u32, y: u32| i32::from(picture.get_pixel(x, y).0[1]) - i32::from(picture.get_pixel(x, y).0[0]);
         let lower_side_at = |x: u32| (300..430).max_by_key(|&y| greenness(x, y)).unwrap();
-        // 1 m below the axis: at 3.5 m 171 pixels below it, at 4 m 150.
+        // 1 m below the axis: 171 pixels below it at 3.5 m, 150 at 4 m.
         assert!(lower_side_at(320).abs_diff(411) <= 3, "{}", lower_side_at(320));
         assert!(lower_side_at(105).abs_diff(391) <= 5, "{}", lower_side_at(105));
     }
@@ -309,7 +315,7 @@ mod tests {
         assert_eq!(drawn(&sample(State::Coasting, -4.0), 0.0, &[]).get_pixel(1, 240).0, YELLOW);
     }
 
-    /// Rows of the picture that a panel reaches, counted down the left side.
+    /// Counts the rows that a panel covers, down the left side.
     fn panel_rows(picture: &RgbImage, rows: std::ops::Range<u32>) -> usize {
         rows.filter(|&y| picture.get_pixel(5, y).0.iter().all(|level| *level < 100)).count()
     }
@@ -341,19 +347,19 @@ mod tests {
                 let camera = CameraModel::new(intrinsics).unwrap();
                 let frame =
                     Frame { image: GrayImage::from_pixel(width, height, image::Luma([level])), timestamp: Default::default(), sequence: 7 };
-                // Every second pixel of the frame was asked.
+                // Every second pixel of the frame was used.
                 let at = |k: u32| [(k % (width / 2) * 2) as f32, (k / (width / 2) * 2) as f32];
                 let pixels: Vec<UsedPixel> =
                     (0..width / 2 * (height / 2)).map(|k| UsedPixel { centre_px: at(k), sigmas: 1.0, takes_part: k % 3 != 0 }).collect();
                 let scene = Scene { camera: &camera, stage: &body("stage", [3.0, 2.0]), objects: &[], pixels: &pixels, colours: None };
                 let picture = draw(&frame, &sample(State::Tracking, -4.0), &scene);
                 assert_eq!(picture.dimensions(), (width, height));
-                // The scale of the legend ends in the red that no mark of these pixels has.
+                // The legend's scale ends in a red that none of these pixels' marks has.
                 let red = fit::fit_colour(1.0);
                 let has_scale = picture.enumerate_pixels().any(|(_, y, p)| 2 * y > height && p.0 == red);
                 assert!(has_scale, "{width} x {height}");
                 let kept = picture.pixels().filter(|p| p.0 == [level; 3]).count() as f64 / f64::from(width * height);
-                // Below 320 pixels readable type takes what it takes.
+                // Below 320 pixels, readable type hides more.
                 let least = match width {
                     ..320 => 0.2,
                     320..640 => 0.6,
@@ -373,7 +379,7 @@ mod tests {
         let other = RgbImage::new(32, 48);
         let with = |colours| draw(&frame, &sample(State::Lost, -4.0), &Scene { colours, ..scene }).get_pixel(600, 300).0;
         assert_eq!(with(Some(&colours)), [200, 30, 90]);
-        // Colours of another size are another picture's.
+        // Colours of another size belong to another picture.
         assert_eq!(with(Some(&other)), [100; 3]);
         assert_eq!(with(None), [100; 3]);
     }
@@ -390,7 +396,7 @@ mod tests {
         let pose = Some(Pose::new(UnitQuaternion::identity(), Vector3::new(0.5, 0.0, 0.0)));
         sample.objects = vec![crate::record::ObjectSample { name: "cart".to_owned(), state: State::Tracking, pose, covariance: None }];
         let picture = drawn(&sample, 0.0, &[body("cart", [0.4, 0.4])]);
-        // Centre 0.5 m to the right is 75 pixels; half of 0.4 m is 30.
+        // The centre is 0.5 m to the right: 75 pixels; half of 0.4 m is 30.
         assert!(is(&picture, (425, 240), CYAN));
         assert!(is(&picture, (395, 210), CYAN));
     }

@@ -1,4 +1,4 @@
-//! `replay`: a recorded clip in, the camera's pose out.
+//! `replay`: reads a recorded clip and writes the camera's pose.
 
 mod overlay_video;
 mod overlays;
@@ -33,7 +33,7 @@ use progress::Progress;
 use records::Records;
 use summary::Tally;
 
-/// Track a recorded clip and write the camera's pose of every frame.
+/// Track a recorded clip and write the camera's pose in every frame.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  stagepose replay clip --config stage.toml --poses poses.jsonl --summary summary.json\n\n\
     CLIP is a folder with frames/ and timestamps.csv, a folder of pictures, a .y4m, .avi (MJPEG) or .mjpeg file, or - for y4m on stdin.\n\
@@ -44,7 +44,7 @@ pub(super) struct ReplayArguments {
     /// The config of the camera and the stage
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// Write one JSON record a frame
+    /// Write one JSON record per frame
     #[arg(long, value_name = "OUT.jsonl")]
     poses: Option<PathBuf>,
     /// Write the tracked frames as a TUM trajectory
@@ -56,17 +56,18 @@ pub(super) struct ReplayArguments {
     /// Frames per second of a clip without stamps
     #[arg(long, value_name = "N", value_parser = frames_per_second)]
     fps: Option<f64>,
-    /// Tracker workers; the result does not depend on it [default: the config's, else 1]
+    /// Tracker workers; they do not change the result [default: the config's, else 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=64))]
     threads: Option<u64>,
     /// Play at the pace of the stamps instead of as fast as possible
     #[arg(long)]
     realtime: bool,
-    /// Send to the outputs of the config too, and serve [http], at the pace of the stamps
+    /// Also send to the config's outputs and serve [http], at the pace of the stamps
     #[arg(long)]
     outputs: bool,
-    /// Write every frame with what was found drawn on it: the surfaces, the axes, how well the picture fits, the pose in metres and degrees,
-    /// and why a frame is not tracked; as pictures in a folder, or as a video where the name ends in .mp4, .mov, .mkv, .webm or .avi (needs ffmpeg)
+    /// Write every frame with the result drawn on it: the surfaces, the axes, how well the picture
+    /// fits, the pose in metres and degrees, and why a frame is not tracked; as pictures in a
+    /// folder, or as a video if the name ends in .mp4, .mov, .mkv, .webm or .avi (needs ffmpeg)
     #[arg(long, value_name = "DIR")]
     overlay: Option<PathBuf>,
     #[command(flatten)]
@@ -80,7 +81,7 @@ pub(in crate::cli) fn frames_per_second(text: &str) -> Result<f64, String> {
     if fps > 0.0 && fps <= 100_000.0 { Ok(fps) } else { Err("give frames per second above 0".to_owned()) }
 }
 
-/// What the pose thread tells the writing thread about the rows themselves.
+/// What the pose thread tells the writing thread about the rows.
 #[derive(Default)]
 struct RowTally {
     readable: u64,
@@ -104,7 +105,7 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     interrupt::watch();
     let calibrated = settings.lens.size(&settings.camera);
     let options = ClipOptions { fps: arguments.fps, calibrated, is_stopped: Some(interrupt::is_interrupted) };
-    // Only those who look at pictures want colours.
+    // Only overlays need colours.
     let opened =
         if arguments.overlay.is_some() { open_clip_in_colour(&arguments.clip, options) } else { open_clip(&arguments.clip, options) };
     let source = match opened {
@@ -116,7 +117,7 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     let setup = TrackerSetup { learnt, ..tracker_setup(&settings, source.size(), arguments.threads)? };
     let begun = ClipStart::default();
     let stamps = || Stamps::Recorded(begun.clone());
-    // All are opened before the first is emptied: a wrong name costs nothing that was there.
+    // Open all before truncating the first: a wrong name then destroys nothing.
     let mut spared = arguments.spared(&settings);
     let (poses, tum) = (spared.open("--poses", arguments.poses.as_deref())?, spared.open("--tum", arguments.tum.as_deref())?);
     let summary = spared.open("--summary", arguments.summary.as_deref())?;
@@ -128,7 +129,7 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     let mut summary = summary.map(records::Output::begin).transpose()?;
     let overlay = arguments.overlay.as_deref().map(|dir| (dir, setup.clone()));
 
-    // What is sent is sent at the pace at which it was recorded.
+    // Outputs get samples at the recorded pace.
     let source: Box<dyn FrameSource> = if arguments.realtime || arguments.outputs { Box::new(Paced::new(source, begun)) } else { source };
     let mut tally = Tally::new(started, settings.shutter, learnt_from);
     let mut tracker = Tracker::new(setup)?.with_filter(settings.filter);
@@ -146,7 +147,7 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     summary::print_table(&tally, uses_stdout)
 }
 
-/// Where every sample goes as it comes.
+/// The destinations of every sample.
 struct Writing<'a> {
     records: &'a mut Records,
     tally: &'a mut Tally,
@@ -155,7 +156,7 @@ struct Writing<'a> {
 
 impl Writing<'_> {
     fn take(&mut self, sample: &PoseSample) -> Result<(), Failure> {
-        // Outputs first: they wait for it.
+        // Outputs come first, as receivers wait for them.
         if let Some(outputs) = self.outputs {
             outputs.send(sample);
         }
@@ -164,7 +165,7 @@ impl Writing<'_> {
     }
 }
 
-/// Runs the daemon over the clip; samples are written as they come.
+/// Runs the daemon over the clip and writes the samples as they come.
 fn track(
     source: Box<dyn FrameSource>,
     tracker: Tracker,
@@ -181,7 +182,7 @@ fn track(
     let running = daemon.start().map_err(|e| Failure::Tracking(e.to_string()))?;
     let mut written = follow(&samples, &rows, writing, &progress);
     running.stop();
-    // What is under way comes to its end; its records are written too, unless writing is what failed.
+    // Let rows in progress finish, and write their records too, unless writing is what failed.
     for sample in samples {
         written = written.and_then(|()| writing.take(&sample));
     }
@@ -197,7 +198,7 @@ fn track(
 /// Writes samples until the clip ends, Ctrl-C is pressed, or something cannot be written.
 fn follow(samples: &Receiver<PoseSample>, rows: &Mutex<RowTally>, writing: &mut Writing<'_>, progress: &Progress) -> Result<(), Failure> {
     while !interrupt::is_interrupted() && lock(rows).overlay_failure.is_none() {
-        // The time limit lets Ctrl-C through while no frame comes.
+        // The timeout lets Ctrl-C through while no frame comes.
         match samples.recv_timeout(Duration::from_millis(100)) {
             Ok(sample) => {
                 progress.advance();
@@ -210,12 +211,12 @@ fn follow(samples: &Receiver<PoseSample>, rows: &Mutex<RowTally>, writing: &mut 
     Ok(())
 }
 
-/// Counts are good even where an observer panicked between two of them.
+/// Locks the tally. Its counts are valid even after an observer panicked.
 fn lock(rows: &Mutex<RowTally>) -> MutexGuard<'_, RowTally> {
     rows.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A tracker for pictures of a size.
+/// Returns a tracker's setup for pictures of this size.
 pub(in crate::cli) fn tracker_setup(
     settings: &Settings,
     (width, height): (u32, u32),
@@ -234,12 +235,12 @@ pub(in crate::cli) fn tracker_setup(
 }
 
 impl ReplayArguments {
-    /// What is read, and must not be written over.
+    /// Returns the inputs, which must not be overwritten.
     fn spared(&self, settings: &Settings) -> Spared {
         Spared::default().with_files(&settings.files, "a file of the config").with_clip(&self.clip)
     }
 
-    /// Outputs that are opened later, by others.
+    /// Claims outputs that other modules open later.
     fn claim_others(&self, settings: &Settings, spared: &mut Spared) -> Result<(), Failure> {
         if let Some(folder) = &self.overlay {
             if overlay_video::is_video(folder) {
@@ -252,7 +253,7 @@ impl ReplayArguments {
         if self.outputs { spared.claim_outputs(&settings.outputs) } else { Ok(()) }
     }
 
-    /// True where one output goes to stdout; two are refused.
+    /// Whether an output goes to stdout; two are refused.
     fn one_stdout(&self) -> Result<bool, Failure> {
         let outputs = [&self.poses, &self.tum, &self.summary];
         match outputs.into_iter().flatten().filter(|file| file.as_path() == Path::new(STDOUT)).count() {
@@ -263,11 +264,12 @@ impl ReplayArguments {
     }
 }
 
-/// Rows without a frame are warned of one by one up to here, then only counted. Chosen, not tuned. Raised, a damaged clip fills the screen.
+/// Number of rows without a frame that get a warning each; later ones are only counted. Chosen, not
+/// tuned. Raised, a damaged clip fills the screen.
 const WARNED_IN_FULL: u64 = 5;
 
 impl RowTally {
-    /// Counts a row and draws its frame, until that fails.
+    /// Counts a row and draws its frame, until drawing fails.
     fn take(&mut self, row: &ClipEntry, sample: &PoseSample) {
         self.count(row, sample);
         if let (Some(overlays), EntryContent::Frame(frame), None) = (&mut self.overlays, &row.content, &self.overlay_failure) {
@@ -308,7 +310,7 @@ impl RowTally {
         }
     }
 
-    /// What went wrong on the pose thread, or with the clip as a whole.
+    /// Returns what went wrong on the pose thread, or with the clip as a whole.
     fn failure(self, arguments: &ReplayArguments, rows: u64) -> Result<(), Failure> {
         if let Some(failure) = self.overlay_failure {
             return Err(failure);

@@ -1,7 +1,9 @@
-//! `--overlay FILE.mp4`: the overlay's pictures as a video, encoded by an installed ffmpeg as a child process.
+//! `--overlay FILE.mp4`: the overlay's pictures as a video, encoded by an installed ffmpeg in a
+//! child process.
 //!
-//! Videos have one rate and clips need not. So the rate is that of the clip's first frames, every frame is shown, and where
-//! rows are missing the last picture stands until the next one, or the video would run ahead of its clip.
+//! A video has a constant rate and a clip need not. So the rate is that of the clip's first frames,
+//! and every frame is shown. If rows are missing, the last picture is repeated until the next one,
+//! so that the video does not run ahead of its clip.
 
 use std::ffi::OsString;
 use std::io::{self, Read, Write};
@@ -16,19 +18,20 @@ use crate::cli::failure::Failure;
 use crate::frame::Timestamp;
 use crate::safe_file;
 
-/// The program that encodes.
+/// The encoder program.
 const PROGRAM: &str = "ffmpeg";
-/// Intervals between frames whose median is the rate: the least number whose median one gap does not change. Their pictures are held in
-/// memory until it is known; raised, more are.
+/// Number of intervals between frames whose median is the rate: the fewest whose median a single
+/// gap does not change. Their pictures are held in memory until then; raised, more are.
 const INTERVALS: usize = 3;
-/// The rate of a clip of one frame, nanoseconds a frame: 25 a second. Any rate would do for a single picture.
+/// Frame interval of a clip of one frame, nanoseconds: 25 per second. Any rate would do for a
+/// single picture.
 const SINGLE_FRAME_NS: i64 = 1_000_000_000 / 25;
-/// The longest that one picture stands for missing rows, nanoseconds: stamps may jump by hours. Chosen, not tuned. Raised, a jump makes a
-/// longer still in the video.
+/// Maximum time that one picture is repeated for missing rows, nanoseconds: stamps may jump by
+/// hours. Chosen, not tuned. Raised, a jump makes a longer still in the video.
 const LONGEST_STAND_NS: i64 = 10_000_000_000;
 
-/// Ends of names that mean a video, and how ffmpeg is to encode it. The qualities (`-crf`) are chosen, not tuned; raised, videos are
-/// smaller and worse.
+/// File extensions that mean a video, with ffmpeg's encoding options. The qualities (`-crf`) are
+/// chosen, not tuned; raised, videos are smaller and worse.
 const FORMS: [(&str, &str); 6] = [
     ("mp4", H264_AT_ONCE),
     ("m4v", H264_AT_ONCE),
@@ -37,10 +40,10 @@ const FORMS: [(&str, &str); 6] = [
     ("webm", "-c:v libvpx-vp9 -b:v 0 -crf 30 -deadline realtime -cpu-used 8 -row-mt 1 -pix_fmt yuv420p"),
     ("avi", "-c:v mjpeg -q:v 3 -pix_fmt yuvj420p"),
 ];
-/// H.264 with the index in front, so that a browser plays it while it loads.
+/// H.264 with the index in front, so that a browser can play it while loading.
 const H264_AT_ONCE: &str = "-c:v libx264 -preset veryfast -crf 20 -pix_fmt yuv420p -movflags +faststart";
 
-/// How a file of this name is encoded; `None` where the name means a folder.
+/// Returns the encoding options for a file of this name; `None` if the name means a folder.
 fn encoding(path: &Path) -> Option<&'static str> {
     let extension = path.extension()?.to_str()?.to_ascii_lowercase();
     FORMS.iter().find(|(end, _)| *end == extension && !path.is_dir()).map(|(_, arguments)| *arguments)
@@ -51,7 +54,7 @@ pub(super) fn is_video(path: &Path) -> bool {
     encoding(path).is_some()
 }
 
-/// Refuses before anything is tracked where the program that encodes is missing.
+/// Refuses before tracking if the encoder is missing.
 pub(super) fn refuse_without_program(path: &Path) -> Result<(), Failure> {
     refuse_without(path, PROGRAM)
 }
@@ -67,7 +70,7 @@ fn refuse_without(path: &Path, program: &str) -> Result<(), Failure> {
     )))
 }
 
-/// A video under way.
+/// A video being written.
 pub(super) struct VideoFile {
     path: PathBuf,
     /// Stamps and pictures, until the rate is known.
@@ -76,12 +79,12 @@ pub(super) struct VideoFile {
 }
 
 impl VideoFile {
-    /// Nothing is made before the first picture comes.
+    /// Creates nothing until the first picture comes.
     pub fn new(path: &Path) -> Self {
         Self { path: path.to_owned(), held: Vec::new(), encoder: None }
     }
 
-    /// Adds a picture; all are of one size.
+    /// Adds a picture; all have the same size.
     pub fn write(&mut self, timestamp: Timestamp, picture: RgbImage) -> Result<(), Failure> {
         match &mut self.encoder {
             Some(encoder) => encoder.add(timestamp, picture),
@@ -92,7 +95,7 @@ impl VideoFile {
         }
     }
 
-    /// Starts ffmpeg and hands it what was held.
+    /// Starts ffmpeg and passes it the held pictures.
     fn begin(&mut self) -> Result<(), Failure> {
         let Some((first, picture)) = self.held.first() else { return Ok(()) };
         let mut encoder = Encoder::start(&self.path, picture.dimensions(), (*first, interval_ns(&self.held)))?;
@@ -103,14 +106,14 @@ impl VideoFile {
         Ok(())
     }
 
-    /// Ends the file. Without a picture there is none.
+    /// Finishes the file. Without pictures there is none.
     pub fn finish(mut self) -> Result<(), Failure> {
         self.begin()?;
         self.encoder.take().map_or(Ok(()), Encoder::finish)
     }
 }
 
-/// The median of the intervals between stamps.
+/// Returns the median interval between stamps.
 fn interval_ns(held: &[(Timestamp, RgbImage)]) -> i64 {
     let mut intervals: Vec<i64> = held.windows(2).map(|pair| pair[1].0.ns_since(pair[0].0)).collect();
     intervals.sort_unstable();
@@ -121,9 +124,9 @@ fn interval_ns(held: &[(Timestamp, RgbImage)]) -> i64 {
 struct Encoder {
     path: PathBuf,
     child: Child,
-    /// Gone once the last picture is in.
+    /// `None` once the last picture is written.
     pictures: Option<ChildStdin>,
-    /// What it says of errors, once it has ended.
+    /// Its error output, once it has ended.
     complaints: Option<JoinHandle<String>>,
     pacing: Pacing,
     last: Option<RgbImage>,
@@ -131,16 +134,17 @@ struct Encoder {
 
 impl Encoder {
     fn start(path: &Path, (width, height): (u32, u32), (first, interval_ns): (Timestamp, i64)) -> Result<Self, Failure> {
-        // Empties the file, and refuses what is no plain one, in words of our own.
+        // Truncates the file, and refuses anything but a plain file with our own message.
         safe_file::replace(path).map_err(Failure::output(path))?;
         let arguments = encoding(path).unwrap_or(H264_AT_ONCE);
-        // The prefix keeps a name with a colon or a leading dash from being read as a protocol or an option.
+        // The prefix keeps a name with a colon or a leading dash from being read as a protocol or
+        // an option.
         let mut output = OsString::from("file:");
         output.push(path);
         let mut child = Command::new(PROGRAM)
             .args(["-hide_banner", "-nostats", "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"])
             .args(["-video_size", &format!("{width}x{height}"), "-framerate", &format!("1000000000/{interval_ns}"), "-i", "pipe:0"])
-            // The codecs halve the colours' size, so sides must be even.
+            // The codecs halve the chroma resolution, so sides must be even.
             .args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709"])
             .args(["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"])
             .args(arguments.split(' '))
@@ -148,13 +152,14 @@ impl Encoder {
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
-            // Ctrl-C in the terminal is for this program, which then ends the video as it should.
+            // Keep Ctrl-C in the terminal from ffmpeg: this program handles it and then finishes
+            // the video properly.
             .process_group(0)
             .spawn()
             .map_err(Failure::output(path))?;
         let (pictures, complaints) = (child.stdin.take(), child.stderr.take());
         let pacing = Pacing { first, interval_ns, written: 0 };
-        // From here on a failure ends the program that was started.
+        // From here on, dropping the encoder on a failure ends the child process.
         let mut encoder = Self { path: path.to_owned(), child, pictures, complaints: None, pacing, last: None };
         let listener = std::thread::Builder::new().name(PROGRAM.to_owned()).spawn(move || complaints.map_or_else(String::new, last_words));
         encoder.complaints = Some(listener.map_err(Failure::output(path))?);
@@ -183,7 +188,7 @@ impl Encoder {
         }
     }
 
-    /// What ffmpeg said itself says more than what became of the pipe.
+    /// Returns the failure. ffmpeg's own message says more than the pipe's error.
     fn failure(&mut self, otherwise: &str) -> Failure {
         self.pictures = None;
         let said = self.complaints.take().and_then(|listener| listener.join().ok()).filter(|said| !said.is_empty());
@@ -194,25 +199,25 @@ impl Encoder {
 
 impl Drop for Encoder {
     fn drop(&mut self) {
-        // Where it was finished there is nothing to kill and nothing lost.
+        // After `finish` the child has ended, so there is nothing to kill.
         self.pictures = None;
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// The last line that ffmpeg says; read to the end, or it would block on a full pipe.
+/// Returns ffmpeg's last line. Its output is read to the end, or it would block on a full pipe.
 fn last_words(mut from: ChildStderr) -> String {
     let mut said = Vec::new();
     let mut piece = [0; 4096];
     while let Ok(1..) = from.read(&mut piece).inspect(|&n| said.extend_from_slice(&piece[..n])) {
-        // A few lines are enough to find the last one in.
+        // Keep only the end, enough for the last line.
         said.drain(..said.len().saturating_sub(8 * piece.len()));
     }
     String::from_utf8_lossy(&said).lines().map(str::trim).rfind(|line| !line.is_empty()).unwrap_or_default().to_owned()
 }
 
-/// Which picture of the video is due at which stamp.
+/// Maps stamps to picture numbers of the video.
 struct Pacing {
     first: Timestamp,
     interval_ns: i64,
@@ -220,7 +225,8 @@ struct Pacing {
 }
 
 impl Pacing {
-    /// How often the picture before has to be shown again before the one of this stamp, which is counted in.
+    /// Returns how often to repeat the previous picture before the one of this stamp, and counts
+    /// that one as written.
     fn repeats_before(&mut self, timestamp: Timestamp) -> usize {
         let since_ns = timestamp.ns_since(self.first);
         let due = since_ns.saturating_add(self.interval_ns / 2).div_euclid(self.interval_ns);
@@ -267,7 +273,7 @@ mod tests {
                 .map(|ns| Pacing { first: Timestamp::default(), interval_ns: 1 << 30, written: 0 }.repeats_before(Timestamp::from_ns(ns))),
             [9, 0]
         );
-        // After a jump of hours the video goes on at its rate.
+        // After a jump of hours the video continues at its rate.
         let mut pacing = Pacing { first: Timestamp::default(), interval_ns: 1_000_000_000, written: 0 };
         assert_eq!([0, 3_600_000_000_000, 3_601_000_000_000].map(|ns| pacing.repeats_before(Timestamp::from_ns(ns))), [0, 10, 0]);
     }

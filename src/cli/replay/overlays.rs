@@ -1,7 +1,9 @@
-//! `--overlay DIR`: one JPEG a frame with what the tracker saw drawn on it; `--overlay FILE.mp4`: the same as a video.
+//! `--overlay DIR`: one JPEG per frame with the tracker's result drawn on it; `--overlay FILE.mp4`:
+//! the same as a video.
 //!
-//! The folder's frames are this run's alone: those of an earlier run are removed first, or a shorter clip would end in frames of a longer one.
-//! They are known by a file that lies beside them. A folder with frames of other origin is refused, for they may be the only copies.
+//! The folder holds only this run's frames. Frames of an earlier run are removed first, or a
+//! shorter clip would end in frames of a longer one. A marker file identifies them. A folder with
+//! frames of other origin is refused, as they may be the only copies.
 
 use std::fs::{self, create_dir_all};
 use std::io::{self, BufWriter, Write};
@@ -21,10 +23,11 @@ use crate::safe_file;
 use crate::track::{UsedPixel, UsedPixels};
 use crate::tracker::TrackerSetup;
 
-/// Quality of the pictures' JPEG, 1 to 100. Chosen, not tuned. Raised, files are larger; lowered, thin lines get blocks around them.
+/// JPEG quality, 1 to 100. Chosen, not tuned. Raised, files are larger; lowered, thin lines get
+/// block artefacts.
 const QUALITY: u8 = 92;
-/// Name of a file that lies in a folder which this module made, and what it says. A folder without it that has pictures is not written
-/// into.
+/// Name and content of the marker file in folders that this module made. Nothing is written into a
+/// folder with pictures but without the marker.
 const MARK: &str = "stagepose-overlay.txt";
 const MARK_TEXT: &str = "Pictures of stagepose replay --overlay. The next run into this folder replaces them.\n";
 
@@ -41,7 +44,8 @@ enum Target {
 }
 
 impl Overlays {
-    /// Makes the folder anew where it is one; `pixels` come from the tracker.
+    /// Prepares a new video, or the folder without an earlier run's pictures; `pixels` come from
+    /// the tracker.
     pub fn create(path: &Path, setup: TrackerSetup, pixels: Receiver<UsedPixels>) -> Result<Self, Failure> {
         let target = if is_video(path) {
             Target::Video(VideoFile::new(path))
@@ -52,7 +56,8 @@ impl Overlays {
         Ok(Self { target, setup, pixels })
     }
 
-    /// The pixels of a frame. They are there before its sample is; those of rows that nobody draws are let go.
+    /// Returns a frame's pixels. They arrive before its sample; those of rows that are not drawn
+    /// are dropped.
     fn pixels_of(&self, sequence: u64) -> Vec<UsedPixel> {
         self.pixels.try_iter().find(|used| used.sequence == sequence).map_or_else(Vec::new, |used| used.pixels)
     }
@@ -73,7 +78,7 @@ impl Overlays {
         }
     }
 
-    /// Ends a video.
+    /// Finishes a video.
     pub fn finish(self) -> Result<(), Failure> {
         match self.target {
             Target::Video(video) => video.finish(),
@@ -82,10 +87,10 @@ impl Overlays {
     }
 }
 
-/// Refuses a folder that holds frames of another origin than an earlier run.
+/// Refuses a folder with frames that are not an earlier run's.
 pub(super) fn refuse_foreign(directory: &Path) -> Result<(), Failure> {
     let Ok(mut entries) = fs::read_dir(directory) else {
-        // It is not there yet, or making it will say what is the matter.
+        // It does not exist yet, or creating it will report the error.
         return Ok(());
     };
     let is_own = directory.join(MARK).is_file();
@@ -93,7 +98,7 @@ pub(super) fn refuse_foreign(directory: &Path) -> Result<(), Failure> {
     if has_frames && !is_own { Err(Failure::FolderIsUsed(directory.to_owned())) } else { Ok(()) }
 }
 
-/// Makes the folder, marked, without the pictures of an earlier run.
+/// Creates the folder with its marker, and removes an earlier run's pictures.
 fn replace_folder(directory: &Path) -> io::Result<()> {
     create_dir_all(directory)?;
     for entry in fs::read_dir(directory)? {
@@ -105,7 +110,7 @@ fn replace_folder(directory: &Path) -> io::Result<()> {
     safe_file::replace(&directory.join(MARK))?.write_all(MARK_TEXT.as_bytes())
 }
 
-/// Whether a file is called as [`Overlays::write`] calls them.
+/// Whether a file is named as [`Overlays::write`] names its files.
 fn is_frame_name(file: &Path) -> bool {
     let digits = file.file_name().and_then(|name| name.to_str()).and_then(|name| name.strip_suffix(".jpg"));
     digits.is_some_and(|digits| digits.len() >= 6 && digits.bytes().all(|b| b.is_ascii_digit()))

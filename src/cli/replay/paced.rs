@@ -1,4 +1,4 @@
-//! A clip at the pace of its stamps: a row is handed out when it is due.
+//! A clip at the pace of its stamps: each row is returned when it is due.
 
 use std::time::Instant;
 
@@ -9,9 +9,9 @@ use crate::publish::ClipStart;
 
 pub(super) struct Paced {
     source: Box<dyn FrameSource>,
-    /// When the first row was handed out, and its stamp.
+    /// When the first row was returned, and its stamp.
     start: Option<(Instant, Timestamp)>,
-    /// Who sends what comes of it wants to know too.
+    /// Shared with the outputs, which need the clip's start time.
     begun: ClipStart,
 }
 
@@ -26,7 +26,7 @@ impl FrameSource for Paced {
         let row = self.source.next_entry()?;
         let (begun, first) = *self.start.get_or_insert_with(|| (Instant::now(), row.timestamp));
         self.begun.begin(first);
-        // Stamps that do not follow wait for nothing.
+        // Stamps that go back do not wait.
         interrupt::wait_until(begun, row.timestamp.duration_since(first)).then_some(row)
     }
 
@@ -44,7 +44,7 @@ mod tests {
     use super::*;
     use crate::capture::EntryContent;
 
-    /// Rows of these stamps, in milliseconds.
+    /// Rows with these stamps, in milliseconds.
     struct Rows(std::array::IntoIter<i64, 4>);
 
     impl FrameSource for Rows {
@@ -65,7 +65,7 @@ mod tests {
 
     #[test]
     fn no_row_is_handed_out_before_it_is_due() {
-        // The stamps begin anywhere, and may go back.
+        // Stamps may start anywhere and may go back.
         let stamps = [7_000, 7_030, 6_000, 7_080];
         let mut paced = Paced::new(Box::new(Rows(stamps.into_iter())), ClipStart::default());
         let begun = Instant::now();

@@ -1,4 +1,4 @@
-//! The progress bar: frames per second and time left on a terminal, nothing otherwise.
+//! The progress bar: frames per second and time left on a terminal, otherwise nothing.
 
 use std::io::IsTerminal;
 
@@ -15,7 +15,7 @@ impl Progress {
         Self::with(rows, ["{bar:32} {pos}/{len} frames, {per_sec}, {eta} left", "{spinner} {pos} frames, {per_sec}"])
     }
 
-    /// The same with these words: of the bar, and of the counter.
+    /// As [`start`](Self::start), with other templates for the bar and the counter.
     pub fn with(total: Option<u64>, [words, counter_words]: [&str; 2]) -> Self {
         if !std::io::stderr().is_terminal() {
             return Self(ProgressBar::hidden());
@@ -29,7 +29,7 @@ impl Progress {
         Self(bar)
     }
 
-    /// How far it is, and what is being done.
+    /// Sets the progress and what is being done.
     pub fn at(&self, done: u64, words: String) {
         self.0.set_message(words);
         self.0.set_position(done);

@@ -1,4 +1,4 @@
-//! The record files, written line by line as the samples come.
+//! The record files, written line by line as samples come.
 
 use std::io::{BufWriter, Write};
 
@@ -6,17 +6,17 @@ use crate::cli::failure::Failure;
 use crate::cli::output_file::OutputFile;
 use crate::record::PoseSample;
 
-/// Lines on their way to a file.
+/// A file written by lines.
 pub(in crate::cli) struct Output(BufWriter<OutputFile>);
 
 impl Output {
-    /// Begins anew in a file; what was in it is gone.
+    /// Truncates a file and starts writing to it.
     pub fn begin(file: OutputFile) -> Result<Self, Failure> {
         file.begin()?;
         Ok(Self(BufWriter::new(file)))
     }
 
-    /// Begins a new file where the one that was written to has been moved away or removed (a log rotation).
+    /// Creates a new file if the current one has been moved away or removed (log rotation).
     pub fn reopen(&mut self) -> Result<(), Failure> {
         self.flush()?;
         self.0.get_mut().reopen()
@@ -27,7 +27,7 @@ impl Output {
         written.map_err(Failure::output(&self.0.get_ref().name))
     }
 
-    /// Brings everything written so far to the file: a full disk shows here at the latest.
+    /// Flushes to the file: a full disk shows here at the latest.
     fn flush(&mut self) -> Result<(), Failure> {
         let flushed = self.0.flush();
         flushed.map_err(Failure::output(&self.0.get_ref().name))
@@ -40,23 +40,23 @@ impl Output {
     }
 }
 
-/// `--poses` and `--tum`.
+/// The files of `--poses` and `--tum`.
 pub(in crate::cli) struct Records {
     poses: Option<Output>,
     tum: Option<Output>,
-    /// A reader that follows the clip in real time wants every line when it is due.
+    /// Flush every line, for a reader that follows in real time.
     every_line: bool,
     begun: bool,
 }
 
 impl Records {
-    /// Begins the wanted files.
+    /// Starts the wanted files.
     pub fn begin(poses: Option<OutputFile>, tum: Option<OutputFile>, every_line: bool) -> Result<Self, Failure> {
         let (poses, tum) = (poses.map(Output::begin).transpose()?, tum.map(Output::begin).transpose()?);
         Ok(Self { poses, tum, every_line, begun: false })
     }
 
-    /// Writes the lines of one sample.
+    /// Writes a sample's lines.
     pub fn write(&mut self, sample: &PoseSample) -> Result<(), Failure> {
         if let Some(poses) = &mut self.poses {
             poses.write_line(&sample.to_json_line())?;
@@ -64,7 +64,7 @@ impl Records {
         if let (Some(tum), Some(line)) = (&mut self.tum, sample.to_tum_line()) {
             tum.write_line(&line)?;
         }
-        // The first line goes out at once: a full disk is known before the work is done.
+        // Flush the first line at once, so that a full disk is noticed early.
         if self.every_line || !self.begun {
             self.begun = true;
             self.finish()?;
@@ -77,7 +77,7 @@ impl Records {
         self.poses.iter_mut().chain(&mut self.tum).try_for_each(Output::reopen)
     }
 
-    /// Brings everything to the files.
+    /// Flushes everything to the files.
     pub fn finish(&mut self) -> Result<(), Failure> {
         self.poses.iter_mut().chain(&mut self.tum).try_for_each(Output::flush)
     }

@@ -1,4 +1,4 @@
-//! Counts and times of a whole replay: the summary of contract C4 and the table at the end.
+//! Counts and times of a whole replay: the summary (contract C4) and the table at the end.
 
 use std::fmt::Write as _;
 use std::io::{self, Write};
@@ -18,7 +18,7 @@ use crate::record::{PoseSample, StageTimes, State};
 use crate::telemetry::STAGES;
 use crate::track::{LearntCamera, LearntTime};
 
-/// What a replay came to, sample by sample.
+/// The result of a replay, accumulated by sample.
 pub(super) struct Tally {
     started: Instant,
     states: [u64; 5],
@@ -28,11 +28,11 @@ pub(super) struct Tally {
     first_pose_ms: Option<f64>,
     shutter: KnownShutter,
     learnt_from: &'static str,
-    /// What is known of the camera by now.
+    /// What is known of the camera so far.
     learnt: LearntCamera,
     /// The last measured pose and its row.
     last: Option<(u64, Pose<Stage, Camera>)>,
-    /// Decode, acquire, align, pose, total of every row, milliseconds.
+    /// Decode, acquire, align, pose and total times of every row, milliseconds.
     times: [Vec<f64>; 5],
 }
 
@@ -45,28 +45,28 @@ struct Summary {
     lost: u64,
     undecodable: u64,
     skipped: u64,
-    /// How many frames were not tracked for which reason.
+    /// Number of untracked frames by reason.
     reasons: ByWord<u64>,
     stage_ms: ByWord<Percentiles>,
-    /// What the poses were given with in the end.
+    /// The shutter in use at the end.
     learnt: Learnt,
     cpu_s: f64,
     first_pose_ms: Option<f64>,
     peak_rss_mb: f64,
 }
 
-/// The shutter as configured (sigma 0) or learnt; none of what is not known.
+/// The shutter as configured (sigma 0) or learnt; `None` if unknown.
 #[derive(Serialize)]
 struct Learnt {
     readout_s: Option<f64>,
     readout_sigma_s: Option<f64>,
     exposure_s: Option<f64>,
     exposure_sigma_s: Option<f64>,
-    /// What was known before the first row: `nothing`, or from the `clip` or a `file`.
+    /// The source of what was known before the first row: `nothing`, `clip` or `file`.
     from: &'static str,
 }
 
-/// Nearest-rank percentiles in milliseconds; none of no values.
+/// Nearest-rank percentiles in milliseconds; `None` without values.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub(super) struct Percentiles {
     p50: Option<f64>,
@@ -85,7 +85,7 @@ impl Percentiles {
 }
 
 impl Tally {
-    /// `started` is when the process began.
+    /// Starts with no samples; `started` is when the process began.
     pub fn new(started: Instant, shutter: KnownShutter, learnt_from: &'static str) -> Self {
         Self {
             started,
@@ -118,12 +118,12 @@ impl Tally {
         self.times.iter_mut().zip(row).for_each(|(times, ms)| times.push(ms));
     }
 
-    /// Rows that held no frame to track.
+    /// Sets the number of rows without a frame to track.
     pub fn set_rows(&mut self, undecodable: u64, skipped: u64) {
         (self.undecodable, self.skipped) = (undecodable, skipped);
     }
 
-    /// Rows so far.
+    /// Returns the number of rows so far.
     pub fn frames(&self) -> u64 {
         self.states.iter().sum()
     }
@@ -161,9 +161,9 @@ impl Tally {
         Learnt { readout_s, readout_sigma_s, exposure_s, exposure_sigma_s, from: self.learnt_from }
     }
 
-    /// Contract C4.
+    /// Returns the summary as JSON (contract C4).
     pub fn summary_json(&self) -> String {
-        // Serialising to a string fails only for non-string map keys, of which there are none.
+        // Serialising to a string fails only for non-string map keys, and a summary has none.
         serde_json::to_string_pretty(&self.summary()).expect("a summary has only string keys")
     }
 
@@ -197,7 +197,7 @@ impl Tally {
     }
 }
 
-/// Processor seconds and peak memory in megabytes of this process so far.
+/// Returns this process's CPU seconds and peak memory in megabytes so far.
 fn usage() -> (f64, f64) {
     let Ok(usage) = getrusage(UsageWho::RUSAGE_SELF) else { return (0.0, 0.0) };
     let cpu_us = usage.user_time().num_microseconds() + usage.system_time().num_microseconds();
@@ -205,7 +205,7 @@ fn usage() -> (f64, f64) {
     (cpu_us as f64 / 1e6, usage.max_rss() as f64 * 1024.0 / 1e6)
 }
 
-/// Prints the table: to stdout, or to stderr where stdout holds records.
+/// Prints the table to stdout, or to stderr if stdout holds records.
 pub(super) fn print_table(tally: &Tally, stdout_taken: bool) -> Result<(), Failure> {
     let table = tally.table();
     let (written, name) = match stdout_taken {

@@ -1,16 +1,17 @@
-//! What a running daemon says of itself by HTTP.
+//! Asks a running daemon about itself over HTTP.
 
 use std::io::{self, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpStream};
 use std::time::Duration;
 
-/// How long the daemon may take to answer. Longer than one on this machine needs, short enough to wait for. Raised, a hung daemon holds up
-/// the report.
+/// Maximum time for the daemon to answer: longer than a local one needs, short enough to wait for.
+/// Raised, a hung daemon delays the report.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// Of an answer at most this many bytes are taken: a round figure above what the status and the metrics take, which is kilobytes.
+/// Maximum bytes taken of an answer: far above the status and the metrics, which are kilobytes.
+/// Raised, another server could fill the report.
 const MOST_BYTES: u64 = 1 << 20;
 
-/// The answer to a GET request, head and content, or why there is none.
+/// Returns the answer to a GET request, head and content, or why there is none.
 pub(super) fn ask(listen: SocketAddr, path: &str) -> String {
     let address = match listen.ip() {
         IpAddr::V4(ip) if ip.is_unspecified() => SocketAddr::from((Ipv4Addr::LOCALHOST, listen.port())),

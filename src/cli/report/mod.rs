@@ -1,4 +1,4 @@
-//! `report`: one file with all that is needed to find out what went wrong; `daemon::report` says what goes into it.
+//! `report`: one file with everything needed to find a fault; `daemon::report` defines its content.
 
 mod daemon;
 
@@ -12,24 +12,25 @@ use crate::config::Settings;
 use crate::daemon::report::{Recording, Report, config_text, find};
 use crate::printable::printable_lines;
 
-/// Put versions, config, events and the last recording into one file, to send to who can help.
+/// Put versions, config, events and the last recording into one file, to send to whoever can help.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  stagepose report --config stage.toml --output report.zip\n\n\
     Run it beside a running daemon or after it. It says what it took, and asks before it takes pictures of the stage.")]
 pub(super) struct ReportArguments {
-    /// The config of the camera and the stage; it may be a bad one
+    /// The config of the camera and the stage; it may be invalid
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// The file to make; it must not be there yet
+    /// The file to create; it must not exist yet
     #[arg(long, short, value_name = "FILE.zip")]
     output: PathBuf,
     /// Take this recording instead of the newest one in the recorder's folder
     #[arg(long, value_name = "CLIP")]
     clip: Option<PathBuf>,
-    /// Take the last pictures of the recording and of the ring too, and the stage's artwork, without asking
+    /// Include the last pictures of the recording and of the ring, and the stage's artwork, without
+    /// asking
     #[arg(long, conflicts_with = "no_pictures")]
     pictures: bool,
-    /// Take no pictures, without asking
+    /// Include no pictures, without asking
     #[arg(long)]
     no_pictures: bool,
     /// How many seconds of pictures
@@ -66,14 +67,15 @@ pub(super) fn run(arguments: &ReportArguments) -> Result<(), Failure> {
     print(printable_lines(&text).as_bytes())
 }
 
-/// What the daemon of this config says of itself.
+/// Returns what this config's daemon says about itself.
 fn said(settings: Option<&Settings>) -> Vec<(&'static str, String)> {
     let pages = [("daemon/state.json", "/api/v1/state"), ("daemon/health.txt", "/healthz"), ("daemon/metrics.txt", "/metrics")];
     let http = settings.and_then(|settings| settings.http.as_ref());
     http.into_iter().flat_map(|http| pages.map(|(name, path)| (name, daemon::ask(http.listen, path)))).collect()
 }
 
-/// The report's file. It is new: nothing that is there is ever written over, and half a report does not stay.
+/// The report's file. It is always a new one, nothing is overwritten, and an incomplete report is
+/// removed.
 struct Unfinished {
     path: PathBuf,
     file: File,
@@ -83,14 +85,14 @@ struct Unfinished {
 impl Drop for Unfinished {
     fn drop(&mut self) {
         if !self.is_whole {
-            // Where it cannot be removed there is nothing else to do about it.
+            // If it cannot be removed, nothing else can be done.
             let _ = std::fs::remove_file(&self.path);
         }
     }
 }
 
 impl Unfinished {
-    /// Begins the file, which must not be there.
+    /// Creates the file, which must not exist.
     fn create(target: &Path) -> Result<Self, Failure> {
         let file = OpenOptions::new().write(true).create_new(true).open(target).map_err(|e| match e.kind() {
             ErrorKind::AlreadyExists => Failure::Usage(format!("--output {}: is there already; give a new file", target.display())),
@@ -99,7 +101,7 @@ impl Unfinished {
         Ok(Self { path: target.to_owned(), file, is_whole: false })
     }
 
-    /// Writes the report and gives the list of what is in it.
+    /// Writes the report and returns its list of contents.
     fn write(mut self, report: &Report<'_>) -> Result<Vec<String>, Failure> {
         let written = report.write(BufWriter::new(&self.file)).and_then(|contents| self.file.sync_all().map(|()| contents));
         let contents = written.map_err(Failure::output(&self.path))?;
@@ -108,7 +110,7 @@ impl Unfinished {
     }
 }
 
-/// What was said by an option, else by whoever sits at the terminal; nobody's silence is a yes.
+/// Whether to include pictures: by option, otherwise by asking at the terminal. No answer means no.
 fn wants_pictures(arguments: &ReportArguments, recordings: &[Recording]) -> Result<bool, Failure> {
     if arguments.pictures || arguments.no_pictures || !io::stdin().is_terminal() || !io::stderr().is_terminal() {
         return Ok(arguments.pictures);
@@ -117,7 +119,7 @@ fn wants_pictures(arguments: &ReportArguments, recordings: &[Recording]) -> Resu
     let question = format!("Take the stage's artwork and the last {count} pictures of the camera too? They may show people. [y/N] ");
     io::stderr().write_all(question.as_bytes()).map_err(Failure::output(Path::new("stderr")))?;
     let mut answer = String::new();
-    // A terminal that cannot be read has said nothing.
+    // A terminal that cannot be read gave no answer.
     let _ = io::stdin().read_line(&mut answer);
     Ok(matches!(answer.trim().to_lowercase().as_str(), "y" | "yes"))
 }

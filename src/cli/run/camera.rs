@@ -1,4 +1,4 @@
-//! The camera that a config and the arguments mean.
+//! The camera that the config and the arguments select.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use crate::capture::camera::CameraOpener;
 use crate::cli::failure::Failure;
 use crate::config::Settings;
 
-/// What opens the camera: a clip that plays, or the config's device.
+/// Returns what opens the camera: a clip that plays, or the config's device.
 pub(super) fn camera(settings: &Settings, play: Option<&Path>) -> Result<Arc<dyn CameraOpener>, Failure> {
     match play {
         Some(clip) => {
@@ -23,7 +23,7 @@ pub(super) fn camera(settings: &Settings, play: Option<&Path>) -> Result<Arc<dyn
     }
 }
 
-/// The config's V4L2 camera.
+/// Returns the config's V4L2 camera.
 #[cfg(feature = "live")]
 pub(in crate::cli) fn opener(settings: &Settings) -> crate::capture::v4l2::V4l2Opener {
     use crate::capture::choice::Wanted;

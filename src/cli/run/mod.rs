@@ -1,8 +1,8 @@
-//! `run`: a camera in, its pose out, for a whole show.
+//! `run`: tracks a camera for a whole show.
 //!
-//! A session is a camera, a tracker and what listens to it, under one config. It ends on a signal, with a played clip,
-//! on a new config, or when a stage fails; the daemon then starts the next one (`show`). `setup` is the same for a stage that has no good
-//! config yet.
+//! A session is a camera, a tracker and their listeners under one config. It ends on a signal, at
+//! the end of a played clip, on a new config, or when a stage fails; the daemon then starts the
+//! next one (`show`). `setup` does the same for a stage that has no valid config yet.
 
 mod camera;
 mod notify;
@@ -38,48 +38,50 @@ pub(super) struct RunArguments {
     live: LiveArguments,
 }
 
-/// What `run` and `record` have in common.
+/// Arguments common to `run` and `record`.
 #[derive(Debug, clap::Args)]
 pub(super) struct LiveArguments {
     /// The config of the camera and the stage
     #[arg(long, value_name = "FILE")]
     pub config: PathBuf,
-    /// Write one JSON record a tracked frame; - for stdout
+    /// Write one JSON record per tracked frame; - for stdout
     #[arg(long, value_name = "OUT.jsonl")]
     poses: Option<PathBuf>,
-    /// Write what happens (camera lost, stale, …) as JSON lines
+    /// Write events (camera lost, stale, …) as JSON lines
     #[arg(long, value_name = "OUT.jsonl")]
     events: Option<PathBuf>,
-    /// Tracker workers; the result does not depend on it [default: the config's, else 1]
+    /// Tracker workers; they do not change the result [default: the config's, else 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=64))]
     threads: Option<u64>,
-    /// Play a clip as if it were the camera: its pace, late frames dropped
+    /// Play a clip as if it were the camera: in real time, late frames dropped
     #[arg(long, value_name = "CLIP")]
     play: Option<PathBuf>,
-    /// Play the clip again and again: each time tracking begins anew, rows are numbered from 0, and stamps go on rising
+    /// Play the clip again and again: each time tracking starts anew and rows are numbered from 0,
+    /// while stamps keep rising
     #[arg(long = "loop", requires = "play")]
     plays_again: bool,
-    /// End after tracking for this many seconds, or when the camera does not come in this time
+    /// Stop after tracking for this many seconds, or if the camera does not come in this time
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
-    /// Serve the page from this folder instead of the program, for who works on it
+    /// Serve the page from this folder instead of the built-in one, for developing it
     #[cfg(feature = "http")]
     #[arg(long, value_name = "FOLDER")]
     page_dir: Option<PathBuf>,
     #[command(flatten)]
     log: LogArguments,
-    /// Where the page is whatever the config says, for who sets a stage up: then the config may be bad, or not there yet
+    /// The page's address, whatever the config says. Set by `setup`: the config may then be invalid
+    /// or missing.
     #[arg(skip)]
     setup: Option<SocketAddr>,
 }
 
 impl LiveArguments {
-    /// The config as it is now.
+    /// Loads the current config.
     fn load(&self) -> Result<Settings, ConfigError> {
         self.loader()()
     }
 
-    /// What reads the config, on any thread.
+    /// Returns a closure that loads the config on any thread.
     fn loader(&self) -> impl Fn() -> Result<Settings, ConfigError> + Send + 'static {
         let (config, setup) = (self.config.clone(), self.setup);
         move || {
@@ -94,12 +96,12 @@ impl LiveArguments {
         }
     }
 
-    /// Whether records or events go to standard output, so that no words may.
+    /// Whether records or events go to standard output, which messages must then not use.
     fn uses_stdout(&self) -> bool {
         [&self.poses, &self.events].into_iter().flatten().any(|file| file.as_path() == Path::new(STDOUT))
     }
 
-    /// What the arguments ask for that cannot be.
+    /// Refuses arguments that cannot be satisfied.
     fn refuse_impossible(&self) -> Result<(), Failure> {
         match self.play.as_deref() {
             Some(clip) if self.plays_again && clip == Path::new(STDOUT) => {
@@ -119,7 +121,8 @@ impl LiveArguments {
         None
     }
 
-    /// `--poses` and `--events`, open; none of them over what is read, what is recorded, or an output of the config.
+    /// Opens `--poses` and `--events`; neither may overwrite an input, the recording, or an output
+    /// of the config.
     fn open_sinks(&self, settings: &Settings, recording: Option<&Path>) -> Result<(Option<OutputFile>, Option<OutputFile>), Failure> {
         let spared = Spared::default().with_files(&settings.files, "a file of the config");
         let mut spared = self.play.iter().fold(spared, |spared, clip| spared.with_clip(clip));
@@ -130,7 +133,7 @@ impl LiveArguments {
     }
 }
 
-/// What goes beside the config goes where it may, and that is said.
+/// Moves what is normally stored next to the config to a writable folder, and adds a note about it.
 fn keep_elsewhere(settings: &mut Settings, keeping: &Keeping) {
     let (file, folder) = (settings.file.display().to_string(), keeping.folder());
     settings
@@ -148,7 +151,7 @@ pub(super) fn run(arguments: &RunArguments) -> Result<(), Failure> {
     live(&arguments.live, None)
 }
 
-/// Why this build cannot open a camera.
+/// Returns why this build cannot open a camera.
 #[cfg(not(feature = "live"))]
 pub(super) fn no_live_feature() -> Failure {
     Failure::Usage(

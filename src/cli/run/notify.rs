@@ -1,28 +1,29 @@
-//! systemd's notification protocol: READY, STATUS, WATCHDOG, STOPPING as datagrams to $NOTIFY_SOCKET. Nothing where there is none.
+//! systemd's notification protocol: sends READY, STATUS, WATCHDOG and STOPPING as datagrams to
+//! $NOTIFY_SOCKET, if it is set.
 
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::time::Duration;
 
-/// The way to the service manager.
+/// The connection to the service manager.
 pub(super) struct Notifier {
     socket: Option<(UnixDatagram, SocketAddr)>,
-    /// How often WATCHDOG=1 is due, where the manager watches.
+    /// Interval at which WATCHDOG=1 is due, if the manager has a watchdog.
     pub watchdog: Option<Duration>,
 }
 
 impl Notifier {
-    /// From the environment that systemd sets.
+    /// Connects as the environment that systemd sets says.
     pub fn from_environment() -> Self {
         let name = std::env::var("NOTIFY_SOCKET").ok();
         let number = |name: &str| std::env::var(name).ok().and_then(|v| v.parse::<u64>().ok());
         let for_us = number("WATCHDOG_PID").is_none_or(|pid| pid == u64::from(std::process::id()));
-        // Half of the time that the manager allows, as its manual advises.
+        // Half of the manager's limit, as its manual advises.
         let watchdog = number("WATCHDOG_USEC").filter(|us| for_us && *us > 0).map(|us| Duration::from_micros(us / 2));
         Self { socket: name.as_deref().and_then(connect), watchdog }
     }
 
-    /// Sends lines such as "READY=1"; a manager that does not listen is not waited for.
+    /// Sends lines such as "READY=1"; it never waits for the manager.
     pub fn send(&self, lines: &str) {
         if let Some((socket, address)) = &self.socket {
             let _ = socket.send_to_addr(lines.as_bytes(), address);

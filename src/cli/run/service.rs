@@ -1,4 +1,5 @@
-//! What makes `run` a good service: it tells the service manager and the terminal how it is, once a second.
+//! Makes `run` a good service: it reports its status to the service manager and the terminal, once
+//! a second.
 
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
@@ -17,23 +18,23 @@ use crate::telemetry::{CameraState, RecorderState, Statistics};
 pub(super) struct Service {
     notifier: Notifier,
     line: ProgressBar,
-    /// Since when the time that it is to run counts: from the start of tracking, and before that from the start of the program.
+    /// Start of the running time: the start of tracking, and before that the start of the program.
     begun: Instant,
     is_tracking: bool,
     until: Option<Duration>,
     told: Instant,
     pinged: Instant,
     frames_before: u64,
-    /// Count and sum of the ages that were reported already.
+    /// Count and sum of the ages reported so far.
     ages_before: (u64, f64),
-    /// When the pipeline last gave a sign of life.
+    /// The pipeline's last sign of life.
     alive: Instant,
     /// The last sample's pose.
     pose: Option<Pose<Stage, Camera>>,
 }
 
 impl Service {
-    /// Says READY; `seconds` is after what time it is to end.
+    /// Sends READY; `seconds` is the running time after which to end.
     pub fn start(seconds: Option<f64>) -> Self {
         let notifier = Notifier::from_environment();
         notifier.send("READY=1\nSTATUS=waiting for the camera");
@@ -57,13 +58,13 @@ impl Service {
         }
     }
 
-    /// The pipeline gave a sign of life: a sample, a stale message, or it is still waiting for a camera.
+    /// Notes a sign of life from the pipeline: a sample, a stale message, or waiting for a camera.
     pub fn alive(&mut self) {
         self.alive = Instant::now();
     }
 
-    /// The camera is there and tracking begins: only now does the time count that it is to run, so that as much of a played clip is
-    /// tracked as was asked for. A later session does not begin it anew.
+    /// Starts the running time when the camera is there and tracking begins, so that the requested
+    /// part of a played clip is tracked. A later session does not restart it.
     pub fn tracking_begins(&mut self) {
         self.alive();
         if !std::mem::replace(&mut self.is_tracking, true) {
@@ -71,18 +72,18 @@ impl Service {
         }
     }
 
-    /// A sample came.
+    /// Notes a sample.
     pub fn seen(&mut self, sample: &PoseSample) {
         self.alive();
         self.pose = sample.pose;
     }
 
-    /// True when it is time to end.
+    /// Whether it is time to end.
     pub fn is_over(&self) -> bool {
         interrupt::is_interrupted() || self.until.is_some_and(|until| self.begun.elapsed() >= until)
     }
 
-    /// To be called often: does what is due.
+    /// Does what is due; call it often.
     pub fn tick(&mut self, link: &LiveLink) {
         if let Some(every) = self.notifier.watchdog
             && self.pinged.elapsed() >= every.min(Duration::from_secs(1))
@@ -105,19 +106,19 @@ impl Service {
         self.line.tick();
     }
 
-    /// Says that a new config is taken over.
+    /// Reports that a new config is being applied.
     pub fn reloading(&self) {
         self.notifier.send("STATUS=taking a new config over");
     }
 
-    /// Says that it ends.
+    /// Reports the end.
     pub fn end(&self) {
         self.notifier.send("STOPPING=1\nSTATUS=ending");
         self.line.finish_and_clear();
     }
 }
 
-/// One line: state, pose, rate, mean age since the last one, quality, losses.
+/// Returns the status line: state, pose, rate, mean age since the last one, quality, losses.
 fn status(s: &Statistics, ages_before: (u64, f64), pose: Option<&Pose<Stage, Camera>>) -> String {
     let mut text = match s.camera() {
         CameraState::Waiting => "waiting for the camera".to_owned(),

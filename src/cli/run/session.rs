@@ -1,4 +1,4 @@
-//! One session: a camera, a tracker and what listens, under one config.
+//! One session: a camera, a tracker and their listeners, under one config.
 
 use std::cell::RefCell;
 use std::io::{self, Write};
@@ -32,24 +32,25 @@ use crate::telemetry::RecorderState;
 use crate::track::LearntCamera;
 use crate::tracker::Tracker;
 
-/// Between two stale messages while a camera is waited for: ten a second. Chosen: soon enough for a client that has just come. Raised,
-/// clients learn later that there is no pose.
+/// Interval of stale messages while waiting for a camera: ten per second. Chosen: soon enough for a
+/// client that has just connected. Raised, clients learn later that there is no pose.
 const STALE_REPEAT: Duration = Duration::from_millis(100);
-/// A reader of `--poses` or `--events` that takes nothing for this long is given up: it holds up the other outputs. Chosen, not tuned.
-/// Raised, a hung reader freezes all outputs for longer.
+/// Maximum time that a reader of `--poses` or `--events` may take nothing before it is given up, as
+/// it holds up the other outputs. Chosen, not tuned. Raised, a hung reader freezes all outputs for
+/// longer.
 const SLOW_READER: Duration = Duration::from_millis(200);
 
 /// Why a session ended.
 pub(super) enum End {
-    /// On a signal, on time, or with a played clip.
+    /// On a signal, on time, or at the end of a played clip.
     Stopped,
     /// A new config is there.
     Reload(Box<Settings>),
-    /// The camera is lent to somebody else.
+    /// The camera is lent to another task.
     Lent,
 }
 
-/// What a session is made from.
+/// What a session runs with.
 pub(super) struct Session<'a> {
     pub settings: &'a Settings,
     pub arguments: &'a LiveArguments,
@@ -63,13 +64,13 @@ pub(super) struct Session<'a> {
 impl Drop for Session<'_> {
     fn drop(&mut self) {
         if self.reading.get_mut().is_some() {
-            // The next session reads it.
+            // The next session will read it.
             self.supervisor.reload();
         }
     }
 }
 
-/// What a running session is followed by.
+/// What follows a running session.
 struct Listening<'a> {
     samples: &'a Receiver<PoseSample>,
     running: &'a RunningDaemon,
@@ -80,7 +81,7 @@ struct Listening<'a> {
     outputs: &'a Outputs,
 }
 
-/// Gives a sample to everybody. The outputs have a watchdog of their own for stale poses.
+/// Sends a sample to all. The outputs have their own watchdog for stale poses.
 fn tell(sample: &PoseSample, pages: &Pages, outputs: &Outputs, sinks: &mut Sinks) {
     if sample.state != State::Stale {
         outputs.send(sample);
@@ -90,7 +91,7 @@ fn tell(sample: &PoseSample, pages: &Pages, outputs: &Outputs, sinks: &mut Sinks
 }
 
 impl Session<'_> {
-    /// Runs until something ends it.
+    /// Runs until something ends the session.
     pub fn run(&self, service: &mut Service, sinks: &mut Sinks, clips: &mut Clips) -> Result<End, Failure> {
         let pages = self.pages;
         pages.use_limits(&self.settings.safety);
@@ -101,7 +102,8 @@ impl Session<'_> {
             Err(end) => return Ok(end),
         };
         let mut setup = tracker_setup(self.settings, mode.size, self.arguments.threads)?;
-        // What the camera has locked is known to stamps and tracker alike, and to the recording's config.
+        // Stamps, tracker and the recording's config must all use the exposure that the camera has
+        // locked.
         let exposure_s = exposure_of(&self.settings.shutter.or_zero(), &mode);
         setup.shutter.exposure_s = Some(exposure_s).filter(|s| *s > 0.0);
         if self.settings.device.fps.is_none() {
@@ -152,7 +154,7 @@ impl Session<'_> {
         drop(saver);
         stopper.stop();
         running.stop();
-        // What is under way comes to its end, and out.
+        // Let rows in progress finish, and publish them.
         samples.iter().for_each(|sample| tell(&sample, pages, &outputs, sinks));
         outputs.close();
         learnt_file.store(&sinks.learnt);
@@ -164,12 +166,12 @@ impl Session<'_> {
         joined.map(|()| end)
     }
 
-    /// What the camera delivers, once it is there, or why the session ended before.
+    /// Returns the camera's mode once it is there, or why the session ended before that.
     fn wait(&self, source: &mut LiveSource, pages: &Pages, service: &mut Service, sinks: &mut Sinks) -> Result<CameraMode, End> {
         let (mut reload, mut stale_said) = (None, Instant::now());
         let mode = source.wait_for_camera(|| {
             service.alive();
-            // Before there is a pipeline, too, clients hear that there is no pose.
+            // Clients are also told that there is no pose while there is no pipeline.
             let now = monotonic_now();
             if stale_said.elapsed() >= STALE_REPEAT && self.link.pulse.time_left(now).is_none() {
                 stale_said = Instant::now();
@@ -222,7 +224,7 @@ impl Session<'_> {
         }
     }
 
-    /// Begins or ends a recording where that is wished for.
+    /// Starts or stops a recording if requested.
     fn take_up_recording(&self, recorder: Option<&Recorder>) {
         let (Some(wish), Some(recorder)) = (self.supervisor.take_recording(), recorder) else { return };
         match wish {
@@ -239,8 +241,8 @@ impl Session<'_> {
         }
     }
 
-    /// The new config, where SIGHUP or the page asked for it and it can be run. It is read and tried on a thread of its own, while tracking
-    /// goes on.
+    /// Returns the new config if SIGHUP or the page asked for it and it can be run. It is read and
+    /// tried on its own thread while tracking continues.
     fn reload(&self) -> Option<Box<Settings>> {
         let mut reading = self.reading.borrow_mut();
         if reading.is_none() && (interrupt::take_reload() | self.supervisor.take_reload()) {
@@ -269,14 +271,15 @@ impl Session<'_> {
         }
     }
 
-    /// A new config is not used; the one of before stays in force.
+    /// Refuses a new config; the previous one stays in force.
     fn refuse(&self, reason: String) {
         self.supervisor.refuse(reason.clone());
         self.link.events.publish(Event::ConfigRefused { reason });
     }
 }
 
-/// The files that `run` writes lines to. One that cannot be written any more is given up; tracking goes on.
+/// The files that `run` writes lines to. A file that can no longer be written is given up; tracking
+/// continues.
 pub(super) struct Sinks {
     poses: Option<Records>,
     events: Option<Output>,
@@ -284,14 +287,14 @@ pub(super) struct Sinks {
     /// Why the first of them was given up.
     failure: Option<Failure>,
     outcome: Outcome,
-    /// What was learnt of the camera by now.
+    /// What has been learnt of the camera so far.
     pub learnt: LearntCamera,
-    /// Whether stderr is a log that programs read.
+    /// Whether stderr is a log for programs.
     logs_json: bool,
 }
 
 impl Sinks {
-    /// Begins the files.
+    /// Starts the files.
     pub fn begin(poses: Option<OutputFile>, events: Option<OutputFile>, link: &LiveLink, log: LogSettings) -> Result<Self, Failure> {
         let poses = poses.map(|file| Records::begin(Some(file.with_patience(SLOW_READER)), None, true)).transpose()?;
         let events = events.map(|file| Output::begin(file.with_patience(SLOW_READER))).transpose()?;
@@ -306,7 +309,7 @@ impl Sinks {
         })
     }
 
-    /// Writes a sample's record; a stale message is none.
+    /// Writes a sample's record; a stale message has none.
     pub fn write(&mut self, sample: &PoseSample) {
         if sample.state == State::Stale {
             return;
@@ -316,39 +319,41 @@ impl Sinks {
         attempt(&mut self.poses, "records", &mut self.failure, |poses| poses.write(sample));
     }
 
-    /// Writes what has happened since the last time.
+    /// Writes the events since the last call.
     pub fn write_events(&mut self) {
         for event in self.happening.try_iter() {
-            // A dropped frame is counted; a recording has a list of them.
+            // Dropped frames are only counted; a recording lists them.
             if !event.event.is_progress() {
                 attempt(&mut self.events, "events", &mut self.failure, |events| events.write_all_and_flush(&event.to_json_line()));
             }
         }
     }
 
-    /// After a SIGHUP: what has happened is in the files, and files that were moved away meanwhile (by a log rotation) are begun anew.
+    /// After a SIGHUP: flushes events, and starts new files for those that log rotation has moved
+    /// away.
     pub fn reopen(&mut self) {
         self.write_events();
         attempt(&mut self.poses, "records", &mut self.failure, Records::reopen);
         attempt(&mut self.events, "events", &mut self.failure, Output::reopen);
     }
 
-    /// Writes what is left, closes the files, and says on stderr what the show came to.
+    /// Writes what is left, closes the files, and prints the show's summary on stderr.
     ///
     /// # Errors
-    /// Why one of the files was given up, now or before. Tracking went on, but the file is not whole.
+    /// Why a file was given up, now or before. Tracking continued, but the file is incomplete.
     pub fn finish(mut self) -> Result<(), Failure> {
         self.write_events();
         match self.logs_json {
             true => tracing::info!("{}", self.outcome.sentences()),
-            // Where stderr is closed there is nobody to tell.
+            // If stderr is closed, nobody is listening.
             false => drop(writeln!(io::stderr(), "{}", self.outcome.sentences())),
         }
         self.failure.map_or(Ok(()), Err)
     }
 }
 
-/// Does something with a file that is still there. Where that fails, it says so and gives the file up; the first reason is kept.
+/// Runs `act` on a file that is still in use. On failure it logs the reason and gives the file up;
+/// the first reason is kept.
 fn attempt<T>(file: &mut Option<T>, of: &str, kept: &mut Option<Failure>, act: impl FnOnce(&mut T) -> Result<(), Failure>) {
     if let Some(Err(failure)) = file.as_mut().map(act) {
         tracing::error!("{failure}; no more {of} are written");
@@ -361,17 +366,18 @@ fn attempt<T>(file: &mut Option<T>, of: &str, kept: &mut Option<Failure>, act: i
 pub(super) struct Clips {
     asked: Option<PathBuf>,
     begun: u32,
-    /// Why the first of them that was asked for ended before its time.
+    /// Why the first requested clip that ended early did so.
     cut_short: Option<String>,
 }
 
 impl Clips {
-    /// `asked` is what the first session records to; later ones get a number behind it.
+    /// Starts with no clips. The first session records to `asked`; later ones get a number
+    /// appended.
     pub fn new(asked: Option<PathBuf>) -> Self {
         Self { asked, begun: 0, cut_short: None }
     }
 
-    /// Why a recording that was asked for by name is not whole.
+    /// Returns why a recording requested by name is incomplete.
     pub fn cut_short(self) -> Option<String> {
         self.cut_short.filter(|_| self.asked.is_some())
     }
@@ -393,12 +399,13 @@ impl Clips {
         }
     }
 
-    /// The session's recorder, where anything is to be recorded. One that was asked for by name must work; another one is done without.
+    /// Returns the session's recorder, if anything may be recorded. A recording requested by name
+    /// must work; others are optional.
     fn recorder(&mut self, session: &Session<'_>, camera: CameraMode, exposure_s: f64) -> Result<Option<Recorder>, Failure> {
         let settings = &session.settings.recorder;
         let clip = self.next(settings);
         let ring = (settings.ring_s > 0.0).then(|| (settings.folder.clone(), settings.ring_s));
-        // With a server somebody may want to record later.
+        // With a server, someone may request a recording later.
         if clip.is_none() && ring.is_none() && session.settings.http.is_none() {
             return Ok(None);
         }

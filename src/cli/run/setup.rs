@@ -1,4 +1,5 @@
-//! `setup`: the page for a stage that has no good config yet. It tracks as soon as there is one.
+//! `setup`: serves the page for a stage without a valid config. Tracking starts as soon as there is
+//! one.
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -8,25 +9,26 @@ use crate::cli::failure::Failure;
 use crate::cli::logging::LogArguments;
 use crate::config::Settings;
 
-/// Open the page without a config, or with a bad one; what is put there is tracked with.
+/// Open the page without a config, or with an invalid one; once the page stores a valid config,
+/// tracking starts.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  stagepose setup --config stage.toml\n\n\
     It prints the page's address. The page says what is wrong with the config, with file, key and line; once it has a good one, tracking\n\
     begins. For the show: stagepose run --config stage.toml, which refuses a bad config.")]
 pub(in crate::cli) struct SetupArguments {
-    /// The config that is there, or will be; its folder must be there
+    /// The config file, existing or not; its folder must exist
     #[arg(long, value_name = "FILE", default_value = "stage.toml")]
     config: PathBuf,
-    /// Where the page is [default: what the config's [http] says, else 127.0.0.1:8090]
+    /// The page's address [default: from the config's [http], else 127.0.0.1:8090]
     #[arg(long, value_name = "ADDRESS:PORT")]
     listen: Option<SocketAddr>,
     /// Play a clip as if it were the camera
     #[arg(long, value_name = "CLIP")]
     play: Option<PathBuf>,
-    /// Play the clip again and again; each time tracking begins anew
+    /// Play the clip again and again; each time tracking starts anew
     #[arg(long = "loop", requires = "play")]
     plays_again: bool,
-    /// Serve the page from this folder instead of the program, for who works on it
+    /// Serve the page from this folder instead of the built-in one, for developing it
     #[arg(long, value_name = "FOLDER")]
     page_dir: Option<PathBuf>,
     #[command(flatten)]
@@ -39,7 +41,7 @@ pub(in crate::cli) fn setup(arguments: SetupArguments) -> Result<(), Failure> {
     if !folder.is_dir() {
         return Err(Failure::Usage(format!("--config {}: its folder is not there; make it first", config.display())));
     }
-    // Where it is stays the same when the config comes: a page that is open keeps its server.
+    // The address must not change when the config comes: an open page keeps its server.
     let of_config = || Settings::load(&config).ok().and_then(|settings| settings.http);
     let listen = listen.unwrap_or_else(|| of_config().unwrap_or_default().listen);
     let setup = Some(listen);

@@ -1,4 +1,5 @@
-//! Sessions one after another, and what outlives them: the server, the files of records and events, the service manager's watch.
+//! Runs sessions one after another and owns what outlives them: the server, the record and event
+//! files, the service status.
 
 use std::cell::RefCell;
 use std::io::{self, Write as _};
@@ -21,12 +22,14 @@ use crate::printable::printable;
 use crate::publish::{SafetySettings, Stamps};
 use crate::web::page_address;
 
-/// A stage may fail this often within [`RESTART_SPAN`] before the daemon gives up. Chosen: a failure that comes back every few seconds is
-/// left to the supervisor. The number raised or the span shortened, a daemon that cannot work goes on restarting.
+/// Maximum failures of a stage within [`RESTART_SPAN`] before the daemon gives up. Chosen: a
+/// failure that recurs every few seconds is left to the service manager. With a higher number or a
+/// shorter span, a daemon that cannot work keeps restarting.
 const MOST_RESTARTS: usize = 5;
 const RESTART_SPAN: Duration = Duration::from_secs(60);
 
-/// How often it is looked whether a lent camera is back, or a config has come. Chosen: nobody notices it. Raised, tracking begins later.
+/// Interval of checks whether a lent camera is back or a config has come. Chosen: nobody notices
+/// it. Raised, tracking starts later.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// What outlives sessions.
@@ -38,19 +41,19 @@ struct Show<'a> {
     service: Service,
     sinks: Sinks,
     clips: Clips,
-    /// The config before this one, which worked.
+    /// The previous config, which worked.
     previous: Option<Settings>,
     /// When stages failed.
     failures: Vec<Instant>,
 }
 
-/// Runs until something ends it; `clip` is what `record` records to.
+/// Runs until something ends the daemon; `clip` is what `record` records to.
 pub(in crate::cli) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> Result<(), Failure> {
     arguments.refuse_impossible()?;
     let loaded = arguments.load();
     let settings = match (&loaded, arguments.setup) {
         (Ok(settings), _) => Some(settings.clone()),
-        // It is what the page is opened for.
+        // `setup` opens the page for exactly this case.
         (Err(_), Some(_)) => None,
         (Err(_), None) => return loaded.map(drop).map_err(Failure::from),
     };
@@ -69,7 +72,7 @@ pub(in crate::cli) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> 
     }
     interrupt::watch();
     interrupt::watch_service();
-    // What the threads contain shall be in the log, not between its lines.
+    // Log contained panics as log lines, not as raw text between them.
     contain::report_others(|panic| tracing::error!("a part of the program failed: {panic}"));
     let link = LiveLink::default();
     let (poses, events) = match &settings {
@@ -92,7 +95,7 @@ pub(in crate::cli) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> 
 }
 
 impl Show<'_> {
-    /// Sessions, each under the config that the one before ended for.
+    /// Runs sessions, each under the config that ended the previous one.
     fn sessions(&mut self, first: Option<Settings>) -> Result<(), Failure> {
         let mut next = first;
         loop {
@@ -120,7 +123,7 @@ impl Show<'_> {
         }
     }
 
-    /// Whether the clip that came to its end is played once more.
+    /// Whether a clip that has ended is played again.
     fn plays_again(&self) -> bool {
         self.arguments.plays_again && !self.service.is_over()
     }
@@ -133,7 +136,8 @@ impl Show<'_> {
         session.run(&mut self.service, &mut self.sinks, &mut self.clips)
     }
 
-    /// What is tracked with after a failure under this config; none where another config is to be waited for.
+    /// Returns the config to track with after a failure under this one; `None` to wait for another
+    /// config.
     fn after(&mut self, failure: Failure, settings: Settings) -> Result<Option<Settings>, Failure> {
         if matches!(failure, Failure::Tracking(_)) {
             self.previous = None;
@@ -146,7 +150,8 @@ impl Show<'_> {
             tracing::error!("{failure}; starting again");
             return Ok(Some(settings));
         }
-        // A new config that cannot be run (its camera does not fit, its port is taken): back to the one that worked.
+        // A new config that cannot be run (its camera does not fit, its port is taken): return to
+        // the one that worked.
         let previous = self.previous.take();
         if previous.is_none() && self.arguments.setup.is_none() {
             return Err(failure);
@@ -156,10 +161,11 @@ impl Show<'_> {
         Ok(previous)
     }
 
-    /// The next config that can be used, while the page says what is wrong with the one that is there; none where the program is to end before.
+    /// Waits for a usable config while the page shows what is wrong with the current one; `None` if
+    /// the program is to end before.
     fn await_config(&mut self) -> Result<Option<Settings>, Failure> {
         let http = self.arguments.setup.map(|listen| HttpSettings { listen, ..HttpSettings::default() });
-        // Before the page is there, so that it never says that a stage is tracked which nobody knows.
+        // Set the state before the page starts, so that it never claims to track an unknown stage.
         self.supervisor.use_settings(None);
         self.supervisor.set_mode(Mode::Setup);
         self.server.serve(http.as_ref(), &SafetySettings::default(), &self.supervisor, self.arguments)?;
@@ -180,7 +186,7 @@ impl Show<'_> {
         Ok(None)
     }
 
-    /// Waits until the tracker gets the camera back; false where the program is to end before.
+    /// Waits until the tracker gets the camera back; false if the program is to end before.
     fn lent(&mut self) -> bool {
         while self.supervisor.mode() != Mode::Track {
             if self.wait() {
@@ -190,7 +196,7 @@ impl Show<'_> {
         true
     }
 
-    /// A moment without a session; true where the program is to end.
+    /// Waits a moment without a session; true if the program is to end.
     fn wait(&mut self) -> bool {
         self.service.alive();
         self.service.tick(&self.link);
@@ -218,7 +224,8 @@ impl Show<'_> {
     }
 }
 
-/// Tells the user something: on standard output, or on stderr where records or events go there. Nobody need listen.
+/// Prints a line for the user on standard output, or on stderr if records or events use stdout.
+/// Errors are ignored.
 fn say(arguments: &LiveArguments, line: &str) {
     let line = format!("{}\n", printable(line));
     let _ = match arguments.uses_stdout() {
@@ -227,14 +234,14 @@ fn say(arguments: &LiveArguments, line: &str) {
     };
 }
 
-/// The server, which outlives sessions; it begins anew only where the config has another one.
+/// The server, which outlives sessions. It restarts only if the config names another one.
 #[derive(Default)]
 struct Serving {
     pages: Option<(Option<HttpSettings>, Pages)>,
 }
 
 impl Serving {
-    /// The server of this config.
+    /// Returns this config's server.
     fn serve(
         &mut self,
         http: Option<&HttpSettings>,

@@ -1,4 +1,4 @@
-//! The folder of a surveyed stage: whole, or as it was before.
+//! Writes a surveyed stage's folder as a whole, or leaves it as it was.
 
 use std::fs;
 use std::path::Path;
@@ -13,7 +13,7 @@ use crate::survey::stage::Survey;
 use crate::track::SurfaceShape;
 use crate::utc;
 
-/// What shows that a folder is an earlier survey's.
+/// Name of the marker file of a survey's folder.
 const MARK: &str = ".stagepose-survey";
 
 /// Refuses a folder that holds anything but an earlier survey.
@@ -35,7 +35,7 @@ pub(super) fn write(folder: &Path, settings: &Settings, made: &Survey) -> Result
     let [beside, aside] = ["new", "old"].map(|word| folder.with_file_name(format!(".{name}.{word}")));
     let written = (|| {
         put_back(&aside, folder)?;
-        // What a run that was killed has left would mix with this one's files.
+        // Leftovers of a killed run would mix with this run's files.
         remove(&beside)?;
         remove(&aside)?;
         fs::create_dir_all(&beside)?;
@@ -46,13 +46,14 @@ pub(super) fn write(folder: &Path, settings: &Settings, made: &Survey) -> Result
         replace(folder, &beside, &aside)
     })();
     if written.is_err() {
-        // What is left of it is of no use; where even that fails, the first reason is the one to say.
+        // The leftovers are useless. If even this fails, the first error is the one to report.
         let _ = fs::remove_dir_all(&beside);
     }
     written.map_err(Failure::output(folder))
 }
 
-/// Puts the new folder in the place of the earlier one, which goes only when that has succeeded.
+/// Moves the new folder to the place of the earlier one, which is removed only after that has
+/// succeeded.
 fn replace(folder: &Path, new: &Path, aside: &Path) -> std::io::Result<()> {
     if folder.exists() {
         fs::rename(folder, aside)?;
@@ -64,12 +65,13 @@ fn replace(folder: &Path, new: &Path, aside: &Path) -> std::io::Result<()> {
     remove(aside)
 }
 
-/// Puts an earlier survey back that was set aside, where nothing took its place: a run may have been killed in between.
+/// Restores an earlier survey that was moved aside if nothing took its place: a run may have been
+/// killed in between.
 fn put_back(aside: &Path, folder: &Path) -> std::io::Result<()> {
     if aside.exists() && !folder.exists() { fs::rename(aside, folder) } else { Ok(()) }
 }
 
-/// Removes a folder, if it is there.
+/// Removes a folder if it exists.
 fn remove(folder: &Path) -> std::io::Result<()> {
     fs::remove_dir_all(folder).or_else(|e| if e.kind() == std::io::ErrorKind::NotFound { Ok(()) } else { Err(e) })
 }
@@ -108,7 +110,7 @@ mod tests {
         let [folder, new, aside] = ["stage", ".stage.new", ".stage.old"].map(|name| room.path().join(name));
         fs::create_dir(&folder).unwrap();
         fs::write(folder.join("stage.toml"), "earlier").unwrap();
-        // There is no new one.
+        // There is no new folder.
         assert!(replace(&folder, &new, &aside).is_err());
         assert_eq!(fs::read_to_string(folder.join("stage.toml")).unwrap(), "earlier");
         // A run was killed between the two steps.

@@ -1,18 +1,18 @@
-//! What a survey came to, as JSON (contract C11).
+//! A survey's result as JSON (contract C11).
 
 use serde_json::json;
 
 use crate::survey::judgement::Judgement;
 use crate::survey::stage::Survey;
 
-/// The document.
+/// Returns the document.
 pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
     let i = made.camera.intrinsics();
     let uncertainty = made.camera.doubt().map(|doubt| {
         let u = doubt.uncertainty;
         json!({"fx": u.focal_px[0], "fy": u.focal_px[1], "cx": u.centre_px[0], "cy": u.centre_px[1], "skew": u.skew, "distortion": u.distortion})
     });
-    // Times of which the walk says nothing are as told, without a sigma.
+    // Times about which the walk says nothing are as configured, without a sigma.
     let shutter = made.refines_lens().then(|| {
         let found = made.shutter_found.as_ref();
         let (readout, exposure) = (found.and_then(|f| f.readout), found.and_then(|f| f.exposure));

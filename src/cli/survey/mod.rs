@@ -1,4 +1,5 @@
-//! `stagepose survey`: the stage as it hangs and the lens as it is, from clips of walking around (contract C11).
+//! `stagepose survey`: measures the stage as it hangs and the actual lens, from clips of walking
+//! around (contract C11).
 
 mod folder;
 mod json;
@@ -32,7 +33,7 @@ use crate::tracker::TrackerSetup;
 use crate::utc;
 use walk_file::WalkFile;
 
-/// Measure the stage as it hangs and the lens as it is, from clips of walking around.
+/// Measure the stage as it hangs and the actual lens, from clips of walking around.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  stagepose survey walk --config stage.toml --output surveyed\n\n\
     Walk for half a minute: past the stage from one side to the other and back, nearer and farther, the camera a little higher and lower, so that every part is seen \
@@ -47,7 +48,7 @@ pub(super) struct SurveyArguments {
     /// The folder for the surveyed stage: its stage.toml, camera.toml, shapes and pictures
     #[arg(long, short, value_name = "DIR")]
     output: PathBuf,
-    /// What becomes of the lens and the shutter: `keep` them as they are, or `refine` them, too
+    /// Whether to `keep` the lens and the shutter as they are, or to `refine` them too
     #[arg(long, value_enum, default_value_t = Lens::Keep)]
     lens: Lens,
     /// Write everything as JSON
@@ -65,19 +66,20 @@ pub(super) struct SurveyArguments {
     log: LogArguments,
 }
 
-/// What becomes of the lens.
+/// What to do with the lens and the shutter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Lens {
-    /// They stay as they are
+    /// Keep them as they are
     Keep,
-    /// They are found as well
+    /// Estimate them too
     Refine,
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// Bad usage, a config or a clip that cannot be read, a walk that determines no stage, the verdict "do not use", an output that cannot be written.
+/// Bad usage, an unreadable config or clip, a walk that determines no stage, the verdict "do not
+/// use", an output that cannot be written.
 pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
     let settings = Settings::load(&arguments.config)?;
     logging::start_for_trials(&arguments.log, settings.log);
@@ -119,7 +121,8 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
         Ok(Some(walk)) => Ok(walk),
         Err(e) => Err(e),
     };
-    // Clips that were read twice can be read once more; where they cannot, the survey goes on with what it has.
+    // Clips that could be read twice can be read once more; otherwise the survey continues with
+    // what it has.
     let made = walk.and_then(|walk| work.survey(walk, || open_all().unwrap_or_default(), options));
     work.progress.finish();
     let made = made.map_err(|e| match e {
@@ -144,7 +147,7 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
     folder::write(&arguments.output, &settings, &made)
 }
 
-/// A survey under way.
+/// A survey in progress.
 struct Work<'a> {
     setup: &'a TrackerSetup,
     frames_read: Cell<u64>,
@@ -152,7 +155,7 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// The walk that an interrupted run has left, with the pictures of its clips.
+    /// Returns the walk left by an interrupted run, with its clips' pictures.
     fn recalled(&self, file: &WalkFile, sources: Vec<Box<dyn FrameSource>>) -> Result<Option<Walk>, SurveyError> {
         let Some(record) = file.read() else { return Ok(None) };
         tracing::info!("the clips were taken in by a survey that was interrupted; going on from there");
@@ -160,9 +163,10 @@ impl Work<'_> {
         Walk::recall(&record, clips, &self.setup.stage, |step| self.show(step), &goes_on)
     }
 
-    /// The walk in the clips; it is kept, so that a survey that is interrupted from now on need not take it in again.
+    /// Reads the walk from the clips and stores it, so that an interrupted survey need not read
+    /// them again.
     fn taken_in(&self, file: &WalkFile, sources: Vec<Box<dyn FrameSource>>, wants_lively: bool) -> Result<Walk, SurveyError> {
-        // One of another command, or one that does not fit its clips.
+        // It is another command's, or does not fit its clips.
         file.remove();
         self.frames_read.set(0);
         let clips = sources.into_iter().map(frames);
@@ -191,7 +195,7 @@ fn goes_on() -> bool {
     !interrupt::is_interrupted()
 }
 
-/// A clip's frames that can be read.
+/// Returns a clip's readable frames.
 fn frames(mut source: Box<dyn FrameSource>) -> impl Iterator<Item = Frame> {
     std::iter::from_fn(move || source.next_entry()).filter_map(|row| match row.content {
         EntryContent::Frame(frame) => Some(frame),

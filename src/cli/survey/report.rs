@@ -1,4 +1,4 @@
-//! A survey's report: every surface's heights as a picture, the layout with the walk, and what it is worth.
+//! A survey's report: a height map per surface, the layout with the walk, and the verdict.
 
 use std::fmt::Write as _;
 
@@ -10,14 +10,15 @@ use crate::survey::judgement::Judgement;
 use crate::survey::stage::Survey;
 use crate::track::SurfaceSpec;
 
-/// Cells across a surface's picture. Raised, the file grows.
+/// Cells across a surface's height map. Raised, the file grows.
 const CELLS: usize = 60;
-/// Width of a figure, units.
+/// Width of a figure, SVG units. Raised, figures are larger.
 const WIDTH: f64 = 640.0;
-/// Heights are drawn in full colour from this many sigmas of themselves on: less than that may be noise.
+/// Heights above this many of their own sigmas get the full colour; smaller ones may be noise.
+/// Raised, more of the map is pale.
 const PALE_BELOW_SIGMAS: f64 = 2.0;
 
-/// The page.
+/// Returns the page.
 pub(super) fn html(made: &Survey, judgement: &Judgement, date: &str) -> String {
     let mut body = format!("<p><b>{}</b></p>\n", escaped(&judgement.sentence()));
     if let Some(metres) = made.configured_error_m {
@@ -78,7 +79,7 @@ fn residuals(made: &Survey) -> String {
     format!("<table>{rows}</table>\n")
 }
 
-/// The heights of a surface as its picture shows them: red towards the camera, blue away from it, pale where they are not known.
+/// Draws a surface's heights: red towards the camera, blue away from it, pale where uncertain.
 fn heights(made: &Survey, k: usize) -> String {
     let spec = &made.surfaces[k];
     let [w, h] = spec.size_m;
@@ -106,25 +107,26 @@ fn heights(made: &Survey, k: usize) -> String {
     figure(&drawing.finish(&format!("heights of {}", spec.name)), &caption)
 }
 
-/// A view of the stage: what a metre along x, y and z is on the page, right and up.
+/// A view of the stage: the page directions, right and up, of a metre along x, y and z.
 struct View {
     right: [f64; 3],
     up: [f64; 3],
     words: &'static str,
 }
 
-/// The views of the layout. The first one's slants are chosen for looks: all three axes are told apart.
+/// The layout's views. The first one's slants are chosen for looks: all three axes can be told
+/// apart.
 const VIEWS: [View; 3] = [
     View { right: [0.94, 0.34, 0.0], up: [-0.14, 0.4, 0.9], words: "from the house, from the left and above" },
     View { right: [1.0, 0.0, 0.0], up: [0.0, 1.0, 0.0], words: "from above: x to the right, y up the page (away from the house)" },
     View { right: [1.0, 0.0, 0.0], up: [0.0, 0.0, 1.0], words: "from the house: x to the right, z up" },
 ];
-/// Pieces of a surface's side. Raised, folds are smoother and the file grows.
+/// Segments per side of a surface. Raised, folds are smoother and the file grows.
 const PIECES: usize = 24;
-/// Names on a drawing at most; more of them would cover each other.
+/// Maximum names on a drawing; raised, they overlap.
 const MOST_NAMES: usize = 8;
 
-/// The surfaces' edges as they hang, and the cameras of the walk.
+/// Draws the surfaces' edges as they hang, and the walk's cameras.
 fn layout(made: &Survey, view: &View) -> String {
     let seen = |p: &Vector3<f64>| [view.right, view.up].map(|by| p.dot(&Vector3::from(by)));
     let outline = |spec: &SurfaceSpec| -> Vec<[f64; 2]> {

@@ -1,4 +1,4 @@
-//! What a survey came to, for a person.
+//! A survey's result as text.
 
 use std::fmt::Write as _;
 
@@ -7,7 +7,7 @@ use crate::survey::judgement::Judgement;
 use crate::survey::shutter::ShutterTime;
 use crate::survey::stage::Survey;
 
-/// The report on the terminal.
+/// Returns the report for the terminal.
 pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
     let mut text = String::new();
     // Writing to a String cannot fail.
@@ -46,7 +46,7 @@ pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
     text
 }
 
-/// What the walk says of the shutter; `None` where that was not asked.
+/// Describes what the walk says about the shutter; `None` if it was not estimated.
 pub(super) fn shutter(made: &Survey) -> Option<String> {
     let found = made.shutter_found.as_ref();
     let milliseconds = |time: &ShutterTime| format!("{:.2} ms (sigma {:.2})", 1e3 * time.seconds, 1e3 * time.sigma_s);
@@ -64,7 +64,7 @@ pub(super) fn shutter(made: &Survey) -> Option<String> {
     })
 }
 
-/// What was measured beside what was found, a line each; the size first.
+/// Compares the tape measurements with the result, one line each; the size comes first.
 pub(super) fn measured(made: &Survey) -> Vec<String> {
     let size =
         made.size.map(|size| format!("the stage is {:.5} times as large as size_m says, known to {:.5}", 1.0 + size.growth, size.sigma));

@@ -1,7 +1,8 @@
-//! What was taken in from the clips, beside the folder until the survey is done: a survey that was interrupted goes on from there.
+//! The walk read from the clips, stored next to the output folder until the survey is done, so that
+//! an interrupted survey can continue.
 //!
-//! The file belongs to one command: to its clips, its config and this version of the program. Where any of them is another one, or the file is damaged, it
-//! is as if there were none.
+//! The file belongs to one command: its clips, its config and this version of the program. If any
+//! of them differs, or the file is damaged, it is ignored.
 
 use std::fs::{self, Metadata};
 use std::path::{Path, PathBuf};
@@ -14,11 +15,11 @@ use crate::safe_file;
 use crate::survey::walk::WalkRecord;
 use crate::tracker::TrackerSetup;
 
-/// Largest file that is read: 160 keyframes of 2000 features have a seventh of it. Raised, a file that is no record takes memory; lowered, a record
-/// of a rich stage is not read.
+/// Maximum file size read, bytes: 160 keyframes of 2000 features take a seventh of it. Raised, a
+/// foreign file takes more memory; lowered, a rich stage's record is not read.
 const MOST_BYTES: u64 = 128 << 20;
 
-/// Where the walk of a survey is kept, and what it belongs to.
+/// A survey's walk file, and the command it belongs to.
 pub(super) struct WalkFile {
     file: PathBuf,
     of: String,
@@ -26,26 +27,26 @@ pub(super) struct WalkFile {
 
 #[derive(Serialize, Deserialize)]
 struct Contents {
-    /// What it belongs to, as [`fingerprint`] has it.
+    /// The command it belongs to, from [`fingerprint`].
     of: String,
     walk: WalkRecord,
 }
 
 impl WalkFile {
-    /// Beside the folder of the survey that this command makes.
+    /// Returns the file next to this command's output folder.
     pub(super) fn new(folder: &Path, clips: &[PathBuf], setup: &TrackerSetup, options: &str) -> Self {
         let name = folder.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
         Self { file: folder.with_file_name(format!(".{name}.walk")), of: fingerprint(clips, setup, options) }
     }
 
-    /// The walk that an interrupted run has left.
+    /// Returns the walk left by an interrupted run.
     pub(super) fn read(&self) -> Option<WalkRecord> {
         let bytes = safe_file::read(&self.file, MOST_BYTES).ok()?;
         let contents: Contents = ciborium::from_reader(bytes.as_slice()).ok()?;
         (contents.of == self.of).then_some(contents.walk)
     }
 
-    /// Keeps a walk. Where that fails the survey goes on all the same: only an interruption would cost more.
+    /// Stores a walk. If that fails the survey continues: only an interruption would cost more.
     pub(super) fn keep(&self, walk: WalkRecord) {
         let mut bytes = Vec::new();
         let written = ciborium::into_writer(&Contents { of: self.of.clone(), walk }, &mut bytes)
@@ -56,19 +57,19 @@ impl WalkFile {
         }
     }
 
-    /// Whether there is one to go on from.
+    /// Whether there is a file to continue from.
     pub(super) fn is_there(&self) -> bool {
         self.file.exists()
     }
 
-    /// Removes it: the survey is done.
+    /// Removes the file: the survey is done.
     pub(super) fn remove(&self) {
-        // Where it cannot be removed it is of no harm: it is only believed by the same command.
+        // A file that cannot be removed does no harm: only the same command accepts it.
         let _ = fs::remove_file(&self.file);
     }
 }
 
-/// What a walk depends on, as one number: the clips by name, length and time, the setup by all that it holds.
+/// Hashes what a walk depends on: the clips by name, length and time, the setup by its content.
 fn fingerprint(clips: &[PathBuf], setup: &TrackerSetup, options: &str) -> String {
     let mut hash = Sha256::new();
     let TrackerSetup { camera, shutter, mask, stage, settings, .. } = setup;
@@ -98,7 +99,7 @@ fn fingerprint(clips: &[PathBuf], setup: &TrackerSetup, options: &str) -> String
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The files of a clip: itself, or what its folders hold, in order.
+/// Returns a clip's files: itself, or its folders' content, sorted.
 fn entries(clip: &Path) -> Vec<(PathBuf, Metadata)> {
     let Ok(metadata) = fs::metadata(clip) else { return Vec::new() };
     if !metadata.is_dir() {
