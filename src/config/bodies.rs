@@ -1,4 +1,4 @@
-//! The stage and the objects: every surface with its picture read, its size and its place checked.
+//! Reads the stage and the objects: every surface with its picture, size and place, all checked.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -21,15 +21,16 @@ use crate::track::{BodySpec, SurfaceDoubt, SurfaceError, SurfaceShape, SurfaceSp
 
 /// The stage's name among the bodies, which no object may have.
 const STAGE: &str = "stage";
-/// Sides of a surface, metres: from a stamp to a stadium. What is beyond is a slip of the unit or of the point. Wider, such slips pass;
-/// `check` doubts narrower ones.
+/// Allowed side lengths of a surface, metres: from a stamp to a stadium. Values beyond are slips of
+/// the unit or the decimal point. Widened, such slips pass; `check` doubts a narrower range.
 const SURFACE_SIDE_M: std::ops::RangeInclusive<f64> = 1e-3..=1e3;
 
-/// Surfaces of the stage and all objects together, at most. Each takes a tenth of a second and some 5 MB before the first frame, more with a
-/// large picture. Raised, a config may take minutes and gigabytes; lowered, large sets do not fit.
+/// Maximum number of surfaces of the stage and all objects together. Each takes a tenth of a second
+/// and about 5 MB before the first frame, more with a large picture. Raised, a config may take
+/// minutes and gigabytes; lowered, large sets do not fit.
 pub(super) const MOST_SURFACES: usize = 100;
 
-/// Refuses more surfaces than can be tracked, before a picture of them is read.
+/// Refuses more surfaces than can be tracked, before reading their pictures.
 pub(super) fn refuse_many(origin: &Origin<'_>, typed: &as_typed::Config) -> Result<(), ConfigError> {
     let of_stage = typed.stage.iter().flat_map(|stage| &stage.get_ref().surface).map(|surface| ("[[stage.surface]]", surface));
     let of_objects = typed.object.iter().flat_map(|object| &object.get_ref().surface).map(|surface| ("[[object.surface]]", surface));
@@ -40,15 +41,15 @@ pub(super) fn refuse_many(origin: &Origin<'_>, typed: &as_typed::Config) -> Resu
     Err(origin.value(section, "surface", &first.span(), Problem::Range { value, wanted }))
 }
 
-/// Reads surfaces for one config: what they share, and the notes that they leave.
+/// Reads the surfaces of one config: their common input, and the notes they produce.
 pub(super) struct BodyReader<'a> {
     pub origin: &'a Origin<'a>,
     pub camera: CameraModel,
     pub lens: &'a LensSource,
     pub notes: &'a mut Vec<String>,
-    /// What is graver: parts of the config that are left out, numbers that are rare.
+    /// Graver than notes: parts of the config that are left out, unusual numbers.
     pub warnings: &'a mut Vec<String>,
-    /// Where the config itself has the stage's first surface, before `[stage] origin` moved it.
+    /// The first surface's pose in the config, before `[stage] origin` moved it.
     pub first_as_typed: Pose<Body, SurfaceFrame>,
 }
 
@@ -67,9 +68,9 @@ impl BodyReader<'_> {
         Ok(stage)
     }
 
-    /// What is rare in a camera is said.
+    /// Warns of unusual camera parameters.
     pub fn note_camera(&mut self, name: &str, model: &CameraModel) {
-        // What is impossible was refused when its file was read.
+        // Impossible parameters were refused when the file was read.
         let odd = plausible::judge(model).unwrap_or_default();
         self.warnings.extend(odd.into_iter().map(|sentence| format!("{name}: {sentence}")));
     }
@@ -96,7 +97,8 @@ impl BodyReader<'_> {
         Ok(BodySpec { name, surfaces: self.surfaces(&object.surface, "[[object.surface]]")? })
     }
 
-    /// All surfaces of a body. A plain one among others is left out: it keeps its place in the list, and is never looked for.
+    /// Reads all surfaces of a body. A surface without texture is left out, with a warning, if
+    /// others have some.
     fn surfaces(&mut self, typed: &[Spanned<as_typed::Surface>], name: &'static str) -> Result<Vec<SurfaceSpec>, ConfigError> {
         let read = typed.iter().map(|surface| self.surface(surface, name)).collect::<Result<Vec<_>, _>>()?;
         let has_texture = read.iter().any(|surface| surface.refusal.is_none());
@@ -204,7 +206,8 @@ impl BodyReader<'_> {
         Ok(SurfaceRead { refusal: spec.check_texture().map_err(refused).err(), spec })
     }
 
-    /// The camera that took a photograph: as given, or the stage camera where the size is equal, or a guess.
+    /// Returns the camera that took a photograph: its own calibration, or the stage camera if the
+    /// size is equal, or a guess.
     fn photo_camera(
         &mut self,
         section: &Section<'_>,
@@ -246,7 +249,7 @@ impl BodyReader<'_> {
         CameraModel::pinhole(width, height, focal, focal, cx, cy).map_err(refuse)
     }
 
-    /// Artwork as it is shown: nobody has measured pixels in it.
+    /// Applies the EXIF rotation to artwork, in which nobody has measured pixels.
     fn upright(&mut self, name: &str, picture: GrayImage, orientation: Orientation) -> GrayImage {
         let Some(words) = orientation_words(orientation) else { return picture };
         self.notes.push(format!("{name}: it is {words} before use, as its file says (EXIF)"));
@@ -255,7 +258,7 @@ impl BodyReader<'_> {
         shown.into_luma8()
     }
 
-    /// A wrong size is the likeliest mistake of all; pixels that are not square give it away.
+    /// Notes non-square pixels: they reveal a wrong size, the most likely mistake.
     fn note_pixel_shape(&mut self, name: &str, picture: &GrayImage, [width_m, height_m]: [f64; 2]) {
         let shape = (width_m / f64::from(picture.width())) / (height_m / f64::from(picture.height()));
         if !(0.98..=1.02).contains(&shape) {
@@ -263,7 +266,7 @@ impl BodyReader<'_> {
         }
     }
 
-    /// Puts a surface's own refusal at the key that it speaks of.
+    /// Attaches a surface's refusal to the key it concerns.
     fn refused(
         &self,
         section: &Section<'_>,
@@ -283,25 +286,25 @@ impl BodyReader<'_> {
     }
 }
 
-/// A surface as read, and why it cannot be tracked where its picture is too plain.
+/// A surface as read, and why it cannot be tracked if its picture lacks texture.
 struct SurfaceRead {
     spec: SurfaceSpec,
     refusal: Option<ConfigError>,
 }
 
-/// Where a surface is and how large.
+/// A surface's place and size.
 struct Placed {
     size_m: [f64; 2],
     size_span: std::ops::Range<usize>,
     pose: Pose<Body, SurfaceFrame>,
 }
 
-/// How a surface hangs: flat, where nothing is said.
+/// Returns a surface's shape, by default flat.
 fn shape(section: &Section<'_>, typed: &as_typed::Surface, spec: &SurfaceSpec) -> Result<SurfaceShape, ConfigError> {
     typed.shape.as_ref().map_or(Ok(SurfaceShape::Flat), |file| section.shape("shape", file, spec))
 }
 
-/// How far a surface may be from where it is configured; nothing of its place is in doubt where nothing says so.
+/// Returns the uncertainty of a surface's place; by default its place is exact.
 fn doubt(section: &Section<'_>, typed: &as_typed::Surface, of_picture: SurfaceDoubt) -> Result<SurfaceDoubt, ConfigError> {
     let mut doubt = of_picture;
     doubt.corner_px = section.number(

@@ -1,4 +1,4 @@
-//! Why a config is refused: always the file, the line, the key, what is wrong and what to do.
+//! Why a config is refused: always the file, the line, the key, what is wrong and how to fix it.
 
 use std::path::PathBuf;
 
@@ -17,7 +17,7 @@ pub enum ConfigError {
     Unreadable {
         /// The config file.
         file: PathBuf,
-        /// What the system says.
+        /// The system's error.
         reason: String,
     },
     /// The text is not TOML.
@@ -25,33 +25,33 @@ pub enum ConfigError {
     Syntax {
         /// The config file.
         file: PathBuf,
-        /// 1-based.
+        /// Line, counted from 1.
         line: usize,
-        /// The parser's words.
+        /// The parser's message.
         reason: String,
     },
-    /// A key or section that nobody reads.
+    /// An unknown key or section.
     #[error("{}: unknown {what}, line {line}; {mend}", file.display())]
     Unknown {
         /// The config file.
         file: PathBuf,
-        /// 1-based.
+        /// Line, counted from 1.
         line: usize,
         /// "key \`x\` in \[y\]", or "section \[x\]".
         what: String,
-        /// The nearest known name, or all of them.
+        /// The nearest known name, or all known names.
         mend: String,
     },
-    /// Something that must be there is not.
+    /// A required key is missing.
     #[error("{}: {section} has no `{key}`; add {mend}", file.display())]
     Missing {
         /// The config file.
         file: PathBuf,
-        /// The section, with its line where it has one.
+        /// The section, with its line if it has one.
         section: String,
         /// The key.
         key: &'static str,
-        /// An example of it.
+        /// An example of the key.
         mend: &'static str,
     },
     /// A value that cannot be used.
@@ -59,7 +59,7 @@ pub enum ConfigError {
     Value {
         /// The config file.
         file: PathBuf,
-        /// 1-based.
+        /// Line, counted from 1.
         line: usize,
         /// The section in its brackets.
         section: String,
@@ -68,14 +68,14 @@ pub enum ConfigError {
         /// What is wrong with it.
         problem: Box<Problem>,
     },
-    /// The clip's or the device's pictures do not fit the calibration.
+    /// The clip's or device's pictures do not fit the calibration.
     #[error("{}: `calibration` in [camera], line {line}: {problem}", file.display())]
     PictureSize {
         /// The config file.
         file: PathBuf,
-        /// 1-based.
+        /// Line, counted from 1.
         line: usize,
-        /// Why.
+        /// Why they do not fit.
         problem: CameraError,
     },
 }
@@ -84,62 +84,62 @@ pub enum ConfigError {
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum Problem {
-    /// Another TOML type, or another number of entries.
+    /// Wrong TOML type, or wrong number of entries.
     #[error("{0}")]
     Type(String),
-    /// A text with characters that do not stand for themselves; escaped here.
+    /// A text with control or invisible characters, escaped here.
     #[error(
         "\"{0}\" has control or invisible characters; write it without them (in quotes a backslash begins one: a path may have / on every system)"
     )]
     Characters(String),
-    /// Outside of what can be used.
+    /// A value out of range.
     #[error("{value} cannot be used; give {wanted}")]
     Range {
-        /// As typed.
+        /// The value as typed.
         value: String,
         /// What is allowed.
         wanted: &'static str,
     },
-    /// A word that is none of the known ones.
+    /// A word that is not one of the known ones.
     #[error("`{value}` cannot be used; give {wanted}{}", nearest.as_ref().map_or(String::new(), |word| format!("; did you mean `{word}`?")))]
     Word {
-        /// As typed.
+        /// The word as typed.
         value: String,
-        /// The known ones.
+        /// The known words.
         wanted: &'static str,
-        /// The one that was meant, probably.
+        /// The word that was probably meant.
         nearest: Option<String>,
     },
     /// A quaternion whose length is not 1.
     #[error("the length of the quaternion is {0:.4}, not 1; give x, y, z, w of a unit quaternion")]
     Quaternion(f64),
-    /// A section of which there may be several, in single brackets.
+    /// A section that may occur several times, in single brackets.
     #[error("there may be several of these sections, so they stand in double brackets; write {0}")]
     SingleBrackets(&'static str),
-    /// A section of which there is one, in double brackets.
+    /// A section that may occur once, in double brackets.
     #[error("there is only one of this section, so it stands in single brackets; write {0}")]
     DoubleBrackets(&'static str),
-    /// Two keys that exclude or demand one another.
+    /// Two keys that exclude or require each other.
     #[error("{0}")]
     Combination(&'static str),
-    /// Two bodies of the same name.
+    /// Two bodies with the same name.
     #[error("the name `{0}` is taken; give each object a name of its own (`stage` is the stage itself)")]
     DuplicateName(String),
     /// An object that receivers cannot tell from the camera.
     #[error("`{0}` is what outputs call the camera itself, and one of them sends both; give the object another name")]
     NamedAsCamera(String),
-    /// An address template with a fault.
+    /// An invalid address template.
     #[error("{0}")]
     Template(crate::publish::osc::TemplateError),
-    /// An output's address, port or interface that this machine does not give.
+    /// An output's address, port or interface that is not available on this machine.
     #[error("{0}")]
     Transport(crate::publish::TransportError),
     /// The HTTP server's address is taken or not this machine's.
     #[error("cannot listen on {address} ({reason}); give a free port on an address of this machine")]
     Listen {
-        /// Where.
+        /// The address.
         address: std::net::SocketAddr,
-        /// What the system says.
+        /// The system's error.
         reason: String,
     },
     /// A picture file that cannot be opened.
@@ -147,7 +147,7 @@ pub enum Problem {
     PictureFile {
         /// The picture.
         file: PathBuf,
-        /// What the system says.
+        /// The system's error.
         reason: String,
     },
     /// A shape file that cannot be opened.
@@ -155,7 +155,7 @@ pub enum Problem {
     ShapeFile {
         /// The file.
         file: PathBuf,
-        /// What the system says.
+        /// The system's error.
         reason: String,
     },
     /// A shape file that does not fit.
@@ -166,15 +166,15 @@ pub enum Problem {
         /// What is wrong with it.
         reason: super::shape_file::ShapeFileError,
     },
-    /// A picture file that is no picture.
+    /// A picture file that is not a picture.
     #[error("{}: {reason}", file.display())]
     PictureContent {
         /// The picture.
         file: PathBuf,
-        /// What the decoder says.
+        /// The decoder's error.
         reason: DecodeError,
     },
-    /// A picture of which raw pixels are wanted is to be shown turned.
+    /// A picture whose raw pixels are needed has an EXIF rotation.
     #[error(
         "{}: the file says to show it {words} (EXIF), but {pixels} the pixels as they lie in the file; remove that mark (exiftool -Orientation= FILE) and take them from the picture as it then shows",
         file.display()
@@ -184,10 +184,10 @@ pub enum Problem {
         file: PathBuf,
         /// How it is to be shown.
         words: &'static str,
-        /// What goes by raw pixels.
+        /// What uses the raw pixels.
         pixels: &'static str,
     },
-    /// A file that is written is one that is read.
+    /// An output file that is also an input.
     #[error("{}: the config reads this file, which would be written over; give another name", .0.display())]
     OutputIsInput(PathBuf),
     /// A file that cannot be written.
@@ -195,7 +195,7 @@ pub enum Problem {
     OutputFile {
         /// The file.
         file: PathBuf,
-        /// Why not.
+        /// Why it cannot be written.
         reason: String,
     },
     /// A picture that cannot be tracked.
@@ -203,7 +203,7 @@ pub enum Problem {
     Surface {
         /// The picture.
         file: PathBuf,
-        /// Why.
+        /// Why it cannot be tracked.
         reason: SurfaceError,
     },
     /// A calibration file that cannot be used (its message names the file).
@@ -212,7 +212,7 @@ pub enum Problem {
     /// A calibration that does not fit its picture.
     #[error("{0}")]
     Camera(CameraError),
-    /// A mask of another shape than the camera's pictures.
+    /// A mask with another aspect ratio than the camera's pictures.
     #[error(
         "the mask {} is {width} x {height} pixels, the camera {camera_width} x {camera_height}; paint it on a picture of the camera",
         file.display()
@@ -229,10 +229,10 @@ pub enum Problem {
         /// The camera's height in pixels.
         camera_height: u32,
     },
-    /// A shutter that exposes all rows together, and reads them one after the other.
+    /// A global shutter, which exposes all rows together, with a readout time.
     #[error("a global shutter exposes all rows together, but `readout_s` is {0}; remove one of the two")]
     GlobalShutterReads(f64),
-    /// A mask that leaves nothing to look at.
+    /// A mask that hides everything.
     #[error("the mask {} is black everywhere, so that nothing could be tracked; leave white what is to be seen", .0.display())]
     MaskBlack(PathBuf),
 }

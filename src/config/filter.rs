@@ -1,4 +1,4 @@
-//! `[filter]`: which filter, how strong, and how far ahead.
+//! `[filter]`: which filter, its strength, and how far it predicts.
 
 use super::ConfigError;
 use super::as_typed;
@@ -13,7 +13,7 @@ enum Kind {
     Kalman,
 }
 
-/// `[filter]`
+/// Reads `[filter]`.
 pub(super) fn filter(origin: &Origin<'_>, typed: Option<&as_typed::Filter>) -> Result<FilterSettings, ConfigError> {
     let Some(typed) = typed else { return Ok(FilterSettings::default()) };
     let section = Section { origin, name: "[filter]" };

@@ -3,36 +3,37 @@
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 
-/// `[http]`
+/// The `[http]` section.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HttpSettings {
     /// IP address and port; port 0 takes any free one.
     pub listen: SocketAddr,
-    /// Hosts that are answered for beside this machine's own.
+    /// Hosts that are answered in addition to this machine's own.
     pub hosts: Vec<HostName>,
 }
 
 impl Default for HttpSettings {
-    /// Loopback: only this machine.
+    /// Loopback: this machine only.
     fn default() -> Self {
         Self { listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 8090)), hosts: Vec::new() }
     }
 }
 
-/// Longest name that DNS knows, characters (RFC 1035: 255 bytes with their lengths).
+/// Maximum length of a DNS name, characters (RFC 1035: 255 bytes including the length bytes).
 const LONGEST_NAME: usize = 253;
 
 /// A host without its port.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum HostName {
-    /// An IP address; IPv4 in IPv6 is IPv4.
+    /// An IP address; IPv4-mapped IPv6 becomes IPv4.
     Address(IpAddr),
-    /// A name in small letters, without the dot at its end.
+    /// A name in lower case, without a trailing dot.
     Name(String),
 }
 
 impl HostName {
-    /// An IP address (IPv6 with or without brackets) or a name; `None` for anything else, also where a port follows.
+    /// Parses an IP address (IPv6 with or without brackets) or a name; `None` for anything else,
+    /// including a trailing port.
     pub fn parse(text: &str) -> Option<Self> {
         let bare = text.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).filter(|inner| inner.parse::<Ipv6Addr>().is_ok());
         if let Ok(address) = bare.unwrap_or(text).parse::<IpAddr>() {

@@ -1,4 +1,4 @@
-//! The known keys of every section, and the refusal of all others with the nearest known name.
+//! The known keys of every section; refuses all others and suggests the nearest known name.
 
 use std::ops::Range;
 
@@ -11,10 +11,10 @@ use super::as_typed;
 use super::origin::Origin;
 use super::{ConfigError, Problem};
 
-/// A section's keys, as its typed form has them.
+/// Returns a section's keys, from its typed form.
 type Keys = fn() -> &'static [&'static str];
 
-/// Every section of this version: its path, its name as a message writes it, its keys.
+/// Every section of this version: its path, its name in messages, its keys.
 const SECTIONS: [(&[&str], &str, Keys); 18] = [
     (&[], "the config", fields::<as_typed::Config>),
     (&["camera"], "[camera]", fields::<as_typed::Camera>),
@@ -36,27 +36,30 @@ const SECTIONS: [(&[&str], &str, Keys); 18] = [
     (&["log"], "[log]", fields::<as_typed::Log>),
 ];
 
-/// Every section below the config with its keys, as a message writes it: `("[camera]", ["calibration", …])`.
+/// Returns every section below the config with its keys, as in messages:
+/// `("[camera]", ["calibration", …])`.
 pub(super) fn known_keys() -> impl Iterator<Item = (&'static str, &'static [&'static str])> {
     SECTIONS.into_iter().skip(1).map(|(_, name, keys)| (name, keys()))
 }
 
-/// The name and the keys of the section at a path, or `None` where any key goes (driver controls).
+/// Returns the name and keys of the section at a path, or `None` if any key is allowed (driver
+/// controls).
 fn section(path: &[&str]) -> Option<(&'static str, &'static [&'static str])> {
     SECTIONS.into_iter().find(|(known, ..)| *known == path).map(|(_, name, keys)| (name, keys()))
 }
 
-/// The section at a path as a message writes it.
+/// Returns the section at a path as written in messages.
 pub(super) fn section_name(path: &[&str]) -> String {
     section(path).map_or_else(|| format!("[{}]", path.join(".")), |(name, _)| name.to_owned())
 }
 
-/// Refuses the first key in the file that nobody reads.
+/// Refuses the first unknown key in the file.
 pub(super) fn refuse_unknown(root: &DeTable<'_>, origin: &Origin<'_>) -> Result<(), ConfigError> {
     refuse_first(root, |path, key, span, value| Some((span.start, refusal(path, key, &span, value, origin)?)))
 }
 
-/// Refuses what stands first in the file of all that `judge` does not let pass; it gives the place of its refusal too.
+/// Refuses the first item in the file that `judge` rejects; `judge` also returns the place of its
+/// refusal.
 pub(super) fn refuse_first(
     root: &DeTable<'_>,
     mut judge: impl FnMut(&[&str], &str, Range<usize>, &DeValue<'_>) -> Option<(usize, ConfigError)>,
@@ -77,7 +80,7 @@ fn refusal(path: &[&str], key: &str, span: &Range<usize>, value: &DeValue<'_>, o
     Some(ConfigError::Unknown { file, line, what, mend: suggestion(key, name, known) })
 }
 
-/// A config that is not TOML, with what to do about a section that stands twice.
+/// Returns the error for a text that is not TOML, with a hint for a section that occurs twice.
 pub(super) fn not_toml(error: &toml::de::Error, origin: &Origin<'_>) -> ConfigError {
     let again = error.span().and_then(|span| origin.section_again(span.start));
     let hint = again.map(|(name, line)| {
@@ -92,7 +95,7 @@ pub(super) fn not_toml(error: &toml::de::Error, origin: &Origin<'_>) -> ConfigEr
     origin.syntax_with(error, hint)
 }
 
-/// A section that may stand several times in single brackets, or one that stands once in double ones.
+/// Whether a repeatable section is in single brackets, or a unique one in double brackets.
 fn wrong_brackets(path: &[&str], key: &str, value: &DeValue<'_>) -> Option<Problem> {
     let name = section(&[path, &[key]].concat())?.0;
     match (name.starts_with("[["), value) {
@@ -102,7 +105,7 @@ fn wrong_brackets(path: &[&str], key: &str, value: &DeValue<'_>) -> Option<Probl
     }
 }
 
-/// True for anything but a table or an array of tables.
+/// Whether the value is neither a table nor an array of tables.
 fn is_plain(value: &DeValue<'_>) -> bool {
     match value {
         DeValue::Table(_) => false,
@@ -139,12 +142,12 @@ fn visit<'t>(table: &'t DeTable<'_>, path: &mut Vec<&'t str>, see: &mut impl FnM
     }
 }
 
-/// Gives a type error of the reader its key, section and line.
+/// Adds key, section and line to the reader's type error.
 pub(super) fn place_type_error(root: &DeTable<'_>, origin: &Origin<'_>, error: &toml::de::Error) -> ConfigError {
     let Some(span) = error.span() else { return origin.syntax(error) };
     let mut deepest: Option<(usize, String, String)> = None;
     visit(root, &mut Vec::new(), &mut |path, key, key_span, _| {
-        // The key of a value is the last one that starts before it.
+        // A value's key is the last one that starts before it.
         if key_span.start <= span.start && deepest.as_ref().is_none_or(|(start, ..)| *start <= key_span.start) {
             deepest = Some((key_span.start, section_name(path), key.to_owned()));
         }
@@ -155,10 +158,11 @@ pub(super) fn place_type_error(root: &DeTable<'_>, origin: &Origin<'_>, error: &
     }
 }
 
-/// The field names of a struct, as its `Deserialize` asks for them.
+/// Returns a struct's field names, as its `Deserialize` requests them.
 fn fields<'de, T: Deserialize<'de>>() -> &'static [&'static str] {
     let mut names: &'static [&'static str] = &[];
-    // The reader stops with an error as soon as it has heard the names; the error itself says nothing.
+    // The deserializer fails on purpose as soon as it has the names; the error itself is
+    // meaningless.
     let _ = T::deserialize(FieldNames(&mut names));
     names
 }

@@ -1,4 +1,4 @@
-//! `[camera]`: the lens, from its calibration or from a guess, and pictures of which size it is for.
+//! `[camera]`: the lens, from its calibration or from a guess, and for which picture size.
 
 use std::path::{Path, PathBuf};
 
@@ -9,17 +9,17 @@ use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::camera::{CameraModel, LensDoubt, LensGuess};
 
-/// Where the camera's numbers come from.
+/// The source of the camera's parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub enum LensSource {
-    /// A calibration file, relative names resolved.
+    /// A calibration file, with relative names resolved.
     Calibration(PathBuf),
-    /// A guess, with the size of the pictures where `width` and `height` tell it.
+    /// A guess, with the pictures' size if `width` and `height` state it.
     Guess(LensGuess, Option<(u32, u32)>),
 }
 
 impl LensSource {
-    /// The calibration's file, where there is one.
+    /// Returns the calibration file, if there is one.
     pub fn calibration_file(&self) -> Option<&Path> {
         match self {
             Self::Calibration(file) => Some(file),
@@ -27,7 +27,7 @@ impl LensSource {
         }
     }
 
-    /// The size of the pictures that the lens is known for.
+    /// Returns the picture size for which the lens is known.
     pub fn size(&self, camera: &CameraModel) -> Option<(u32, u32)> {
         match self {
             Self::Calibration(_) => Some((camera.width(), camera.height())),
@@ -36,14 +36,14 @@ impl LensSource {
     }
 }
 
-/// Size of the pictures that a guessed lens is made for before a clip or a camera gives theirs, pixels. Any would do: the guess is an
-/// angle.
+/// Picture size for a guessed lens until a clip or camera states its own, pixels. Any size would
+/// do: the guess is an angle.
 const ANY_SIZE: (u32, u32) = (1280, 720);
 
-/// What to write where the config has no lens.
+/// What to write if the config has no lens.
 const MEND: &str = "calibration = \"camera.toml\" (width, height, fx, fy, cx, cy, skew, distortion), or for a first look fov_deg = 60 (degrees across the picture)";
 
-/// The lens and the camera that it makes.
+/// Reads the lens and builds its camera.
 pub(super) fn lens(section: &Section<'_>, typed: Option<&Spanned<as_typed::Camera>>) -> Result<(LensSource, CameraModel), ConfigError> {
     let Some(camera) = typed else {
         return Err(section.origin.missing("the config".to_owned(), "camera.calibration", MEND));
@@ -54,7 +54,7 @@ pub(super) fn lens(section: &Section<'_>, typed: Option<&Spanned<as_typed::Camer
     }
 }
 
-/// The same, where it may be absent.
+/// As [`lens`], but the lens may be absent.
 pub(super) fn found(section: &Section<'_>, camera: &as_typed::Camera) -> Result<Option<(LensSource, CameraModel)>, ConfigError> {
     let guess = guess(section, camera)?;
     let Some(calibration) = &camera.calibration else {

@@ -1,4 +1,4 @@
-//! `[[survey.distance]]` and `[[survey.point]]`: what was measured on the stage, for `stagepose survey`.
+//! `[[survey.distance]]` and `[[survey.point]]`: measurements on the stage, for `stagepose survey`.
 
 use std::ops::Range;
 
@@ -15,16 +15,17 @@ use crate::camera::Pixel;
 use crate::survey::constraints::{Constraint, Measured, PicturePoint};
 use crate::track::{BodySpec, SurfaceSpec};
 
-/// The sections, as messages write them.
+/// The section's name in messages.
 const DISTANCE: &str = "[[survey.distance]]";
 /// See [`DISTANCE`].
 const POINT: &str = "[[survey.point]]";
-/// One sigma of a measurement that says nothing of itself, metres: that of a steel tape in careful hands. Raised, `size_m` has more of a say;
-/// lowered, honest tapes contradict each other.
+/// Default sigma of a measurement, metres: a steel tape in careful hands. Raised, `size_m` has more
+/// weight; lowered, honest tapes contradict each other.
 const USUAL_SIGMA_M: f64 = 0.003;
-/// Sigmas that a measurement may have, metres. Below, no paint has an edge; above, nothing was measured.
+/// Allowed sigmas of a measurement, metres. Paint has no edge sharper than the lower bound; above
+/// the upper one, nothing was measured.
 const SIGMAS_M: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
-/// Lengths that a stage may have, metres, as its surfaces.
+/// Allowed lengths on a stage, metres; the maximum is that of a surface's side.
 const LENGTHS_M: std::ops::RangeInclusive<f64> = 1e-2..=1e3;
 
 /// Reads all measurements, lengths first.
@@ -89,7 +90,7 @@ fn sigma(section: &Section<'_>, typed: Option<&Spanned<Number>>) -> Result<f64, 
     section.number("sigma_m", typed, USUAL_SIGMA_M, |v| SIGMAS_M.contains(&v), "metres from 0.0001 to 1, one sigma")
 }
 
-/// A point of a surface; `typed_at` has the place of `at` in the file.
+/// Resolves a point of a surface; `typed_at` has the place of `at` in the file.
 fn picture_point<T>(
     section: &Section<'_>,
     (key, Count(number), span): (&str, &Count, Range<usize>),
@@ -116,7 +117,8 @@ fn picture_point<T>(
     Ok(PicturePoint { surface, on_picture_m })
 }
 
-/// A raw pixel of a surface's picture, metres from its centre; none beside the surface.
+/// Converts a raw pixel of a surface's picture to metres from its centre; `None` outside the
+/// surface.
 fn on_picture(spec: &SurfaceSpec, [u, v]: [f64; 2]) -> Option<[f64; 2]> {
     let artwork = spec.artwork_pixel(Pixel(Vector2::new(u, v)))?;
     let metres: [f64; 2] = spec.to_metres(artwork).into();
@@ -131,7 +133,7 @@ mod tests {
     use super::*;
     use crate::config::Settings;
 
-    /// The fixture's backdrop, 4 x 3 m, with a flat before it, whose origin the house has elsewhere.
+    /// Loads the fixture's backdrop, 4 x 3 m, with a flat in front of it and these measurements.
     fn load(survey: &str) -> Result<Settings, ConfigError> {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/dolly/stage.toml");
         let text = format!(

@@ -1,10 +1,10 @@
-//! The configuration: what the user typed becomes what the program uses, in one direction.
+//! The configuration: turns what the user typed into what the program uses.
 //!
-//! A config file is TOML (contract C5). [`as_typed`] holds it as it stands in the file, every value with
-//! its place, so that a message can name the line. [`Settings`] is what comes out once every value has
-//! been checked and every file that it names has been read: a camera, pictures, surfaces, tunables.
-//! Nothing is written back. Unknown keys are refused, because a misspelt key that is silently ignored
-//! looks exactly like a tracker that does not work.
+//! A config file is TOML (contract C5). [`as_typed`] holds it as it stands in the file, every value
+//! with its place, so that messages can name the line. [`Settings`] is the result after every value
+//! has been checked and every named file has been read: a camera, pictures, surfaces, tunables.
+//! Nothing is written back. Unknown keys are refused, because an ignored misspelt key looks exactly
+//! like a tracker that does not work.
 
 pub mod as_typed;
 mod bodies;

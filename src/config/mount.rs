@@ -1,4 +1,4 @@
-//! `[mount]`: the filming camera that sits on the tracking one's rig, or on an object.
+//! `[mount]`: the filming camera on the tracking camera's rig, or on an object.
 
 use std::time::Duration;
 
@@ -17,15 +17,16 @@ use crate::publish::{BodyChoice, Mount, MountSettings};
 
 /// The section's name in messages.
 const MOUNT: &str = "[mount]";
-/// What the filming camera is called where the config has no name.
+/// The filming camera's default name.
 const USUAL_NAME: &str = "film";
-/// Longest offset that is taken, metres: a crane's arm. Beyond it a unit has slipped. Raised, offsets in centimetres pass.
+/// Maximum offset, metres: a crane's arm. Longer ones are slips of the unit. Raised, offsets in
+/// centimetres pass.
 const LONGEST_M: f64 = 30.0;
-/// An offset beyond which it is asked whether millimetres or centimetres were meant, metres. Chosen: rigs are shorter. Raised, fewer slips
-/// are noticed; lowered, right ones are asked about.
+/// Offset above which a note reminds that the unit is metres. Chosen: rigs are shorter. Raised,
+/// fewer slips are noticed; lowered, correct offsets get the note.
 const ODD_M: f64 = 3.0;
 
-/// The mount, where there is one; `objects` are the names that are taken, and may carry it.
+/// Reads the mount, if there is one; `objects` are names that are taken and may carry it.
 pub(super) fn mount(
     origin: &Origin<'_>,
     typed: Option<&Spanned<as_typed::Mount>>,
@@ -87,7 +88,8 @@ fn carrier(section: &Section<'_>, typed: &as_typed::Mount, objects: &[String]) -
     Err(section.unusable("on", typed, wanted))
 }
 
-/// The mount's own, from its sigmas: a turn is about the carrier's z, a tilt about its x, a roll about its y.
+/// Returns the mount's covariance, from its sigmas: turn is about the carrier's z, tilt about its
+/// x, roll about its y.
 fn covariance(section: &Section<'_>, typed: &as_typed::Mount) -> Result<Matrix6<f64>, ConfigError> {
     let sigma = |key: &'static str, typed: Option<&Spanned<Exactly<Number, 3>>>, most: f64, wanted: &'static str| {
         let Some(typed) = typed else { return Ok(Vector3::zeros()) };
@@ -130,7 +132,7 @@ mod tests {
         let settings = load("[mount]\noffset_m = [0.1, 0.2, 0.3]\nrotation_deg = [0, 90, 0]\ndelay_s = 0.12\n", OUTPUTS).unwrap();
         let mount = settings.mount.unwrap();
         assert_eq!((mount.name.as_str(), mount.mount.carrier, mount.camera), ("film", BodyChoice::Camera, None));
-        // Tilted up by a quarter, what is ahead of the filming camera is above the rig.
+        // Tilted up by 90 degrees, the filming camera's forward direction is the rig's up.
         let ahead = mount.mount.pose.transform(&nalgebra::Point3::new(0.0, 1.0, 0.0));
         assert!((ahead - nalgebra::Point3::new(0.1, 0.2, 1.3)).norm() < 1e-12);
         let bodies: Vec<_> = settings.outputs.iter().map(|o| o.bodies.clone()).collect();
@@ -139,7 +141,7 @@ mod tests {
         let delays: Vec<_> = settings.outputs.iter().map(|o| o.delay.as_millis()).collect();
         assert_eq!(delays, [120, 120, 120, 0]);
         assert!(matches!(settings.outputs[2].rate, Rate::Fixed { delay, .. } if delay.as_millis() == 120));
-        // An output's own delay is meant for it.
+        // An output's own delay takes precedence.
         let own = OUTPUTS.replace("rate_hz = 50", "rate_hz = 50\ndelay_s = 0.3");
         let settings = load("[mount]\noffset_m = [0, 0, 0]\ndelay_s = 0.12\n", &own).unwrap();
         assert!(matches!(settings.outputs[2].rate, Rate::Fixed { delay, .. } if delay.as_millis() == 300));

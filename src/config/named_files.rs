@@ -1,5 +1,6 @@
-//! The files that a config names (the calibrations, the mask, the surfaces' pictures), and its copy with all of them, so that a recording
-//! can be replayed anywhere and at any time.
+//! The files that a config names (calibrations, the mask, the surfaces' pictures and shapes), and a
+//! copy of the config with all of them, so that a recording can be replayed anywhere and at any
+//! time.
 
 use std::io;
 use std::ops::Range;
@@ -11,7 +12,7 @@ use toml::de::DeTable;
 use super::ConfigSource;
 use super::as_typed::{Config, Surface};
 
-/// What a config means by a file name.
+/// The kind of file that a name refers to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FileKind {
     /// A calibration.
@@ -22,7 +23,7 @@ pub enum FileKind {
     Shape,
 }
 
-/// Every file name in a config, in the order of its tables.
+/// Returns every file name in a config, in the order of its tables.
 pub(super) fn named_files(typed: &Config) -> Vec<(&Spanned<String>, FileKind)> {
     use FileKind::{Calibration, Picture, Shape};
     let mut named: Vec<(Option<&Spanned<String>>, FileKind)> = Vec::new();
@@ -45,7 +46,8 @@ pub(super) fn named_files(typed: &Config) -> Vec<(&Spanned<String>, FileKind)> {
     named.into_iter().filter_map(|(name, kind)| Some((name?, kind))).collect()
 }
 
-/// The paths of the files that a config names, whether they are there or not; none where the text is no config.
+/// Returns the paths of the files that a config names, whether they exist or not; none if the text
+/// is not a config.
 pub fn files_named_in(text: &str, file: &Path) -> Vec<(PathBuf, FileKind)> {
     let folder = file.parent().unwrap_or(Path::new(""));
     let Ok(typed) = Config::parse(text, file) else { return Vec::new() };
@@ -54,17 +56,18 @@ pub fn files_named_in(text: &str, file: &Path) -> Vec<(PathBuf, FileKind)> {
 
 /// A file of a copy: its name in the copy's folder, and its bytes.
 pub type CopiedFile = (String, Vec<u8>);
-/// A change of a config's text: what is replaced, and by what.
+/// A change of a config's text: the range to replace, and its replacement.
 pub(super) type Change = (Range<usize>, String);
 
 impl ConfigSource {
-    /// The config as it was read, as `stage.toml`, and the files that it names, named anew in it; to be written into one folder.
+    /// Returns the config as it was read, named `stage.toml`, and the files it names, renamed in
+    /// it, to be written into one folder.
     ///
-    /// `exposure_s` is what the tracker was given where the config leaves it open: the camera's own, which the copy must
-    /// name for a replay to give the same poses.
+    /// `exposure_s` is the camera's own exposure, which the tracker used if the config leaves it
+    /// open. The copy must state it, so that a replay gives the same poses.
     ///
     /// # Errors
-    /// Only by a defect of the program: the text was read as a config before.
+    /// Only if the program has a defect: the text was read as a config before.
     pub fn copy(&self, exposure_s: Option<f64>) -> io::Result<Vec<CopiedFile>> {
         let typed = Config::parse(&self.text, &self.file).map_err(io::Error::other)?;
         let (mut files, mut changes) = self.named_anew(&typed, |_| false)?;
@@ -73,7 +76,8 @@ impl ConfigSource {
         Ok(files)
     }
 
-    /// Copies of the files that the config names, but for those at spans that are spared, and the changes that name the copies.
+    /// Returns copies of the files that the config names, except at spans that `is_spared` accepts,
+    /// and the changes that name the copies.
     pub(super) fn named_anew(
         &self,
         typed: &Config,
@@ -93,9 +97,9 @@ impl ConfigSource {
         Ok((files, changes))
     }
 
-    /// The config's text after changes, as `stage.toml`.
+    /// Returns the config's text after the changes, as `stage.toml`.
     pub(super) fn changed(&self, mut changes: Vec<Change>) -> CopiedFile {
-        // From the end, so that the spans in front stay where they are.
+        // Apply changes from the end, so that earlier spans stay valid.
         changes.sort_by_key(|(span, _)| std::cmp::Reverse((span.start, span.end)));
         let mut copy = self.text.to_string();
         for (span, new) in changes {
@@ -104,7 +108,7 @@ impl ConfigSource {
         ("stage.toml".to_owned(), copy.into_bytes())
     }
 
-    /// The change that puts an exposure into a config which leaves it open.
+    /// Returns the change that adds an exposure to a config that leaves it open.
     fn exposure(&self, typed: &Config, exposure_s: f64) -> Option<Change> {
         match typed.camera.as_ref().and_then(|camera| camera.get_ref().exposure_s.as_ref()) {
             Some(typed) if typed.get_ref().0 != 0.0 => None,
@@ -118,12 +122,12 @@ impl ConfigSource {
     }
 }
 
-/// The change that adds a key to a table; `None` where the table is empty.
+/// Returns the change that adds a key to a table; `None` if the table is empty.
 pub(super) fn added(text: &str, table: &DeTable, key: &str, value: &str) -> Option<Change> {
     let first = table.keys().map(|key| key.span().start).min()?;
     let before = &text[..first];
     let line = &before[before.rfind('\n').map_or(0, |end| end + 1)..];
-    // What stands before the first key says how keys are joined: in a table of its own, in braces, or by dots.
+    // The text before the first key shows the style: one key per line, in braces, or dotted.
     let has_own_line = line.trim().is_empty() || line.trim_end().ends_with('.');
     let join = if has_own_line { format!("\n{line}") } else { ", ".to_owned() };
     Some((first..first, format!("{key} = {value}{join}")))
@@ -183,7 +187,7 @@ mod tests {
                 "{camera}"
             );
         }
-        // One that is set stays.
+        // A configured exposure stays.
         let camera = "[camera]\ncalibration = \"camera.toml\"\nexposure_s = 0.01\n";
         let was = Settings::from_text(&format!("{camera}{surface}"), &Path::new(FIXTURE).join("stage.toml")).unwrap();
         let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Where a value stands: turns byte spans of the config's text into lines, and lines into messages.
+//! Positions of values: turns byte spans of the config's text into lines, and lines into messages.
 
 use std::cell::RefCell;
 use std::ops::Range;
@@ -8,14 +8,14 @@ use super::source::FilesRead;
 use super::{ConfigError, Problem};
 use crate::camera::slips;
 
-/// A config's file name and text, and what was read of the files that it names.
+/// A config's file name and text, and the content of the files it names.
 pub(super) struct Origin<'a> {
     pub file: &'a Path,
     text: &'a str,
     pub files: FilesRead,
-    /// What is to be said of the files that were read, a sentence each.
+    /// Notes on the files that were read, one sentence each.
     pub remarks: RefCell<Vec<String>>,
-    /// What every command warns of, a sentence each.
+    /// Warnings that every command prints, one sentence each.
     pub warnings: RefCell<Vec<String>>,
 }
 
@@ -24,13 +24,13 @@ impl<'a> Origin<'a> {
         Self { file, text, files: FilesRead::default(), remarks: RefCell::default(), warnings: RefCell::default() }
     }
 
-    /// The 1-based line of a byte span's start.
+    /// Returns the line of a byte span's start, counted from 1.
     pub fn line(&self, span: &Range<usize>) -> usize {
         let before = &self.text.as_bytes()[..span.start.min(self.text.len())];
         1 + before.iter().filter(|&&b| b == b'\n').count()
     }
 
-    /// A file name in the config, relative to the config's own folder.
+    /// Resolves a file name in the config relative to the config's folder.
     pub fn beside(&self, name: &str) -> PathBuf {
         self.file.parent().unwrap_or(Path::new("")).join(name)
     }
@@ -39,7 +39,7 @@ impl<'a> Origin<'a> {
         self.syntax_with(error, None)
     }
 
-    /// The same with words on what to do, where they are known.
+    /// As [`syntax`](Self::syntax), with a hint if one is known.
     pub fn syntax_with(&self, error: &toml::de::Error, hint: Option<String>) -> ConfigError {
         let span = error.span().unwrap_or(0..0);
         let words = one_line(error.message());
@@ -48,8 +48,8 @@ impl<'a> Origin<'a> {
         ConfigError::Syntax { file: self.file.to_owned(), line: self.line(&span), reason }
     }
 
-    /// The section in single brackets that begins there for the second time, and the line of the
-    /// first.
+    /// Returns the single-bracket section that starts there for the second time, and the line of
+    /// the first.
     pub fn section_again(&self, at: usize) -> Option<(&str, usize)> {
         let name = slips::single_section(self.text, at)?;
         let start = self.text.get(..at)?.rfind('\n').map_or(0, |newline| newline + 1);
@@ -59,7 +59,7 @@ impl<'a> Origin<'a> {
         Some((name, self.line(&(first..first))))
     }
 
-    /// A type error's words, and what to type.
+    /// Returns a type error's message, with a hint on what to type.
     pub fn type_words(&self, error: &toml::de::Error) -> String {
         let words = one_line(error.message());
         let wanted = words.rsplit_once("expected an array of ").and_then(|(_, rest)| rest.split(' ').next()?.parse().ok());
@@ -77,18 +77,19 @@ impl<'a> Origin<'a> {
         }
     }
 
-    /// `section` may carry its own line ("[[object]], line 7,"), since a missing key has none.
+    /// Returns the error for a missing key. `section` may include its line ("[[object]], line 7,"),
+    /// since a missing key has none.
     pub fn missing(&self, section: String, key: &'static str, mend: &'static str) -> ConfigError {
         ConfigError::Missing { file: self.file.to_owned(), section, key, mend }
     }
 
-    /// A section's name followed by the line on which it begins.
+    /// Returns a section's name with the line on which it starts.
     pub fn section_at(&self, section: &str, span: &Range<usize>) -> String {
         format!("{section}, line {},", self.line(span))
     }
 }
 
-/// Parser messages may span lines; ours are one sentence.
+/// Joins the lines of a parser's message: our messages are one sentence.
 pub(super) fn one_line(message: &str) -> String {
     message.lines().map(str::trim).filter(|l| !l.is_empty()).collect::<Vec<_>>().join("; ")
 }

@@ -75,7 +75,7 @@ fn one_text_needs_no_brackets_and_words_any_case() {
     assert!((turned + nalgebra::Vector3::x()).norm() < 1e-12);
     assert!(matches!(&osc.protocol, Protocol::Osc(osc) if osc.messages.len() == 1));
     assert_eq!((freed.udp.to.len(), freed.protocol.word(), open.protocol.word()), (2, "freed", "opentrackio"));
-    // An object that is called so is meant before the camera.
+    // An object of that name takes precedence over the camera.
     let named = load("[[object]]\nname = \"Camera\"\n[[output]]\nkind = \"psn\"\nto = \"127.0.0.1:1\"\nbodies = \"Camera\"\n").unwrap();
     assert_eq!(named.outputs[0].bodies, [BodyChoice::Object(0)]);
 }
@@ -205,7 +205,7 @@ fn what_the_machine_does_not_give_is_told_with_its_line() {
     let foreign = "[[output]]\nkind = \"freed\"\nto = [\"239.1.2.3:4000\"]\ninterface = \"203.0.113.7\"";
     let said = rehearse(foreign).unwrap_err();
     assert!(said.contains("`interface` in [[output]], line 9: cannot send by UDP"), "{said}");
-    // Each of two finds a port free while it is tried alone.
+    // Each of the two finds the port free when tried alone.
     let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let output = |address: &str| format!("[[output]]\nkind = \"json\"\ntcp_listen = \"{address}\"\n");
     let everywhere = format!("0.0.0.0:{}", free.port());
@@ -222,14 +222,14 @@ fn what_the_machine_does_not_give_is_told_with_its_line() {
     assert!(
         !rehearse(&format!("{}{}", output(&free.to_string()), output(&format!("127.0.0.1:{other}")))).is_err_and(|e| e.contains("too"))
     );
-    // Receivers know bodies by their names.
+    // Receivers identify bodies by name.
     let object = |name: &str| format!("[[object]]\nname = \"{name}\"\n[[object.surface]]\nimage = \"art.png\"\nsize_m = [1, 1]\n");
     let osc = |more: &str| format!("[[output]]\nkind = \"osc\"\nto = \"127.0.0.1:{}\"\n{more}", free.port());
     let said = rehearse(&format!("{}{}", object("Camera"), osc(""))).unwrap_err();
     assert!(said.contains("`name` in [[object]], line 7: `Camera` is what outputs call the camera itself"), "{said}");
     assert_eq!(rehearse(&format!("{}{}", object("Camera"), osc("bodies = \"Camera\""))), Ok(()));
     assert_eq!(rehearse(&format!("{}{}", object("cart"), osc(""))), Ok(()));
-    // An output that is not enabled needs nothing.
+    // A disabled output needs nothing.
     assert_eq!(rehearse(&format!("{foreign}\nenabled = false")), Ok(()));
     let into_nothing = "[[output]]\nkind = \"json\"\nfile = \"logs/sent.jsonl\"";
     let said = rehearse(into_nothing).unwrap_err();
@@ -237,7 +237,8 @@ fn what_the_machine_does_not_give_is_told_with_its_line() {
     std::fs::create_dir(folder.path().join("logs")).unwrap();
     assert_eq!(rehearse(into_nothing), Ok(()));
     assert!(!folder.path().join("logs/sent.jsonl").exists(), "a rehearsal makes no file");
-    // Two that write to one file, by whatever name; devices and standard output may be shared.
+    // Two outputs to one file, by whatever name, are refused; devices and standard output may be
+    // shared.
     let line = |file: &str| format!("[[output]]\nkind = \"json\"\nfile = \"{file}\"\n");
     std::os::unix::fs::symlink("logs", folder.path().join("other")).unwrap();
     for (one, two) in [("a.jsonl", "./a.jsonl"), ("logs/a", "other/a")] {
@@ -248,7 +249,7 @@ fn what_the_machine_does_not_give_is_told_with_its_line() {
     for (one, two) in [("a.jsonl", "b.jsonl"), ("/dev/null", "/dev/null"), ("-", "-")] {
         assert_eq!(rehearse(&format!("{}{}", line(one), line(two))), Ok(()), "{one} {two}");
     }
-    // What the config that runs holds is free for the next one; what others hold is not.
+    // What the running config holds is free for the next one; what others hold is not.
     let listens = format!("[[output]]\nkind = \"json\"\ntcp_listen = \"{at}\"");
     let file = folder.path().join("stage.toml");
     std::fs::write(&file, format!("{stage}{listens}")).unwrap();
@@ -257,7 +258,7 @@ fn what_the_machine_does_not_give_is_told_with_its_line() {
     std::fs::write(&file, stage).unwrap();
     let silent = Settings::load(&file).unwrap();
     assert!(running.rehearse_outputs_beside(&silent.listens().collect::<Vec<_>>()).is_err());
-    // A port to send to may be anybody's.
+    // A destination port may belong to anyone.
     let receiver = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     assert_eq!(rehearse(&format!("[[output]]\nkind = \"freed\"\nto = [\"{receiver}\"]")), Ok(()));
 }
@@ -292,7 +293,7 @@ fn the_examples_for_receivers_are_good() {
             continue;
         }
         let text = std::fs::read_to_string(&file).unwrap();
-        // The calibration is the user's own.
+        // The calibration is the user's own file.
         let text: String = text.lines().filter(|l| !l.starts_with("calibration")).map(|l| format!("{l}\n")).collect();
         let settings = load(&text).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
         assert!(!settings.outputs.is_empty() && text.contains("from vendor documents, not run"), "{}", file.display());
@@ -306,10 +307,10 @@ fn a_receiver_brings_its_axes_and_units() {
     let placement = |text: &str| load(text).unwrap().outputs[0].placement;
     let unreal = placement(&format!("{OSC}receiver = \"Unreal\"\n"));
     assert_eq!((unreal.order, unreal.scale, unreal.angle_signs), ([1, 0, 2], 100.0, [-1.0, 1.0, 1.0]));
-    // What is typed beside it counts on top: metres, and a pan that is turned round once more.
+    // Explicit keys apply on top: metres, and a pan that is inverted once more.
     let own = placement(&format!("{OSC}receiver = \"unreal\"\nscale = 1\ninvert = [\"pan\"]\noffset_m = [1, 2, 3]\n"));
     assert_eq!((own.order, own.scale, own.angle_signs, own.offset_m.y), ([1, 0, 2], 1.0, [1.0; 3], 2.0));
-    // Protocols with axes of their own are turned by the receiver's reader.
+    // Protocols with their own axes are converted by the receiver.
     for receiver in ["unreal", "disguise", "touchdesigner", "lighting"] {
         assert!(placement(&format!("{FREED}receiver = \"{receiver}\"\n")).is_identity());
     }

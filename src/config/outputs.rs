@@ -18,16 +18,16 @@ use crate::publish::{
 
 /// The section's name in messages.
 pub(super) const OUTPUT: &str = "[[output]]";
-/// How far back ticks lie: two frames at 30 a second and the tracker's time, so that poses are interpolated. Raised, outputs lag more;
-/// lowered, ticks are predictions more often.
+/// Default lag of ticks, seconds: two frames at 30 per second plus the tracker's time, so that
+/// poses are interpolated. Raised, outputs lag more; lowered, ticks are predictions more often.
 const USUAL_DELAY_S: f64 = 0.08;
 
-/// Reads outputs for one config.
+/// Reads the outputs of one config.
 pub(super) struct OutputReader<'a> {
     pub origin: &'a Origin<'a>,
     /// The objects' names, in their order.
     pub objects: Vec<String>,
-    /// `[mount]`
+    /// The mount, if there is one.
     pub mount: Option<&'a MountSettings>,
 }
 
@@ -63,7 +63,8 @@ impl OutputReader<'_> {
         let on_loss = on_loss(&section, output, &protocol)?;
         let placement = placement(&section, output, &protocol)?;
         let bodies = self.bodies(&section, output, &protocol)?;
-        // Whoever draws on the filming camera's picture wants everything as it was when that was taken.
+        // A receiver that draws on the filming camera's picture needs everything as of the time
+        // that picture was taken.
         let mount_delay = self.mount.filter(|_| bodies.contains(&BodyChoice::Mount)).map_or(Duration::ZERO, |mount| mount.delay);
         Ok(OutputSettings {
             name,
@@ -119,7 +120,7 @@ impl OutputReader<'_> {
 
     fn interface(&self, section: &Section<'_>, output: &as_typed::Output, to: &[SocketAddr]) -> Result<Option<Interface>, ConfigError> {
         let Some(typed) = &output.interface else { return Ok(None) };
-        // A network's name says something to IPv6 alone; elsewhere it is an address with a slip.
+        // Only IPv6 uses interface names; for IPv4 such a text is a mistyped address.
         let has_v6 = to.iter().any(SocketAddr::is_ipv6);
         let interface = Interface::parse(typed.get_ref()).filter(|i| has_v6 || matches!(i, Interface::Address(_)));
         let wanted = if has_v6 {
@@ -133,8 +134,9 @@ impl OutputReader<'_> {
     fn bodies(&self, section: &Section<'_>, output: &as_typed::Output, protocol: &Protocol) -> Result<Vec<BodyChoice>, ConfigError> {
         let takes_one = matches!(protocol, Protocol::Freed(_) | Protocol::OpenTrackIo(_));
         let Some(typed) = &output.bodies else {
-            // Who takes one camera draws on its picture: the filming one's, where there is one. Who takes all has it last, so that the
-            // others keep their numbers.
+            // A protocol with one camera is used to draw on its picture: the filming camera's, if
+            // there is one. A protocol with all bodies gets it last, so that the others keep their
+            // numbers.
             if takes_one {
                 return Ok(vec![self.mount.map_or(BodyChoice::Camera, |_| BodyChoice::Mount)]);
             }
@@ -179,7 +181,8 @@ fn on_loss(section: &Section<'_>, output: &as_typed::Output, protocol: &Protocol
     }
 }
 
-/// Ticks lie back by the mount's delay, where that is more than what they need to be interpolated and the output does not say otherwise.
+/// Reads the rate. Ticks lag by `delay_s`, by default the mount's delay, or [`USUAL_DELAY_S`] if
+/// there is none.
 fn rate(section: &Section<'_>, output: &as_typed::Output, mount_delay: Duration) -> Result<Rate, ConfigError> {
     let every = section.count("rate_divider", output.rate_divider.as_ref(), 1, 1..=1000, "a whole number from 1 to 1000")?;
     let Some(typed) = &output.rate_hz else {
@@ -200,8 +203,8 @@ fn rate(section: &Section<'_>, output: &as_typed::Output, mount_delay: Duration)
     Ok(Rate::Fixed { rate, delay: Duration::from_secs_f64(delay) })
 }
 
-/// The axes of the receiver that is named. FreeD, OpenTrackIO and PSN have axes of their own, which every receiver's reader knows: there the
-/// name changes nothing. OSC has bare numbers.
+/// Returns the named receiver's axes. FreeD, OpenTrackIO and PSN define their own axes, which every
+/// receiver knows, so the name has no effect there. OSC sends bare numbers.
 fn receiver_axes(section: &Section<'_>, output: &as_typed::Output, protocol: &Protocol) -> Result<Axes, ConfigError> {
     let receivers =
         [("unreal", Axes::UNREAL), ("disguise", Axes::DISGUISE), ("touchdesigner", Axes::TOUCHDESIGNER), ("lighting", Axes::STAGE)];
@@ -237,7 +240,7 @@ fn placement(section: &Section<'_>, output: &as_typed::Output, protocol: &Protoc
     Ok(placement)
 }
 
-/// `[safety]`
+/// Reads `[safety]`.
 pub(super) fn safety(origin: &Origin<'_>, typed: Option<&as_typed::Safety>) -> Result<SafetySettings, ConfigError> {
     let default = SafetySettings::usual();
     let Some(typed) = typed else { return Ok(default) };

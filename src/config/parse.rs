@@ -1,4 +1,5 @@
-//! The text of a config file becomes a [`Config`]: first come the refusals that name a line, then TOML's own types.
+//! Parses a config file's text into a [`Config`]: first the checks that name a line, then TOML's
+//! own types.
 
 use std::ops::Range;
 use std::path::Path;
@@ -26,10 +27,11 @@ impl Config {
     }
 }
 
-/// Refuses the first key or text in the file that holds a control character, or another that does not stand for itself.
+/// Refuses the first key or text in the file that has a control or invisible character.
 ///
-/// Names and files of a config go out in records, packets, lines and logs. What a terminal would obey, or what makes one name look
-/// like another, has no business in them; here it is refused once, with its line.
+/// A config's names and files appear in records, packets, lines and logs. Characters that a
+/// terminal obeys, or that make one name look like another, must not get there; they are refused
+/// here once, with their line.
 fn refuse_control_characters(root: &DeTable<'_>, origin: &Origin<'_>) -> Result<(), ConfigError> {
     refuse_first(root, |path, key, key_span, value| {
         let in_key = (!is_plain(key)).then(|| (key_span.clone(), key.to_owned()));
@@ -43,7 +45,8 @@ fn is_plain(text: &str) -> bool {
     text.chars().all(stands_for_itself)
 }
 
-/// The text in a value, also in its arrays, that has such a character. Tables are visited by themselves.
+/// Returns the text in a value, or in its arrays, that has such a character. Tables are visited
+/// separately.
 fn text_with_one(value: &DeValue<'_>, span: Range<usize>) -> Option<(Range<usize>, String)> {
     match value {
         DeValue::String(text) if !is_plain(text) => Some((span, text.clone().into_owned())),

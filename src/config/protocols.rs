@@ -1,4 +1,5 @@
-//! What each `kind` of `[[output]]` reads besides the keys that all have; a key of another kind is refused.
+//! The keys that each `kind` of `[[output]]` reads besides the common ones; keys of other kinds are
+//! refused.
 
 use std::net::SocketAddr;
 use std::ops::Range;
@@ -16,8 +17,8 @@ use crate::publish::osc::{AddressTemplate, OscMessageKind, OscSettings, OscValue
 use crate::publish::psn::PsnSettings;
 use crate::publish::{JsonSettings, Protocol, StreamSettings};
 
-/// The sensor's width that lengths refer to where none is given, millimetres: that of a 1/3-inch sensor, common in webcams. It only scales
-/// focal lengths in messages; their ratio to the width is right with any.
+/// Default sensor width, millimetres: a 1/3-inch sensor, common in webcams. It only scales focal
+/// lengths in messages; their ratio to the width is correct with any value.
 const SENSOR_WIDTH_MM: f64 = 4.8;
 
 #[derive(Clone, Copy, PartialEq)]
@@ -29,7 +30,7 @@ enum Kind {
     Json,
 }
 
-/// The protocol of an output whose section begins at `span`.
+/// Reads the protocol of an output whose section starts at `span`.
 pub(super) fn protocol(section: &Section<'_>, output: &as_typed::Output, span: &Range<usize>) -> Result<Protocol, ConfigError> {
     let kinds = [("freed", Kind::Freed), ("opentrackio", Kind::OpenTrackIo), ("psn", Kind::Psn), ("osc", Kind::Osc), ("json", Kind::Json)];
     let Some(typed) = &output.kind else {
@@ -47,10 +48,10 @@ pub(super) fn protocol(section: &Section<'_>, output: &as_typed::Output, span: &
     })
 }
 
-/// A key, where it stands if it does, the kinds that read it, and what to do elsewhere.
+/// A key, its place if it is there, the kinds that read it, and what to do elsewhere.
 type Owned = (&'static str, Option<Range<usize>>, &'static [Kind], &'static str);
 
-/// A key that this kind does not read would be without effect, which nobody wants.
+/// Refuses a key that this kind does not read: it would have no effect.
 fn refuse_others_keys(section: &Section<'_>, o: &as_typed::Output, kind: Kind) -> Result<(), ConfigError> {
     fn at<T>(typed: &Option<Spanned<T>>) -> Option<Range<usize>> {
         typed.as_ref().map(Spanned::span)
@@ -92,7 +93,7 @@ fn freed(section: &Section<'_>, o: &as_typed::Output) -> Result<FreedSettings, C
     let zoom = section.count("zoom", o.zoom.as_ref(), 0, 0..=0xFF_FFFF, raw)?;
     let focus = section.count("focus", o.focus.as_ref(), 0, 0..=0xFF_FFFF, raw)?;
     Ok(FreedSettings {
-        // The ranges above fit.
+        // The ranges above fit the types.
         camera_id: camera_id as u8,
         spare: section.word("spare", o.spare.as_ref(), Spare::Quality, &spares, "quality, frame, sony or zero")?,
         zoom: o.zoom.as_ref().map(|_| zoom as u32),
@@ -104,7 +105,7 @@ fn freed(section: &Section<'_>, o: &as_typed::Output) -> Result<FreedSettings, C
 fn opentrackio(section: &Section<'_>, o: &as_typed::Output) -> Result<OpenTrackIoSettings, ConfigError> {
     let encodings = [("json", Encoding::Json), ("cbor", Encoding::Cbor)];
     let points = [("projection", PrincipalPoint::Projection), ("both", PrincipalPoint::Both)];
-    // Unreal reads it from a field of its own.
+    // Unreal reads the principal point from a separate field.
     let is_unreal = o.receiver.as_ref().is_some_and(|receiver| receiver.get_ref().trim().eq_ignore_ascii_case("unreal"));
     let usual = if is_unreal { PrincipalPoint::Both } else { PrincipalPoint::Projection };
     let source = section.count("source_number", o.source_number.as_ref(), 1, 1..=200, "a whole number from 1 to 200")?;
@@ -191,7 +192,7 @@ fn json(section: &Section<'_>, o: &as_typed::Output) -> Result<JsonSettings, Con
     Ok(JsonSettings { stream: StreamSettings { tcp_listen, file: file.transpose()? } })
 }
 
-/// An address of this machine to wait on.
+/// Parses an address of this machine to listen on.
 pub(super) fn address(section: &Section<'_>, key: &str, typed: &Spanned<String>) -> Result<SocketAddr, ConfigError> {
     let wanted = "an IP address and a port from 1 to 65535, such as \"127.0.0.1:9000\"";
     let address = typed.get_ref().parse::<SocketAddr>().ok().filter(|a| a.port() != 0);

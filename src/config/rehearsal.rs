@@ -1,4 +1,5 @@
-//! What `check` tries of a config's outputs: whether they get their ports and folders on this machine, and whether a receiver can tell them apart.
+//! What `check` tries of a config's outputs: whether their ports and folders are available, and
+//! whether receivers can tell bodies apart.
 
 use std::ffi::OsString;
 use std::net::{SocketAddr, TcpListener};
@@ -18,12 +19,13 @@ impl Settings {
     /// Opens every output and the HTTP server's port and closes them again.
     ///
     /// # Errors
-    /// The first one that this machine does not give, or that stands in the way of another, with its place in the config.
+    /// The first one that is not available or conflicts with another, with its place in the config.
     pub fn rehearse_outputs(&self) -> Result<(), ConfigError> {
         self.rehearse_outputs_beside(&[])
     }
 
-    /// As [`rehearse_outputs`](Self::rehearse_outputs), beside what this process listens on: that will be free for it.
+    /// As [`rehearse_outputs`](Self::rehearse_outputs), ignoring what this process listens on, as
+    /// that will be free for the new config.
     ///
     /// # Errors
     /// As [`rehearse_outputs`](Self::rehearse_outputs).
@@ -47,7 +49,8 @@ impl Settings {
         Err(origin.value("[http]", "listen", &http_place(&typed), Problem::Listen { address: http.listen, reason }))
     }
 
-    /// An object that is called as outputs call the camera: receivers cannot tell the two apart where both are sent.
+    /// Refuses an object with the camera's output name if an output sends both: receivers cannot
+    /// tell them apart.
     fn names_differ(&self, typed: &Config, origin: &Origin<'_>) -> Result<(), ConfigError> {
         let is_camera = |name: &str| name.eq_ignore_ascii_case("camera");
         let Some(index) = self.objects.iter().position(|object| is_camera(&object.name)) else { return Ok(()) };
@@ -61,13 +64,13 @@ impl Settings {
         }
     }
 
-    /// Where it listens.
+    /// Returns the addresses it listens on.
     pub(crate) fn listens(&self) -> impl Iterator<Item = SocketAddr> + '_ {
         let of_outputs = self.outputs.iter().filter(|output| output.enabled).filter_map(|output| output.stream()?.tcp_listen);
         of_outputs.chain(self.http.as_ref().map(|http| http.listen))
     }
 
-    /// Two that write to one file, by whatever name: each would write into the other's lines.
+    /// Refuses two outputs to one file, by whatever name: their lines would mix.
     fn files_differ(&self, typed: &Config, origin: &Origin<'_>) -> Result<(), ConfigError> {
         let mut taken: Vec<(FilePlace, &str)> = Vec::new();
         for (output, typed) in self.outputs.iter().zip(&typed.output).filter(|(output, _)| output.enabled) {
@@ -83,7 +86,7 @@ impl Settings {
         Ok(())
     }
 
-    /// Two that listen on one port of this machine: each would find it free while it is tried alone.
+    /// Refuses two listeners on one port of this machine: each would find it free when tried alone.
     fn ports_differ(&self, typed: &Config, origin: &Origin<'_>) -> Result<(), ConfigError> {
         let mut taken: Vec<(SocketAddr, String)> = Vec::new();
         let of_outputs = self.outputs.iter().zip(&typed.output).filter(|(output, _)| output.enabled).filter_map(|(output, typed)| {
@@ -102,12 +105,14 @@ impl Settings {
     }
 }
 
-/// A file as the system knows it: its device and number, or, where it is not there yet, those of its folder and its name.
+/// A file's identity: device and inode, or, if it does not exist yet, its folder's device and inode
+/// and its name.
 #[derive(Debug, PartialEq)]
 struct FilePlace(u64, u64, Option<OsString>);
 
 impl FilePlace {
-    /// None for what several outputs may share: standard output, and devices, which keep nothing.
+    /// Returns the identity; `None` for what several outputs may share: standard output, and
+    /// devices, which store nothing.
     fn of(file: &Path) -> Option<Self> {
         if file == Path::new("-") {
             return None;
@@ -121,13 +126,14 @@ impl FilePlace {
     }
 }
 
-/// Whether two cannot both listen. An address that stands for all of this machine's takes the port on each; port 0 is any free one.
+/// Whether two addresses cannot both be listened on. An unspecified address takes the port on every
+/// address; port 0 is any free one.
 fn collide(a: SocketAddr, b: SocketAddr) -> bool {
     let (a_ip, b_ip) = (a.ip().to_canonical(), b.ip().to_canonical());
     a.port() != 0 && a.port() == b.port() && (a_ip == b_ip || a_ip.is_unspecified() || b_ip.is_unspecified())
 }
 
-/// The key that asked for what this machine does not give, and where it stands.
+/// Returns the key that requested the unavailable resource, and its place.
 fn place_of(error: &TransportError, output: &Output, section: Range<usize>) -> (&'static str, Range<usize>) {
     let (key, span) = match error {
         TransportError::Udp(_) => ("interface", output.interface.as_ref().map(Spanned::span)),

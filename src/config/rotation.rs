@@ -1,10 +1,15 @@
-//! Rotations as configs give them: a quaternion, or three angles in stage words.
+//! Rotations as configs state them: a quaternion, or three angles.
 //!
-//! `[turn, tilt, roll]` in degrees, one after the other, each about an axis of what has been turned so far, right-handed:
-//! turn about the vertical (positive: anticlockwise seen from above), tilt about its own x (to its right; positive: a
-//! surface looks down, a receiver's or a body's front goes up), roll about the line that a surface faces along (its
-//! normal; positive: anticlockwise for who looks at its face), for a frame about its own y. [0, 0, 0] is where a surface
-//! stands by default, upright with its face to the audience; of a frame it is no rotation at all.
+//! The angles are `[turn, tilt, roll]` in degrees, applied in this order, each about an axis of the
+//! already rotated frame, right-handed:
+//! - turn is about the vertical (positive: anticlockwise seen from above);
+//! - tilt is about the frame's x, to its right (positive: a surface looks down, a receiver's or a
+//!   body's front goes up);
+//! - roll is about a surface's normal (positive: anticlockwise as seen by someone facing the
+//!   surface); for a frame, about its y.
+//!
+//! [0, 0, 0] is a surface's default, upright with its face to the audience; for a frame it is the
+//! identity.
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -15,7 +20,7 @@ use super::typed_values::{Exactly, Number};
 use super::values::Section;
 use super::{ConfigError, Problem};
 
-/// What is turned.
+/// What is rotated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Turned {
     /// A surface: its frame has x right and y up in its picture, z out of its face.
@@ -27,7 +32,7 @@ pub(super) enum Turned {
 }
 
 impl Turned {
-    /// The rotation where nothing is given.
+    /// Returns the default rotation.
     fn default(self) -> UnitQuaternion<f64> {
         match self {
             Self::Surface => UnitQuaternion::from_quaternion(Quaternion::new(FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0, 0.0)),
@@ -35,7 +40,7 @@ impl Turned {
         }
     }
 
-    /// The rotation of three angles in degrees.
+    /// Returns the rotation for three angles in degrees.
     fn by_angles(self, [turn, tilt, roll]: [f64; 3]) -> UnitQuaternion<f64> {
         let about = |axis, degrees: f64| UnitQuaternion::from_axis_angle(&axis, degrees.to_radians());
         let (turn, tilt) = (about(Vector3::z_axis(), turn), about(Vector3::x_axis(), tilt));
@@ -45,7 +50,8 @@ impl Turned {
         }
     }
 
-    /// The rotation as typed: by its quaternion or by its angles (`rotation_deg`), of which at most one may be there.
+    /// Returns the rotation as typed, by its quaternion or its angles (`rotation_deg`); at most one
+    /// may be present.
     pub fn typed(
         self,
         section: &Section<'_>,
@@ -75,7 +81,7 @@ impl Turned {
     }
 }
 
-/// Angles that are given, one full turn at most: more is a slip.
+/// Maximum absolute value of an angle, degrees: one full turn; more is a slip.
 const LARGEST_DEG: f64 = 360.0;
 
 fn unit_quaternion(section: &Section<'_>, key: &str, typed: &Spanned<Exactly<Number, 4>>) -> Result<UnitQuaternion<f64>, ConfigError> {
@@ -93,7 +99,7 @@ fn unit_quaternion(section: &Section<'_>, key: &str, typed: &Spanned<Exactly<Num
 mod tests {
     use super::*;
 
-    /// Where a surface's right, its picture's up and its face point in the stage.
+    /// Returns the stage directions of a surface's right, its picture's up and its face.
     fn axes(angles: [f64; 3]) -> [[f64; 3]; 3] {
         let rotation = Turned::Surface.by_angles(angles);
         let rounded = |axis: Vector3<f64>| (rotation * axis).map(|v| (v * 1e4).round() / 1e4 + 0.0).into();

@@ -1,4 +1,4 @@
-//! The config once everything in it has been checked and every file that it names has been read.
+//! The config after everything in it has been checked and every file it names has been read.
 
 use std::collections::BTreeMap;
 use std::os::unix::fs::MetadataExt;
@@ -39,77 +39,79 @@ use crate::tracker::TrackerSetup;
 pub struct Settings {
     /// The config file.
     pub file: PathBuf,
-    /// It and all that it names, as they were read.
+    /// The config's text and the files it names, as they were read.
     pub source: ConfigSource,
-    /// Where the config names the calibration, 1-based; where it names none, its section.
+    /// Line of the calibration, counted from 1; without one, the line of its section.
     pub(crate) calibration_line: usize,
-    /// Where the camera's numbers come from.
+    /// The source of the camera's parameters.
     pub(crate) lens: LensSource,
-    /// The camera at the calibration's own picture size (a guess: at any); [`camera_for`](Self::camera_for) fits it to a clip.
+    /// The camera at the calibration's picture size (any size, for a guess);
+    /// [`camera_for`](Self::camera_for) fits it to a clip.
     pub camera: CameraModel,
     /// What is known of its shutter.
     pub shutter: KnownShutter,
-    /// Black where the camera's picture is to be ignored; of the calibration's aspect ratio.
+    /// Black where the camera's picture is to be ignored; it has the calibration's aspect ratio.
     pub mask: Option<GrayImage>,
     /// How to open the camera, for the commands that do.
     pub(crate) device: DeviceSettings,
     /// The stage.
     pub stage: BodySpec,
-    /// Where the config itself has the stage's first surface, before `[stage] origin` moved it.
+    /// The first surface's pose in the config, before `[stage] origin` moved it.
     pub(crate) first_as_typed: Pose<Body, SurfaceFrame>,
     /// The tracked objects, in the order of the file.
     pub objects: Vec<BodySpec>,
-    /// What was measured on the stage, for a survey.
+    /// Measurements on the stage, for a survey.
     pub(crate) measured: Vec<Constraint>,
-    /// The filming camera on the rig; none without `[mount]`.
+    /// The filming camera on the rig; `None` without `[mount]`.
     pub(crate) mount: Option<MountSettings>,
     /// The tracker's tunables.
     pub tracker: TrackerSettings,
-    /// What is recorded beside the tracking.
+    /// What is recorded while tracking.
     pub(crate) recorder: RecorderSettings,
-    /// What happens to the measured pose before it is given.
+    /// How the measured pose is filtered before it is reported.
     pub filter: FilterSettings,
-    /// Limits that every output keeps.
+    /// Limits for every output.
     pub(crate) safety: SafetySettings,
     /// Where poses go, in the order of the file.
     pub(crate) outputs: Vec<OutputSettings>,
-    /// The HTTP server; none without `[http]`.
+    /// The HTTP server; `None` without `[http]`.
     pub(crate) http: Option<HttpSettings>,
     /// What is logged, and how.
     pub(crate) log: LogSettings,
-    /// Every file that was read: the config and what it names.
+    /// Every file that was read: the config and the files it names.
     pub files: Vec<PathBuf>,
-    /// What was assumed or looks odd, one sentence each; `check` prints them.
+    /// Assumptions and oddities, one sentence each; `check` prints them.
     pub notes: Vec<String>,
-    /// What was left out of the config, and numbers that are rare, one sentence each; every command warns of them.
+    /// Parts of the config that were left out, and unusual numbers, one sentence each; every
+    /// command warns of them.
     pub warnings: Vec<String>,
 }
 
-/// What belongs to sending alone.
+/// The part of a config needed for sending.
 #[derive(Debug, Clone)]
 pub struct SendingSettings {
-    /// The calibrated camera, where one is named and its file is there.
+    /// The calibrated camera, if one is named and its file exists.
     pub camera: Option<CameraModel>,
-    /// The calibration that is named and not there: sending a test pose can do without.
+    /// A named calibration whose file is missing: sending a test pose works without.
     pub missing_calibration: Option<PathBuf>,
-    /// `[[output]]`
+    /// The outputs.
     pub outputs: Vec<OutputSettings>,
     /// The objects' names.
     pub objects: Vec<String>,
-    /// `[mount]`
+    /// The mount, if there is one.
     pub mount: Option<MountSettings>,
-    /// `[safety]`
+    /// Limits for every output.
     pub safety: SafetySettings,
-    /// `[http]`
+    /// The HTTP server; `None` without `[http]`.
     pub http: Option<HttpSettings>,
-    /// `[log]`
+    /// What is logged, and how.
     pub log: LogSettings,
 }
 
-/// How to open the camera; `None` leaves it to the driver.
+/// How to open the camera; `None` leaves the choice to the driver.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct DeviceSettings {
-    /// Path, number or name.
+    /// Device path, number or name.
     pub device: Option<String>,
     /// Picture width in pixels.
     pub width: Option<u32>,
@@ -123,23 +125,23 @@ pub struct DeviceSettings {
     pub controls: BTreeMap<String, i64>,
 }
 
-/// `[recorder]`
+/// The `[recorder]` section.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecorderSettings {
-    /// Where clips go, relative names resolved.
+    /// Folder for clips, with relative names resolved.
     pub folder: PathBuf,
-    /// Everything is recorded, from the start on.
+    /// Whether everything is recorded from the start.
     pub continuous: bool,
     /// Seconds kept on disk for saving later; 0 = none.
     pub ring_s: f64,
 }
 
-/// `[log]`
+/// The `[log]` section.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LogSettings {
-    /// The least grave messages that are written.
+    /// The minimum severity of messages to write.
     pub level: LevelFilter,
-    /// One line of text or one JSON object a message.
+    /// One line of text or one JSON object per message.
     pub format: LogFormat,
 }
 
@@ -149,7 +151,7 @@ impl Default for LogSettings {
     }
 }
 
-/// The words for how grave a message must be to be written, in config and on the command line.
+/// The words for a minimum severity, in config and on the command line.
 pub const LOG_LEVELS: [(&str, LevelFilter); 6] = [
     ("off", LevelFilter::OFF),
     ("error", LevelFilter::ERROR),
@@ -159,7 +161,7 @@ pub const LOG_LEVELS: [(&str, LevelFilter); 6] = [
     ("trace", LevelFilter::TRACE),
 ];
 
-/// The form of a log message.
+/// The format of log messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LogFormat {
     /// A line of text.
@@ -169,20 +171,22 @@ pub enum LogFormat {
 }
 
 impl Settings {
-    /// Reads a config file and everything that it names.
+    /// Reads a config file and every file it names.
     ///
     /// # Errors
-    /// The first thing that is wrong, with its place and its mend.
+    /// The first problem, with its place and its fix.
     pub fn load(file: &Path) -> Result<Self, ConfigError> {
         Self::from_text(&read_text(file)?, file)
     }
 
-    /// As [`load`](Self::load), of a text that is kept in another file than the one that it belongs to.
+    /// As [`load`](Self::load), for a text that is stored in another file than the one it belongs
+    /// to.
     pub fn load_as(text: &Path, file: &Path) -> Result<Self, ConfigError> {
         Self::from_text(&read_text(text)?, file)
     }
 
-    /// As [`load`](Self::load), with the text at hand; `file` is its name, to which relative paths belong.
+    /// As [`load`](Self::load), with the text at hand; `file` is its name, to which paths are
+    /// relative.
     pub fn from_text(text: &str, file: &Path) -> Result<Self, ConfigError> {
         let typed = as_typed::Config::parse(text, file)?;
         let origin = Origin::new(file, text);
@@ -245,11 +249,11 @@ impl Settings {
         })
     }
 
-    /// Reads what belongs to sending alone: a config that has no stage or camera yet will do.
+    /// Reads only what sending needs: the config may lack a stage or camera.
     ///
     /// # Errors
-    /// As [`load`](Self::load), of `[[output]]`, `[safety]`, `[http]`, `[log]` and the objects' names; of the calibration where its file is
-    /// there.
+    /// As [`load`](Self::load), for `[[output]]`, `[safety]`, `[http]`, `[log]` and the objects'
+    /// names, and for the calibration if its file exists.
     pub(crate) fn load_outputs(file: &Path) -> Result<SendingSettings, ConfigError> {
         let text = read_text(file)?;
         let (typed, origin) = (as_typed::Config::parse(&text, file)?, Origin::new(file, &text));
@@ -274,10 +278,10 @@ impl Settings {
         })
     }
 
-    /// The camera for pictures of a size, and a note where the calibration had to be scaled to it.
+    /// Returns the camera for pictures of a size, and a note if the calibration had to be scaled.
     ///
     /// # Errors
-    /// [`ConfigError::PictureSize`] where the aspect ratio is another.
+    /// [`ConfigError::PictureSize`] if the aspect ratio differs.
     pub fn camera_for(&self, width: u32, height: u32) -> Result<(CameraModel, Option<String>), ConfigError> {
         let (from_width, from_height) = (self.camera.width(), self.camera.height());
         let problem = |problem| ConfigError::PictureSize { file: self.file.clone(), line: self.calibration_line, problem };
@@ -294,7 +298,7 @@ impl Settings {
         Ok((scaled, Some(note)))
     }
 
-    /// A tracker for pictures of a size, and what is to be said of the camera, if anything.
+    /// Returns a tracker's setup for pictures of a size, and a note on the camera, if any.
     ///
     /// # Errors
     /// As [`camera_for`](Self::camera_for).
@@ -310,7 +314,7 @@ impl Settings {
         Ok((setup, note))
     }
 
-    /// A mask whose camera was not known when the config was read.
+    /// Checks a mask whose camera was not known when the config was read.
     fn mask_fits(&self, camera: &CameraModel) -> Result<(), ConfigError> {
         let Some(mask_size) = self.mask.as_ref().map(GrayImage::dimensions).filter(|(w, h)| camera.scaled_to(*w, *h).is_err()) else {
             return Ok(());
@@ -322,7 +326,7 @@ impl Settings {
         Err(origin.value("[camera]", "mask", &span, mask_size_problem(origin.beside(&name), mask_size, camera)))
     }
 
-    /// The mask at the size of the pictures.
+    /// Returns the mask at the pictures' size.
     pub(super) fn mask_for(&self, width: u32, height: u32) -> Option<GrayImage> {
         self.mask.as_ref().map(|mask| match mask.dimensions() == (width, height) {
             true => mask.clone(),
@@ -336,7 +340,7 @@ fn mask_size_problem(file: PathBuf, (width, height): (u32, u32), camera: &Camera
     Problem::MaskSize { file, width, height, camera_width, camera_height }
 }
 
-/// Refuses an output's file that cannot be one: a folder, or a file that the config reads, by whatever name.
+/// Refuses an output's file that is a folder, or a file that the config reads, by whatever name.
 fn refuse_overwriting(typed: &as_typed::Config, origin: &Origin<'_>, files: &[PathBuf]) -> Result<(), ConfigError> {
     let identity = |file: &Path| std::fs::metadata(file).ok().map(|about| (about.dev(), about.ino()));
     for file in typed.output.iter().filter_map(|output| output.get_ref().file.as_ref()).filter(|file| file.get_ref() != "-") {
@@ -354,7 +358,7 @@ fn refuse_overwriting(typed: &as_typed::Config, origin: &Origin<'_>, files: &[Pa
     Ok(())
 }
 
-/// Every file that a config names, and itself.
+/// Returns the config file and every file it names.
 fn files_of(typed: &as_typed::Config, origin: &Origin<'_>) -> Vec<PathBuf> {
     let named = named_files(typed).into_iter().map(|(name, _)| origin.beside(name.get_ref()));
     std::iter::once(origin.file.to_owned()).chain(named).collect()
@@ -364,7 +368,7 @@ fn mask(section: &Section<'_>, typed: &Spanned<String>, camera: Option<&CameraMo
     let picture = section.raw_picture("mask", typed, "a mask covers")?;
     let file = section.origin.beside(typed.get_ref());
     let (width, height) = picture.dimensions();
-    // A mask painted on a scaled picture of the camera is as good.
+    // A mask painted on a scaled picture of the camera is fine.
     if let Some(camera) = camera.filter(|camera| camera.scaled_to(width, height).is_err()) {
         return Err(section.refuse("mask", &typed.span(), mask_size_problem(file, (width, height), camera)));
     }

@@ -1,6 +1,8 @@
-//! The shape file of a surface, TOML: heights over its plane, its stretch, and the ways in which they may be off.
+//! A surface's shape file (TOML): heights over its plane, its stretch, and the modes of their
+//! uncertainty.
 //!
-//! A shape belongs to one picture of one size: what it says of places on another picture is nonsense. So it names both, and another picture is refused.
+//! A shape is valid for one picture of one size only. So the file names both, and other pictures
+//! are refused.
 
 use std::fmt::Write as _;
 use std::sync::Arc;
@@ -13,32 +15,33 @@ use thiserror::Error;
 use crate::geometry::bspline::BicubicSpline;
 use crate::track::{BentShape, ShapeWay, SurfaceShape};
 
-/// Knots along an axis at most; a file that asks for more is none of ours.
+/// Maximum number of spline intervals along an axis. Raised, a foreign file may take more memory.
 const MOST_INTERVALS: usize = 400;
-/// Largest height or stretch, metres, that a file may say: more is a slip of the unit.
+/// Maximum height or stretch in a file, metres: more is a slip of the unit. Raised, such slips
+/// pass.
 const LARGEST_M: f64 = 100.0;
 
-/// Why a file is no shape of a surface.
+/// Why a file is not a valid shape.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum ShapeFileError {
-    /// No TOML, or another key.
+    /// Not TOML, or an unknown key.
     #[error("line {line}: {reason}; survey the stage again (`stagepose survey`)")]
     Syntax {
-        /// From 1.
+        /// Line, counted from 1.
         line: usize,
-        /// What the parser says.
+        /// The parser's message.
         reason: String,
     },
     /// Numbers that make no shape.
     #[error("`{key}` does not fit its `intervals`, or has a number that no surface has; survey the stage again (`stagepose survey`)")]
     Numbers {
-        /// Which.
+        /// The key with these numbers.
         key: &'static str,
     },
-    /// Of another picture.
+    /// It belongs to another picture.
     #[error("it belongs to another picture than this surface's; survey the stage again (`stagepose survey`), or take `shape` out")]
     OtherPicture,
-    /// Of another size.
+    /// It belongs to a surface of another size: the file's, then the surface's, metres.
     #[error("it belongs to a surface of {} x {} m, this one is {} x {} m; survey the stage again (`stagepose survey`), or take `shape` out", .0[0], .0[1], .1[0], .1[1])]
     OtherSize([f64; 2], [f64; 2]),
 }
@@ -68,7 +71,7 @@ struct Way {
     stretch_m: Vec<[f64; 2]>,
 }
 
-/// What tells a picture from others: FNV-1a over its size and its grey levels.
+/// Returns a picture's fingerprint: FNV-1a over its size and grey levels.
 fn picture_mark(picture: &GrayImage) -> String {
     let size = [picture.width(), picture.height()].map(u32::to_le_bytes).concat();
     let mark =
@@ -76,7 +79,7 @@ fn picture_mark(picture: &GrayImage) -> String {
     format!("{mark:016x}")
 }
 
-/// Reads the text of a shape file for a surface of this picture and size.
+/// Parses a shape file's text for a surface with this picture and size.
 pub(super) fn parse(text: &str, picture: &GrayImage, size_m: [f64; 2]) -> Result<SurfaceShape, ShapeFileError> {
     let file: File = toml::from_str(text).map_err(|e| ShapeFileError::Syntax {
         line: 1 + e.span().map_or(0, |span| text.as_bytes()[..span.start.min(text.len())].iter().filter(|b| **b == b'\n').count()),
@@ -110,7 +113,8 @@ fn spline<const N: usize>(
     spline.ok_or(ShapeFileError::Numbers { key })
 }
 
-/// The text of a shape's file. Rust's shortest float form is valid TOML and reads back to the same bits.
+/// Returns the text of a shape's file. Rust's shortest float form is valid TOML and reads back to
+/// the same bits.
 pub fn write(shape: &BentShape, picture: &GrayImage, size_m: [f64; 2]) -> String {
     let mut text = format!(
         "# How a surface hangs: coefficients of bicubic splines, row by row from the lower left, metres. Written by `stagepose survey`.\n\

@@ -1,4 +1,4 @@
-//! What a config says of the shutter: times, or that there is none to speak of.
+//! What a config says about the shutter: its times, or that it is global.
 
 use toml::Spanned;
 
@@ -6,14 +6,15 @@ use super::values::Section;
 use super::{ConfigError, Problem, as_typed};
 use crate::camera::{KnownShutter, Shutter};
 
-/// Words of `shutter`.
+/// Words for the key `shutter`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Kind {
     Global,
     Rolling,
 }
 
-/// What is known of the shutter. A time that is absent or 0 is unknown, but for the readout of a global shutter.
+/// Returns what is known of the shutter. A time that is absent or 0 is unknown, except the readout
+/// of a global shutter, which is 0.
 pub(super) fn shutter(section: &Section<'_>, camera: &as_typed::Camera) -> Result<KnownShutter, ConfigError> {
     let seconds = "seconds from 0 (unknown) to 1; 15 milliseconds are 0.015";
     let within = |v: f64| (0.0..=Shutter::LONGEST_S).contains(&v);

@@ -1,7 +1,8 @@
-//! A config as it was read: its text and the bytes of every file that it names.
+//! A config as it was read: its text and the bytes of every file it names.
 //!
-//! A session may outlive what it was started from: the config is edited, a picture painted anew, a calibration replaced,
-//! long before the next SIGHUP. What is saved of the session must be what it ran with, so nothing is read twice.
+//! A session may outlive its input: the config is edited, a picture repainted, a calibration
+//! replaced, long before the next SIGHUP. What is saved of the session must be what it ran with, so
+//! nothing is read twice.
 
 use std::borrow::Cow;
 use std::cell::RefCell;
@@ -14,19 +15,20 @@ use super::ConfigError;
 use crate::camera::{Calibration, CalibrationFileError, parse_calibration, utf16};
 use crate::safe_file;
 
-/// A config's text, and what it names, as they were when it was read.
+/// A config's text and the files it names, as they were when read.
 #[derive(Debug, Clone)]
 pub struct ConfigSource {
     pub(super) file: PathBuf,
     pub(super) text: Arc<str>,
-    /// By the name under which they were opened.
+    /// By the path under which they were opened.
     pub(super) files: Arc<BTreeMap<PathBuf, Arc<[u8]>>>,
 }
 
-/// Longer than any config, bytes; an endless one is refused. A round figure.
+/// Maximum size of a config, bytes. A round figure above any config. Raised, an endless file takes
+/// more memory.
 const LARGEST_CONFIG_BYTES: u64 = 4 << 20;
 
-/// The text of a config file.
+/// Reads a config file's text.
 pub(super) fn read_text(file: &Path) -> Result<String, ConfigError> {
     let unreadable = |e: std::io::Error| ConfigError::Unreadable { file: file.to_owned(), reason: e.to_string() };
     let bytes = safe_file::read(file, LARGEST_CONFIG_BYTES).map_err(unreadable)?;
@@ -45,7 +47,7 @@ pub(super) fn read_text(file: &Path) -> Result<String, ConfigError> {
 pub(super) struct FilesRead(RefCell<BTreeMap<PathBuf, Arc<[u8]>>>);
 
 impl FilesRead {
-    /// The bytes of a file, by `read` where they are not there yet.
+    /// Returns a file's bytes, read with `read` the first time.
     pub fn get<E>(&self, file: &Path, read: impl FnOnce(&Path) -> Result<Vec<u8>, E>) -> Result<Arc<[u8]>, E> {
         if let Some(bytes) = self.0.borrow().get(file) {
             return Ok(bytes.clone());
@@ -55,14 +57,14 @@ impl FilesRead {
         Ok(bytes)
     }
 
-    /// Everything that was read, with the config that named it.
+    /// Returns everything that was read, with the config that named it.
     pub fn with_config(&self, file: &Path, text: &str) -> ConfigSource {
         ConfigSource { file: file.to_owned(), text: text.into(), files: Arc::new(self.0.borrow().clone()) }
     }
 }
 
 impl ConfigSource {
-    /// The bytes that a name in the config stood for.
+    /// Returns the bytes of a file that the config names.
     pub(super) fn bytes(&self, name: &str) -> io::Result<&[u8]> {
         let file = self.file.parent().unwrap_or(Path::new("")).join(name);
         let missing = || io::Error::other(format!("{} was not read with its config", file.display()));
@@ -70,21 +72,23 @@ impl ConfigSource {
     }
 }
 
-/// Larger than any calibration file by far, small enough to read in one go, bytes. A round figure.
+/// Maximum size of a calibration file, bytes. A round figure far above any. Raised, an endless file
+/// takes more memory.
 const LARGEST_CALIBRATION_BYTES: u64 = 4 << 20;
 
-/// Reads a calibration file in any of the forms that [`parse_calibration`] knows.
+/// Reads a calibration file in any format that [`parse_calibration`] knows.
 ///
 /// # Errors
-/// When the file cannot be read or its text is no calibration; the message names the file, the line and the key.
+/// When the file cannot be read or is not a calibration; the message names the file, the line and
+/// the key.
 pub fn read_calibration(path: &Path) -> Result<Calibration, CalibrationFileError> {
     parse_calibration(&calibration_bytes(path)?, path)
 }
 
-/// The bytes of a calibration file, for [`parse_calibration`].
+/// Reads a calibration file's bytes, for [`parse_calibration`].
 ///
 /// # Errors
-/// When the file cannot be read, or is far too large.
+/// When the file cannot be read or is far too large.
 pub(super) fn calibration_bytes(path: &Path) -> Result<Vec<u8>, CalibrationFileError> {
     let unreadable = |source| CalibrationFileError::Unreadable { path: path.to_owned(), source };
     safe_file::read(path, LARGEST_CALIBRATION_BYTES).map_err(unreadable)

@@ -1,8 +1,10 @@
-//! `[stage] origin`: the stage frame laid where the house counts from, by points of the first surface that were measured there.
+//! `[stage] origin`: moves the stage frame to the house's coordinates, by measured points of the
+//! first surface.
 //!
-//! Surfaces are typed as they stand to one another, with the first one's middle at the origin unless they say otherwise. The house counts from
-//! elsewhere: from the centre line, the floor, the plaster line. Where one point of the first surface is given in the house's terms, all
-//! surfaces move there; where three or more are, they turn as well.
+//! Surfaces are typed relative to each other, with the first one's centre at the origin by default.
+//! The house counts from elsewhere: the centre line, the floor, the plaster line. If one point of
+//! the first surface is given in house coordinates, all surfaces are translated; if three or more
+//! are given, they are rotated as well.
 
 use std::collections::BTreeMap;
 
@@ -16,7 +18,8 @@ use super::{ConfigError, Problem};
 use crate::geometry::{Body, Pose, quaternion};
 use crate::track::{BodySpec, SurfaceSpec};
 
-/// The points of a picture that have names: shares of the surface's width and height from its middle, right and up as its audience sees it.
+/// Named points of a picture: shares of the surface's width and height from its centre, right and
+/// up as its audience sees it.
 pub(super) const NAMED_POINTS: [(&str, [f64; 2]); 10] = [
     ("centre", [0.0, 0.0]),
     ("center", [0.0, 0.0]),
@@ -29,15 +32,18 @@ pub(super) const NAMED_POINTS: [(&str, [f64; 2]); 10] = [
     ("left", [-0.5, 0.0]),
     ("right", [0.5, 0.0]),
 ];
-/// The same names in a message.
+/// The same names for messages.
 pub(super) const KNOWN_POINTS: &str = "centre, top left, top right, bottom left, bottom right, top, bottom, left or right, of the surface";
-/// Measured points and the surface's size may be this far apart, of the surface's diagonal: beyond, one of them is a slip. Chosen: cloths
-/// hang and stretch by less. Raised, slips pass; lowered, honest measurements are refused.
+/// Maximum misfit between measured points and the surface's size, as a share of the surface's
+/// diagonal: more means a slip. Chosen: cloths hang and stretch by less. Raised, slips pass;
+/// lowered, honest measurements are refused.
 const LARGEST_MISFIT: f64 = 0.02;
-/// What a tape measure is off anyway, metres. Chosen, not measured: it matters for small surfaces alone. Raised, slips there pass.
+/// Allowed error of a tape measure in addition, metres. Chosen, not measured: it matters for small
+/// surfaces only. Raised, slips there pass.
 const TAPE_M: f64 = 0.01;
 
-/// Moves a stage to where the points were measured; a sentence of how well they fit, where that is known.
+/// Moves a stage to its measured points; returns a sentence on how well they fit, if there are
+/// several.
 pub(super) fn place(
     origin: &Origin<'_>,
     typed: &Spanned<BTreeMap<String, Spanned<Exactly<Number, 3>>>>,
@@ -78,7 +84,8 @@ pub(super) fn place(
     Ok((pairs.len() > 1).then_some(sentence))
 }
 
-/// The rigid motion that carries the first points of the pairs nearest to the second ones (Kabsch 1976); none where they lie in one line.
+/// Returns the rigid motion that best carries each pair's first point to its second (Kabsch 1976);
+/// `None` if they are collinear.
 fn fitted(pairs: &[(Vector3<f64>, Vector3<f64>)]) -> Option<Pose<Body, Body>> {
     let n = pairs.len() as f64;
     let (from, to) = (pairs.iter().map(|p| p.0).sum::<Vector3<f64>>() / n, pairs.iter().map(|p| p.1).sum::<Vector3<f64>>() / n);
@@ -99,7 +106,7 @@ mod tests {
     use super::*;
     use crate::config::Settings;
 
-    /// A stage of the fixture's backdrop, 4 x 3 m, with a flat in front of it.
+    /// Loads the fixture's backdrop, 4 x 3 m, with a flat in front of it.
     fn load(origin: &str) -> Result<Settings, ConfigError> {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/dolly/stage.toml");
         let text = format!(
@@ -119,14 +126,15 @@ mod tests {
         assert_eq!(places(""), [[0.0, 0.0, 0.0], [1.0, -0.8, -0.65]]);
         assert_eq!(places("origin = { \"bottom left\" = [-2.1, 6.0, 0.1] }"), [[-0.1, 6.0, 1.6], [0.9, 5.2, 0.95]]);
         assert_eq!(places("origin = { Centre = [0, 5, 1] }"), [[0.0, 5.0, 1.0], [1.0, 4.2, 0.35]]);
-        // Turned by a quarter: the backdrop goes along y, and what stood before it stands to its right.
+        // Rotated by 90 degrees: the backdrop extends along y, and what stood in front of it is to
+        // its right.
         let turned = "origin = { \"bottom left\" = [0, 0, 0], \"bottom right\" = [0, 4, 0], \"top_left\" = [0, 0, 3] }";
         assert_eq!(places(turned), [[0.0, 2.0, 1.5], [0.8, 3.0, 0.85]]);
         let settings = load(turned).unwrap();
         assert!(settings.notes.iter().any(|note| note.contains("fit the first surface to 0.0 mm")), "{:?}", settings.notes);
         let across = settings.stage.surfaces[1].pose.rotation * Vector3::x();
         assert!((across - Vector3::y()).norm() < 1e-9, "{across}");
-        // A tape measure's slack is shared out.
+        // A tape measure's error is distributed over the points.
         let slack = "origin = { \"bottom left\" = [0, 0, 0], \"bottom right\" = [4.012, 0, 0], \"top left\" = [0, 0, 3] }";
         assert!(load(slack).unwrap().notes.iter().any(|note| note.contains("mm")));
     }

@@ -1,4 +1,5 @@
-//! What people write without a calibration and without quaternions: angles, a guessed lens, words in any case.
+//! What people write without a calibration and without quaternions: angles, a guessed lens, words
+//! in any case.
 
 use tracing::level_filters::LevelFilter;
 
@@ -30,7 +31,7 @@ fn angles_mean_what_the_quaternion_means() {
 fn a_lens_may_be_guessed_and_says_how_far_it_may_be_off() {
     let folder = folder();
     let guessed = |lines: &str| load(&folder, &GOOD.replace("calibration = \"camera.toml\"", lines));
-    // Without a size it is for pictures of any shape.
+    // Without a size, the guess is for pictures of any aspect ratio.
     let settings = guessed("fov_deg = 90").unwrap();
     for (width, height) in [(640, 480), (1920, 1080), (480, 640)] {
         let (camera, note) = settings.camera_for(width, height).unwrap();
@@ -40,11 +41,11 @@ fn a_lens_may_be_guessed_and_says_how_far_it_may_be_off() {
         let uncertainty = camera.doubt().unwrap().uncertainty;
         assert!((uncertainty.focal_px[0] / i.fx - 0.09).abs() < 1e-9 && uncertainty.centre_px[0] > 0.05 * f64::from(width));
     }
-    // With one, other shapes are refused and other sizes scaled, as of a calibration.
+    // With a size, other aspect ratios are refused and other sizes scaled, as for a calibration.
     let settings = guessed("focal_35mm_mm = 26\nwidth = 1280\nheight = 720").unwrap();
     assert_eq!((settings.camera.width(), settings.camera.height()), (1280, 720));
     assert!(settings.camera_for(640, 480).is_err() && settings.camera_for(640, 360).unwrap().1.is_some());
-    // A mask that turns out to be of another shape than the clip is refused then.
+    // A mask whose aspect ratio differs from the clip's is refused at that point.
     let settings = guessed("fov_deg = 60\nmask = \"mask.png\"").unwrap();
     assert!(settings.camera_for(1280, 960).is_ok());
     let said = settings.camera_for(1280, 720).unwrap_err().to_string();
@@ -53,7 +54,7 @@ fn a_lens_may_be_guessed_and_says_how_far_it_may_be_off() {
             && said.ends_with("the camera 1280 x 720; paint it on a picture of the camera"),
         "{said}"
     );
-    // A photograph without a calibration of its own is the camera's.
+    // A photograph without its own calibration uses the camera's.
     let photo = "[[stage.surface]]\nphoto = \"photo.png\"\ncorners_px = [[10, 10], [600, 12], [590, 440], [20, 450]]\nsize_m = [4, 3]\n";
     let settings = load(&folder, &format!("[camera]\nfov_deg = 60\n{photo}")).unwrap();
     assert_eq!(settings.notes, ["photo.png: no photo_calibration; the guess of the camera's own lens is used"]);

@@ -1,5 +1,5 @@
-//! A config after a survey: the same in every other section, with the surfaces' places and shapes and the lens as they were found, complete in a folder
-//! of its own.
+//! A config after a survey: the surveyed poses, shapes and lens, and every other section unchanged,
+//! complete in its own folder.
 
 use std::io;
 use std::ops::Range;
@@ -15,24 +15,27 @@ use crate::geometry::{Body, Pose, SurfaceFrame};
 
 /// The calibration's name in the folder.
 pub const CALIBRATION: &str = "camera.toml";
-/// Keys that stand for a calibration where there is none.
+/// Keys that replace a calibration if there is none.
 const GUESSES: [&str; 2] = ["fov_deg", "focal_35mm_mm"];
 
-/// A surface as it was surveyed.
+/// A surveyed surface.
 #[derive(Debug, Clone)]
 pub struct SurveyedSurface {
-    /// Where it stands, in the first surface's frame; none of the first, which stays.
+    /// Its pose in the first surface's frame; `None` for the first surface, which stays.
     pub t_first_surface: Option<Pose<SurfaceFrame, SurfaceFrame>>,
     /// The text of its shape file.
     pub shape: String,
 }
 
 impl ConfigSource {
-    /// The files of a surveyed stage: `stage.toml`, `camera.toml`, the shapes, and copies of what else the config names. `first_typed`: where the config
-    /// itself has the first surface. `shutter`: the one to write, where it is another than the config's.
+    /// Returns the files of a surveyed stage: `stage.toml`, `camera.toml`, the shapes, and copies
+    /// of the other files that the config names.
+    ///
+    /// `first_typed` is the first surface's pose in the config. `shutter` is the one to write, if
+    /// it differs from the config's.
     ///
     /// # Errors
-    /// Only by a defect of the program: the text was read as a config before.
+    /// Only if the program has a defect: the text was read as a config before.
     pub fn surveyed(
         &self,
         first_typed: &Pose<Body, SurfaceFrame>,
@@ -78,12 +81,12 @@ impl ConfigSource {
     }
 }
 
-/// The change that gives a key of a table a value; `None` of an empty table.
+/// Returns the change that sets a key of a table; `None` if the table is empty.
 fn with(text: &str, table: &DeTable, key: &str, value: &str) -> Option<Change> {
     table.get(key).map(|old| (old.span(), value.to_owned())).or_else(|| added(text, table, key, value))
 }
 
-/// The change that takes a key out of a table; a harmless comment stays in its place where it has a line of its own.
+/// Returns the change that removes a key from a table, leaving a comment in its place.
 fn without(table: &DeTable, key: &str) -> Option<Change> {
     let (name, value): (&Spanned<_>, &Spanned<DeValue>) = table.iter().find(|(name, _)| name.get_ref() == key)?;
     Some((name.span().start..value.span().end, format!("# {key}: see the survey")))

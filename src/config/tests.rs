@@ -1,4 +1,4 @@
-//! Configs that are right, and every way of being wrong with the message that it gets.
+//! Valid configs, and every kind of invalid one with its message.
 
 use std::path::Path;
 
@@ -15,14 +15,15 @@ use crate::capture::camera::PixelLayout;
 pub(super) const CAMERA: &str =
     "width = 640\nheight = 480\nfx = 600.0\nfy = 600.0\ncx = 319.5\ncy = 239.5\nskew = 0.0\ndistortion = [0, 0, 0, 0, 0]\n";
 
-/// A folder with a calibration, a good picture, a photograph-sized one, a flat one and two masks.
+/// Returns a folder with a calibration, a good picture, a photograph-sized one, a flat one and two
+/// masks.
 pub(super) fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     fill(folder.path());
     folder
 }
 
-/// Writes them into a folder.
+/// Writes these files into a folder.
 pub(super) fn fill(folder: &Path) {
     let at = |name: &str| folder.join(name);
     std::fs::write(at("camera.toml"), CAMERA).unwrap();
@@ -51,7 +52,7 @@ pub(super) fn load(folder: &tempfile::TempDir, text: &str) -> Result<Settings, C
     Settings::from_text(text, &folder.path().join("stage.toml"))
 }
 
-/// The message without the folder's name.
+/// Returns the message without the folder's name.
 fn message(folder: &tempfile::TempDir, text: &str) -> String {
     let prefix = format!("{}/", folder.path().display());
     load(folder, text).map(|_| ()).expect_err(text).to_string().replace(&prefix, "")
@@ -125,7 +126,7 @@ fn a_scaled_clip_is_noted_and_another_shape_refused() {
     assert!(refusal.contains("the calibration is for 640 x 480 pixels, the pictures are 640 x 360"), "{refusal}");
 }
 
-/// GOOD with lines after its [camera] section, its surface, or its end.
+/// Returns GOOD with a line after its [camera] section.
 pub(super) fn camera_plus(line: &str) -> String {
     GOOD.replace("[[stage", &format!("{line}\n[[stage"))
 }
@@ -441,7 +442,7 @@ fn the_example_still_parses_with_every_comment_mark_removed_from_a_key() {
     assert!(config.tracker.unwrap().seed.is_some() && config.log.unwrap().level.is_some());
 }
 
-/// Pieces that make texts which are nearly configs.
+/// Generates texts that are almost configs.
 fn pieces() -> impl Strategy<Value = String> {
     let keys: Vec<String> = known_keys().flat_map(|(s, keys)| keys.iter().map(move |k| format!("{s}\n{k} = "))).collect();
     let values = ["1", "-1", "nan", "[1, 2]", "[[1,2],[3,4],[5,6],[7,8]]", "\"x\"", "{ a = 1 }", "true", "[", "\"\"\"", "1979-05-27", "é"];

@@ -1,4 +1,4 @@
-//! Single values as they stand in the file, where TOML's own types are too wide or too narrow.
+//! Single values as they stand in the file, for which TOML's own types are too wide or too narrow.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -11,7 +11,7 @@ use toml::Spanned;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Number(pub f64);
 
-/// A whole number of 0 or more.
+/// A whole number, at least 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Count(pub u64);
 
@@ -19,7 +19,7 @@ pub struct Count(pub u64);
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ControlValue(pub i64);
 
-/// An array of exactly N entries; none may be left over.
+/// An array of exactly N entries.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Exactly<T, const N: usize>(pub [T; N]);
 
@@ -32,7 +32,7 @@ pub enum Texts {
     Several(Vec<Spanned<String>>),
 }
 
-/// A point of a picture: one that has a name, or a pixel.
+/// A point of a picture: a named one, or a pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PictureWord {
     /// A corner, the middle of a side, the centre.
@@ -42,7 +42,7 @@ pub enum PictureWord {
 }
 
 impl Texts {
-    /// All of them, each with its place.
+    /// Returns all texts, each with its place.
     pub fn all(typed: &Spanned<Self>) -> Vec<Spanned<String>> {
         match typed.get_ref() {
             Self::One(text) => vec![Spanned::new(typed.span(), text.clone())],
@@ -52,7 +52,7 @@ impl Texts {
 }
 
 impl<const N: usize> Exactly<Number, N> {
-    /// The bare numbers.
+    /// Returns the bare numbers.
     pub fn values(&self) -> [f64; N] {
         self.0.map(|Number(v)| v)
     }

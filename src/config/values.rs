@@ -1,4 +1,4 @@
-//! Single values: is the number in its range, is the word one of the known ones, can the picture be read?
+//! Checks single values: is the number in range, is the word known, can the picture be read?
 
 use std::cell::RefCell;
 use std::ops::Range;
@@ -17,13 +17,14 @@ use crate::capture::{LARGEST_PICTURE_FILE, decode_on_white, orientation_words};
 use crate::safe_file;
 use crate::track::{SurfaceShape, SurfaceSpec};
 
-/// Larger than any shape file, bytes; an endless one is refused. A round figure.
+/// Maximum size of a shape file, bytes. A round figure above any. Raised, an endless file takes
+/// more memory.
 const LARGEST_SHAPE_FILE: u64 = 64 << 20;
 
-/// The section at hand, for messages.
+/// The current section, for messages.
 pub(super) struct Section<'a> {
     pub origin: &'a Origin<'a>,
-    /// In its brackets, as the file writes it.
+    /// Its name in brackets, as in the file.
     pub name: &'static str,
 }
 
@@ -32,17 +33,17 @@ impl Section<'_> {
         self.origin.value(self.name, key, span, problem)
     }
 
-    /// Refuses a value that does not go with another one.
+    /// Refuses a value that conflicts with another one.
     pub fn conflict<T>(&self, key: &str, typed: &Spanned<T>, sentence: &'static str) -> ConfigError {
         self.refuse(key, &typed.span(), Problem::Combination(sentence))
     }
 
-    /// Refuses a name or an address that is none.
+    /// Refuses an invalid name or address.
     pub fn unusable(&self, key: &str, typed: &Spanned<String>, wanted: &'static str) -> ConfigError {
         self.refuse(key, &typed.span(), Problem::Range { value: format!("`{}`", typed.get_ref()), wanted })
     }
 
-    /// A number that satisfies `allowed`, or the default where the key is absent.
+    /// Returns a number that satisfies `allowed`, or the default if the key is absent.
     pub fn number(
         &self,
         key: &str,
@@ -59,7 +60,7 @@ impl Section<'_> {
         Err(self.refuse(key, &typed.span(), Problem::Range { value: value.to_string(), wanted }))
     }
 
-    /// A whole number within a range, or the default where the key is absent.
+    /// Returns a whole number within a range, or the default if the key is absent.
     pub fn count(
         &self,
         key: &str,
@@ -76,13 +77,13 @@ impl Section<'_> {
         Err(self.refuse(key, &typed.span(), Problem::Range { value: value.to_string(), wanted }))
     }
 
-    /// A picture's side in pixels.
+    /// Returns a picture's side in pixels.
     pub fn side(&self, key: &str, typed: Option<&Spanned<Count>>) -> Result<Option<u32>, ConfigError> {
         let side = self.count(key, typed, 0, 1..=16384, "a number of pixels from 1 to 16384")?;
         Ok(typed.and(u32::try_from(side).ok()))
     }
 
-    /// One of a few words, in any case, or the default where the key is absent.
+    /// Returns one of several words, in any case, or the default if the key is absent.
     pub fn word<T: Copy>(
         &self,
         key: &str,
@@ -101,7 +102,7 @@ impl Section<'_> {
         Err(self.refuse(key, &typed.span(), Problem::Word { value: typed.get_ref().clone(), wanted, nearest }))
     }
 
-    /// A text that is not empty.
+    /// Returns a text that is not empty.
     pub fn text(&self, key: &str, typed: &Spanned<String>, wanted: &'static str) -> Result<String, ConfigError> {
         if typed.get_ref().trim().is_empty() {
             return Err(self.refuse(key, &typed.span(), Problem::Range { value: "an empty text".to_owned(), wanted }));
@@ -109,7 +110,7 @@ impl Section<'_> {
         Ok(typed.get_ref().clone())
     }
 
-    /// A position in metres; the origin where the key is absent.
+    /// Returns a position in metres; the origin if the key is absent.
     pub fn position(&self, key: &str, typed: Option<&Spanned<Exactly<Number, 3>>>) -> Result<Vector3<f64>, ConfigError> {
         let Some(typed) = typed else { return Ok(Vector3::zeros()) };
         let position = typed.get_ref().values();
@@ -120,7 +121,8 @@ impl Section<'_> {
         Err(self.refuse(key, &typed.span(), Problem::Range { value: format!("{position:?}"), wanted }))
     }
 
-    /// A picture as grey levels, and how its file says that it is to be shown; its name is relative to the config's folder.
+    /// Reads a picture as grey levels, with its EXIF orientation; its name is relative to the
+    /// config's folder.
     pub fn picture(&self, key: &str, typed: &Spanned<String>) -> Result<(GrayImage, Orientation), ConfigError> {
         let file = self.origin.beside(typed.get_ref());
         let refuse = |problem| self.refuse(key, &typed.span(), problem);
@@ -137,8 +139,8 @@ impl Section<'_> {
         Ok((picture, orientation))
     }
 
-    /// A picture whose raw pixels mean something: one that is to be shown turned is refused, for whoever measured in it saw
-    /// other pixels than are read.
+    /// Reads a picture whose raw pixels are used. An EXIF rotation is refused: whoever measured in
+    /// the picture saw it rotated.
     pub fn raw_picture(&self, key: &str, typed: &Spanned<String>, pixels: &'static str) -> Result<GrayImage, ConfigError> {
         let (picture, orientation) = self.picture(key, typed)?;
         match orientation_words(orientation) {
@@ -149,7 +151,7 @@ impl Section<'_> {
         }
     }
 
-    /// The shape of a surface; its file's name is relative to the config's folder.
+    /// Reads a surface's shape; its file's name is relative to the config's folder.
     pub fn shape(&self, key: &str, typed: &Spanned<String>, surface: &SurfaceSpec) -> Result<SurfaceShape, ConfigError> {
         let file = self.origin.beside(typed.get_ref());
         let refuse = |problem| self.refuse(key, &typed.span(), problem);
@@ -161,7 +163,7 @@ impl Section<'_> {
         shape.map_err(|reason| refuse(Problem::ShapeContent { file: file.clone(), reason }))
     }
 
-    /// A calibration file; its name is relative to the config's folder.
+    /// Reads a calibration file; its name is relative to the config's folder.
     pub fn calibration(&self, key: &str, typed: &Spanned<String>) -> Result<Calibration, ConfigError> {
         let file = self.origin.beside(typed.get_ref());
         let bytes = self.origin.files.get(&file, calibration_bytes);
@@ -172,7 +174,7 @@ impl Section<'_> {
     }
 }
 
-/// Keeps a sentence about a file that the config names, once.
+/// Stores a remark about a file that the config names, once.
 fn remark(kept: &RefCell<Vec<String>>, name: &str, sentence: &str) {
     let remark = format!("{name}: {sentence}");
     let mut kept = kept.borrow_mut();
@@ -181,7 +183,7 @@ fn remark(kept: &RefCell<Vec<String>>, name: &str, sentence: &str) {
     }
 }
 
-/// A word without what people write in different ways: "One_Euro" and "one-euro" mean the same.
+/// Normalises a word's spelling: "One_Euro" and "one-euro" are the same.
 fn plain(word: &str) -> String {
     word.trim().to_ascii_lowercase().replace(['_', ' '], "-")
 }
