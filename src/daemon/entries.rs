@@ -1,4 +1,4 @@
-//! What becomes of a row of a clip: every row has its sample, whatever it holds.
+//! Tracks a row of a clip: every row yields a sample, whatever it holds.
 
 use crate::capture::{ClipEntry, EntryContent};
 use crate::frame::Frame;
@@ -12,13 +12,13 @@ pub fn track_entry(tracker: &mut Tracker, row: &ClipEntry) -> PoseSample {
     sample(&mut tracker.poses, &sighting, row)
 }
 
-/// What the matcher makes of a row, in its own time.
+/// Returns the matcher's result for a row, in the matcher's own time.
 pub(super) fn sight(matcher: &mut Matcher, row: &ClipEntry) -> Sighting {
     match &row.content {
         EntryContent::Frame(frame) => {
             let own = matcher.own_time(row.timestamp);
             match own == frame.timestamp {
-                // Of the same picture nothing new can be measured.
+                // The same picture again yields no new measurement.
                 _ if row.repeats && matcher.has_given() => matcher.look_away(row.sequence, own, Reason::Repeated),
                 true => matcher.look(frame),
                 false => matcher.look(&Frame { timestamp: own, ..frame.clone() }),
@@ -32,7 +32,7 @@ pub(super) fn sight(matcher: &mut Matcher, row: &ClipEntry) -> Sighting {
     }
 }
 
-/// The sample of a row's sighting, with the row's stamp.
+/// Returns the sample for a row's sighting, with the row's stamp.
 pub(super) fn sample(poses: &mut PoseRecorder, sighting: &Sighting, row: &ClipEntry) -> PoseSample {
     let sample = poses.sample(sighting, row.decode.as_secs_f64() * 1e3);
     PoseSample { timestamp: row.timestamp, ..sample }

@@ -1,7 +1,8 @@
-//! Memory that a session has freed, given back to the system.
+//! Returns memory freed by a session to the system.
 
-/// Gives freed memory back. The allocator keeps what threads have freed, scattered between what is still used, and a daemon that reads its
-/// config again and again would seem to grow: each session's threads have other places for it.
+/// Returns freed memory to the system. The allocator keeps memory that threads have freed,
+/// scattered between used blocks. Each session's threads use other arenas, so a daemon that reloads
+/// its config again and again would seem to grow.
 pub fn give_back() {
     // SAFETY: it takes a number and touches only memory that is free.
     #[cfg(target_env = "gnu")]

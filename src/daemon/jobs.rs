@@ -1,4 +1,4 @@
-//! Work that takes its time and is asked for by people: one job at a time, with its progress, which may be cancelled.
+//! Long-running work on request: one job at a time, with progress, cancellable.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,9 +8,10 @@ use std::time::{Duration, Instant};
 use super::live::{Event, EventLog, Job, JobState};
 use crate::contain::contained;
 
-/// Jobs whose end is still told. Chosen: an evening's. Raised, only memory.
+/// Number of jobs whose outcome is kept. Chosen: an evening's. Raised, only memory.
 const REMEMBERED: usize = 20;
-/// Shortest time between two messages of progress. Chosen: a progress bar looks smooth. Raised, the bar jumps.
+/// Minimum interval between progress messages. Chosen: a progress bar looks smooth. Raised, the bar
+/// jumps.
 const TOLD_EVERY: Duration = Duration::from_millis(500);
 
 /// All jobs of a daemon.
@@ -36,7 +37,7 @@ fn held(board: &Mutex<Board>) -> MutexGuard<'_, Board> {
     board.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Through which a job tells how far it is.
+/// A job's means to report its progress.
 pub struct Progress {
     job: u64,
     board: Arc<Mutex<Board>>,
@@ -46,7 +47,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// So much is done, 0 to 1; false where the job was cancelled and is to end.
+    /// Reports the share done, 0 to 1; returns false if the job was cancelled and should end.
     pub fn tell(&mut self, done: f64) -> bool {
         if self.told.elapsed() >= TOLD_EVERY {
             self.told = Instant::now();
@@ -59,7 +60,7 @@ impl Progress {
         !self.cancelled.load(Ordering::Relaxed)
     }
 
-    /// It is over.
+    /// Reports the outcome.
     fn end(&self, outcome: Result<String, String>) {
         let told = held(&self.board).job(self.job).map(|job| {
             (job.state, job.text) = match outcome {
@@ -77,10 +78,11 @@ impl Progress {
 }
 
 impl Jobs {
-    /// Starts one on a thread of its own and gives its number; `work` gives what came of it, or why it failed.
+    /// Starts a job on its own thread and returns its number; `work` returns the result, or why it
+    /// failed.
     ///
     /// # Errors
-    /// The job that is under way, which another one does not disturb; or, where the system gives no thread, one that failed.
+    /// The running job, which is not disturbed; or a failed job, if the system provides no thread.
     pub fn start(
         &self,
         kind: &str,
@@ -116,18 +118,18 @@ impl Jobs {
                     (job.state, job.text) = (JobState::Failed, format!("the system gives no thread ({error}); close other programs"));
                     job.clone()
                 });
-                // It was put there above.
+                // It was added to the board above.
                 Err(failed.unwrap_or(Job { job: number, kind: kind.to_owned(), done: 0.0, state: JobState::Failed, text: String::new() }))
             }
         }
     }
 
-    /// One of the last jobs.
+    /// Returns one of the last jobs.
     pub fn job(&self, number: u64) -> Option<Job> {
         held(&self.board).job(number).cloned()
     }
 
-    /// Asks a job to end; false where it is not under way.
+    /// Asks a job to end; returns false if it is not running.
     pub fn cancel(&self, number: u64) -> bool {
         let mut board = held(&self.board);
         let is_running = board.job(number).is_some_and(|job| job.state == JobState::Running);

@@ -1,4 +1,5 @@
-//! Banks of views as files of the cache folder. Nothing depends on them but how long a start takes, so whatever goes wrong here is no error.
+//! View banks stored in the cache folder. They only shorten the start, so no failure here is an
+//! error.
 
 use std::fs::{self, DirEntry, File};
 use std::io;
@@ -12,17 +13,19 @@ use super::own_folders::cache_folder;
 use crate::safe_file;
 use crate::track::ViewStore;
 
-/// The name of each, behind its key.
+/// File name extension of a bank, after its key.
 const ENDING: &str = ".views";
-/// Bytes of a bank at most: a hundred thousand features. The largest of a stage of one surface has 0.7 MB.
+/// Maximum size of a bank, bytes: a hundred thousand features. The largest bank of a stage with one
+/// surface has 0.7 MB. Raised, a foreign file takes more memory.
 const MOST_BYTES: u64 = 6 << 20;
-/// Files that stay, the last ones that were used. Chosen: some shows of a dozen pictures each, 10 MB in all. Raised, the folder grows larger; lowered, a
-/// start with a show's config of last week takes as long as the first.
+/// Maximum number of files; the most recently used ones stay. Chosen: some shows of a dozen
+/// pictures each, 10 MB in total. Raised, the folder grows larger; lowered, a start with last
+/// week's config takes as long as the first.
 const MOST_FILES: usize = 100;
-/// Bytes that stay, where banks are large.
+/// Maximum total size, bytes, in case banks are large. Raised, the folder grows larger.
 const MOST_BYTES_IN_ALL: u64 = 64 << 20;
 
-/// The store of the service, or of the user; none where neither has a cache folder.
+/// Returns the store of the service or the user; `None` if neither has a cache folder.
 pub fn kept_views() -> Option<Arc<dyn ViewStore>> {
     Some(Arc::new(KeptViews { folder: cache_folder()? }))
 }
@@ -37,7 +40,8 @@ impl ViewStore for KeptViews {
     fn load(&self, name: &str) -> Option<Vec<u8>> {
         let path = self.path(name);
         let bytes = safe_file::read(&path, MOST_BYTES).ok()?;
-        // The time of a file says when it was used last. Where it cannot be set, the file is thrown away a little early.
+        // A file's modification time records its last use. If it cannot be set, the file is only
+        // removed a little early.
         let _ = File::options().append(true).open(&path).and_then(|file| file.set_modified(SystemTime::now()));
         Some(bytes)
     }
@@ -56,7 +60,8 @@ impl KeptViews {
         self.folder.join(format!("{name}{ENDING}"))
     }
 
-    /// Removes those that were not used for longest, where there are too many, with what a killed program left of one.
+    /// Removes the least recently used files if there are too many, including leftovers of a killed
+    /// program.
     fn thin_out(&self) -> io::Result<()> {
         let is_own = |entry: &DirEntry| entry.file_name().to_string_lossy().contains(ENDING);
         let entries = fs::read_dir(&self.folder)?.filter_map(Result::ok).filter(is_own);
@@ -116,7 +121,7 @@ mod tests {
         let left = names(folder.path());
         assert_eq!(left.len(), MOST_FILES + 1);
         assert!(["000.views", "002.views", "new.views", "of-others"].iter().all(|name| left.iter().any(|l| l == name)), "{left:?}");
-        // A few large ones are too much, too.
+        // A few large files also exceed the limit.
         let large = vec![0; MOST_BYTES as usize];
         for k in 0..=MOST_BYTES_IN_ALL / MOST_BYTES {
             kept.store(&format!("large-{k}"), &large);
@@ -128,7 +133,7 @@ mod tests {
     #[test]
     fn a_folder_that_cannot_be_written_does_no_harm() {
         let folder = tempfile::tempdir().unwrap();
-        // A file where the folder should be stops root as well.
+        // A file in place of the folder stops root as well.
         let file = folder.path().join("a-file");
         fs::write(&file, b"").unwrap();
         for place in [file, "/proc".into(), "/dev/null".into()] {
@@ -136,7 +141,7 @@ mod tests {
             kept.store("aa", b"views");
             assert_eq!(kept.load("aa"), None);
         }
-        // A name that is taken by something else, too.
+        // The same if the name is taken by something else.
         let kept = KeptViews { folder: folder.path().to_owned() };
         fs::create_dir(kept.path("aa")).unwrap();
         kept.store("aa", b"views");

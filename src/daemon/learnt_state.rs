@@ -1,4 +1,5 @@
-//! What cameras' pictures taught, kept from session to session: a small file a camera and mode; and what a recording says was known before its first row.
+//! What was learnt of cameras, kept between sessions: one small file per camera and mode. Also
+//! reads what a recording says was known before its first row.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -9,17 +10,19 @@ use crate::capture::camera::CameraMode;
 use crate::safe_file;
 use crate::track::{LARGEST_LEARNT_BYTES, LearntCamera};
 
-/// Longer than any `clip.toml`, bytes. A round figure.
+/// Maximum size of a `clip.toml`, bytes. A round figure above any. Raised, a foreign file takes
+/// more memory.
 const LARGEST_ABOUT: u64 = 1 << 20;
-/// Characters of a camera's name that are in a file's name. Raised, file systems refuse long names.
+/// Maximum characters of a camera's name in a file name. Raised, file systems refuse long names.
 const LONGEST_NAME: usize = 80;
 
-/// Where what a camera teaches is kept: by its name, format, size, rate, and whether its exposure is locked.
+/// The file with what was learnt of a camera: named by its name, format, size, rate, and whether
+/// its exposure is locked.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LearntFile(PathBuf);
 
 impl LearntFile {
-    /// Of a camera as it was opened.
+    /// Returns the file for a camera as it was opened.
     pub fn of(mode: &CameraMode) -> Self {
         Self::within(&state_folder(), mode)
     }
@@ -33,7 +36,8 @@ impl LearntFile {
         Self(folder.join("cameras").join(file))
     }
 
-    /// What is kept; nothing where there is none. A file that cannot be used is said once, and the camera is learnt anew.
+    /// Loads what was learnt; empty if there is no file. An unusable file is logged once, and the
+    /// camera is learnt anew.
     pub fn load(&self) -> LearntCamera {
         let bytes = match safe_file::read(&self.0, LARGEST_LEARNT_BYTES) {
             Ok(bytes) => bytes,
@@ -49,7 +53,7 @@ impl LearntFile {
         })
     }
 
-    /// Keeps it; nothing where nothing was learnt.
+    /// Stores what was learnt, if anything.
     pub fn store(&self, learnt: &LearntCamera) {
         if learnt.is_empty() {
             return;
@@ -61,10 +65,11 @@ impl LearntFile {
     }
 }
 
-/// What a recording says was known of the camera before its first row; nothing of a clip that says none.
+/// Returns what a recording says was known of the camera before its first row; empty if it says
+/// nothing.
 ///
 /// # Errors
-/// Why what it says cannot be used.
+/// Why its statement cannot be used.
 pub fn learnt_of_clip(clip: &Path) -> Result<LearntCamera, String> {
     let Ok(bytes) = safe_file::read(&clip.join("clip.toml"), LARGEST_ABOUT) else { return Ok(LearntCamera::default()) };
     let about: Option<toml::Table> = String::from_utf8(bytes).ok().and_then(|text| text.parse().ok());

@@ -1,8 +1,8 @@
-//! The running tracker: the three stages of the design as threads joined by bounded channels.
+//! The running tracker: its three stages as threads joined by bounded channels.
 //!
-//! [`Daemon`] runs capture, matcher and pose on a thread each; data moves one way, and a stage ends when its input ends.
-//! [`track_entry`] is what they make of one row of a clip, in the calling thread. [`live`] owns a camera
-//! that may fail.
+//! [`Daemon`] runs capture, matcher and pose on a thread each; data flows one way, and a stage ends
+//! when its input ends. [`track_entry`] runs the same steps on one row of a clip in the calling
+//! thread. [`live`] owns a camera that may fail.
 
 mod entries;
 mod free_memory;

@@ -1,4 +1,5 @@
-//! Turns the reasons of single frames into events: a frame may fail for any reason, a second of them is worth a line.
+//! Turns the reasons of single frames into events: a single frame may fail for any reason, but a
+//! second without a pose is worth a line.
 
 use std::time::Duration;
 
@@ -7,14 +8,15 @@ use crate::frame::Timestamp;
 use crate::record::{PoseSample, State};
 use crate::track::Reason;
 
-/// A body that has not been tracked for this long is reported, and again where its reason changes. Shorter gaps (a hand before the lens, a
-/// whip pan) would fill the log. Raised, a loss is reported later.
+/// Time without a pose after which a loss is reported, and again when its reason changes. Shorter
+/// gaps (a hand in front of the lens, a whip pan) would fill the log. Raised, a loss is reported
+/// later.
 const TOLD_AFTER: Duration = Duration::from_secs(1);
 
 /// Watches samples, by their stamps.
 #[derive(Debug, Default)]
 pub struct ReasonWatch {
-    /// When the first frame of this window without a pose was taken.
+    /// Stamp of the first frame without a pose in this window.
     since: Option<Timestamp>,
     /// When tracking ended, or the first frame came.
     lost: Option<Timestamp>,
@@ -32,7 +34,7 @@ enum Told {
 }
 
 impl ReasonWatch {
-    /// Takes a sample; gives the event that it completes.
+    /// Takes a sample and returns the event that it completes.
     pub fn seen(&mut self, sample: &PoseSample) -> Option<Event> {
         if sample.state == State::Stale {
             return None;
@@ -55,7 +57,7 @@ impl ReasonWatch {
         self.start_window(Some(now));
         let is_new = self.told != Told::Reason(most);
         self.told = Told::Reason(most);
-        // What mixtures are is said by itself, with what to set.
+        // Mixed frames have their own report, which names the setting.
         (is_new && most != Reason::Mixed)
             .then(|| Event::NotTracked { reason: most.word().into(), text: format!("{}: {}", most.says(), most.mend()) })
     }
@@ -77,7 +79,7 @@ mod tests {
         PoseSample { sequence, timestamp, state, pose, measurement, objects, reason, learnt: Default::default(), times }
     }
 
-    /// Ten frames a second; the events by the frame that completes them.
+    /// Returns the events with the frame that completes each; ten frames per second.
     fn events(frames: &[Option<Reason>]) -> Vec<(usize, Event)> {
         let mut watch = ReasonWatch::default();
         let state = |r: &Option<Reason>| if r.is_some() { State::Lost } else { State::Tracking };

@@ -1,7 +1,8 @@
-//! A recording tracked again with another config, beside what was recorded: the records, and row by row how the two differ.
+//! Tracks a recording again with another config, and compares the records row by row.
 //!
-//! In the recording's folder `retracked/` has `poses.jsonl` (contract C3), `differences.jsonl` (a line a row) and `compared.json`. It is
-//! replaced whole, and is the same to the byte each time, on any machine load.
+//! It writes a folder `retracked/` in the recording's folder, with `poses.jsonl` (contract C3),
+//! `differences.jsonl` (a line per row) and `compared.json`. The folder is replaced as a whole. Its
+//! content is the same to the byte each time, whatever the machine's load.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -18,12 +19,12 @@ use crate::config::Settings;
 use crate::safe_file;
 use crate::tracker::{Tracker, TrackerSetup};
 
-/// The folder within a recording's.
+/// The folder's name in the recording's folder.
 const FOLDER: &str = "retracked";
-/// Larger than the file that a recording has of itself, bytes.
+/// Maximum size of a recording's `clip.toml`, bytes. Raised, a foreign file takes more memory.
 const LARGEST_ABOUT: u64 = 1 << 20;
 
-/// What is compared of a record.
+/// The compared fields of a record.
 #[derive(Debug, Deserialize)]
 struct Told {
     state: String,
@@ -37,7 +38,7 @@ struct Placed {
     orientation_xyzw: [f64; 4],
 }
 
-/// How a row's two records differ; what one of them has not is null.
+/// The difference between a row's two records; fields that one of them lacks are null.
 #[derive(Debug, Serialize)]
 struct Difference<'a> {
     row: u64,
@@ -48,7 +49,7 @@ struct Difference<'a> {
     rms_px: [Option<f64>; 2],
 }
 
-/// The differences so far.
+/// The accumulated differences.
 #[derive(Debug, Default)]
 struct Compared {
     rows: u64,
@@ -60,10 +61,10 @@ struct Compared {
     angle_deg: Vec<f64>,
 }
 
-/// Tracks the recording in this folder with this config; gives a sentence of what came of it.
+/// Tracks the recording in this folder with this config; returns a sentence on the result.
 ///
 /// # Errors
-/// A sentence that says why not; what was there before stays then.
+/// A sentence that says why not; the earlier result then stays.
 pub fn retrack(clip: &Path, settings: &Settings, progress: &mut Progress) -> Result<String, String> {
     let options = ClipOptions { calibrated: settings.lens.size(&settings.camera), ..ClipOptions::default() };
     let mut source = open_clip(clip, options).map_err(|e| e.to_string())?;
@@ -71,7 +72,7 @@ pub fn retrack(clip: &Path, settings: &Settings, progress: &mut Progress) -> Res
     let (width, height) = source.size();
     let (setup, _) = settings.tracker_setup(width, height).map_err(|e| e.to_string())?;
     let mut setup = TrackerSetup { clock: thread_clock(), store: kept_views(), ..setup };
-    // It has one thread, which stands back; the records do not depend on how many there are.
+    // One thread, at low priority; the records do not depend on the number of threads.
     setup.settings.threads = 1;
     setup.learnt = learnt_of_clip(clip).unwrap_or_default();
     setup.shutter.exposure_s = setup.shutter.exposure_s.or_else(|| locked_exposure_s(clip));
@@ -100,7 +101,7 @@ fn unwritable(clip: &Path, error: &io::Error) -> String {
     format!("{}: cannot be written ({error}); make room on the disk, or let the daemon write there", clip.join(FOLDER).display())
 }
 
-/// The exposure that the camera had locked while this was recorded, seconds.
+/// Returns the exposure that the camera had locked during the recording, seconds.
 fn locked_exposure_s(clip: &Path) -> Option<f64> {
     let text = safe_file::read(&clip.join("clip.toml"), LARGEST_ABOUT).ok().and_then(|bytes| String::from_utf8(bytes).ok());
     let about: Option<toml::Table> = text.and_then(|text| text.parse().ok());
@@ -108,7 +109,7 @@ fn locked_exposure_s(clip: &Path) -> Option<f64> {
     exposure_s.filter(|exposure_s| *exposure_s > 0.0 && *exposure_s <= 1.0)
 }
 
-/// The folder while it is not whole; it goes again unless it is finished.
+/// The folder while it is incomplete; it is removed unless it is finished.
 struct Part<'a> {
     clip: &'a Path,
 }
@@ -141,13 +142,13 @@ impl<'a> Part<'a> {
 
 impl Drop for Part<'_> {
     fn drop(&mut self) {
-        // Nothing is there where it is whole by now.
+        // After a successful finish nothing is left here.
         let _ = std::fs::remove_dir_all(self.path());
     }
 }
 
 impl Compared {
-    /// Takes a row's two records and gives the line that says how they differ.
+    /// Adds a row's two records and returns the line with their difference.
     fn add(&mut self, recorded: Option<&str>, retracked: &str) -> String {
         let read = |line: &str| serde_json::from_str::<Told>(line).ok();
         let told = [recorded.and_then(read), read(retracked)];
@@ -174,7 +175,7 @@ impl Compared {
             angle_deg: moved.map(|(_, degrees)| degrees),
             rms_px: [before, after].map(|told| told.as_ref().and_then(|told| told.rms_px)),
         };
-        // Serialising to a string fails only for non-string map keys, of which there are none.
+        // Serialising to a string fails only for non-string map keys, and a difference has none.
         serde_json::to_string(&difference).expect("a difference has only string keys")
     }
 
@@ -202,7 +203,7 @@ impl Placed {
     }
 }
 
-/// Median, 95 % and largest; null where there are none.
+/// Returns median, 95th percentile and maximum; null if there are no values.
 fn spread(values: &mut [f64]) -> Value {
     values.sort_by(f64::total_cmp);
     let Some(last) = values.len().checked_sub(1) else { return Value::Null };
@@ -210,7 +211,7 @@ fn spread(values: &mut [f64]) -> Value {
     json!({"median": at(0.5), "p95": at(0.95), "max": at(1.0)})
 }
 
-/// The result of a comparison that has no rows: its fields, without numbers.
+/// Returns the result of a comparison without rows: its fields, without numbers.
 #[cfg(test)]
 pub fn nothing_compared() -> Value {
     Compared::default().told()
@@ -234,7 +235,7 @@ mod tests {
         let told: Value = serde_json::from_str(&compared.add(Some(lost), &line("tracking", 1.0, "0.3"))).unwrap();
         assert_eq!((&told["row"], &told["recorded"], &told["position_mm"]), (&1.into(), &"lost".into(), &Value::Null));
         compared.add(Some(lost), lost);
-        // The recording ended before its records were all written.
+        // The recording ended before all its records were written.
         compared.add(None, lost);
         assert_eq!(compared.says(), "of 4 rows 1 were tracked and 2 are now");
         let told = compared.told();

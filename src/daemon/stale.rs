@@ -1,4 +1,4 @@
-//! Says that a camera gives no pictures: soon, and again while it does not.
+//! Reports that a camera delivers no pictures: at once, and repeatedly while it lasts.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,7 +9,8 @@ use crate::capture::timestamping::monotonic_now;
 use crate::frame::Timestamp;
 use crate::record::{PoseSample, State};
 
-/// Between two messages of one silence: ten a second. Chosen, not tuned. Raised, a client that comes later learns of it later.
+/// Interval of messages during one silence: ten per second. Chosen, not tuned. Raised, a client
+/// that connects later learns of it later.
 const REPEAT: Duration = Duration::from_millis(100);
 
 /// Watches the pulse for the pose stage.
@@ -17,9 +18,9 @@ pub(super) struct StaleWatch {
     link: LiveLink,
     /// The last frame's number and stamp.
     last: (u64, Timestamp),
-    /// Since when it is silent, and when that was last said.
+    /// When the silence started, and when it was last reported.
     silent: Option<(Instant, Instant)>,
-    /// True from when the daemon is to end: then silence is no fault.
+    /// Set when the daemon is to end: silence is then no fault.
     ending: Arc<AtomicBool>,
 }
 
@@ -32,7 +33,7 @@ impl StaleWatch {
         &self.link
     }
 
-    /// How long to wait for a frame before the next [`check`](Self::check).
+    /// Returns how long to wait for a frame before the next [`check`](Self::check).
     pub fn wait(&self) -> Duration {
         if self.ending.load(Ordering::Relaxed) {
             return REPEAT;
@@ -44,16 +45,16 @@ impl StaleWatch {
         }
     }
 
-    /// A frame was tracked.
+    /// Notes a tracked frame.
     pub fn seen(&mut self, sample: &PoseSample) {
         self.last = (sample.sequence, sample.timestamp);
-        // A frame that was under way when the silence began does not end it.
+        // A frame that was in progress when the silence started does not end it.
         if self.link.pulse.time_left(monotonic_now()).is_some() {
             self.end_silence();
         }
     }
 
-    /// The message for subscribers, where it is due.
+    /// Returns the message for subscribers, if it is due.
     pub fn check(&mut self) -> Option<PoseSample> {
         let now = monotonic_now();
         if self.ending.load(Ordering::Relaxed) || self.link.pulse.time_left(now).is_some() {

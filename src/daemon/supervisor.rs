@@ -1,7 +1,8 @@
-//! What outlives a session: the config file, what is wished for, and who has the camera.
+//! State that outlives a session: the config file, pending requests, and who has the camera.
 //!
-//! A session (a camera, a tracker and what listens, under one config) comes and goes; the HTTP server stays. It asks here for what it wants
-//! (another config, a recording, the ring saved), and the session's loop takes the wishes up. Nobody waits for anybody.
+//! A session (a camera, a tracker and their listeners, under one config) comes and goes; the HTTP
+//! server stays. The server posts requests here (another config, a recording, saving the ring), and
+//! the session's loop takes them up. Neither waits for the other.
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -19,15 +20,15 @@ use crate::publish::OutputStatistics;
 pub enum Mode {
     /// The tracker.
     Track,
-    /// Nobody: it is closed, for whoever sets the stage up.
+    /// Nobody: it is closed while someone sets the stage up.
     Setup,
 }
 
 impl Mode {
-    /// All of them.
+    /// All modes.
     pub const ALL: [Self; 2] = [Self::Track, Self::Setup];
 
-    /// Its word in the API.
+    /// Returns its word in the API.
     pub fn word(self) -> &'static str {
         match self {
             Self::Track => "track",
@@ -36,23 +37,23 @@ impl Mode {
     }
 }
 
-/// What is wished of the recorder.
+/// A request to the recorder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RecordingWish {
-    /// A new recording.
+    /// Start a new recording.
     Start,
-    /// The end of it.
+    /// Stop the recording.
     Stop,
 }
 
-/// Tells what the outputs have done so far.
+/// Returns the outputs' statistics.
 type OutputsWatch = Arc<dyn Fn() -> Vec<OutputStatistics> + Send + Sync>;
 
-/// Between sessions and those that steer them.
+/// Connects sessions with those that control them.
 pub struct Supervisor {
     /// Counts, events, the camera's pulse.
     pub link: LiveLink,
-    /// What takes its time.
+    /// Long-running jobs.
     pub jobs: Jobs,
     file: PathBuf,
     keeping: Keeping,
@@ -60,11 +61,11 @@ pub struct Supervisor {
     refusal: Mutex<Option<String>>,
     outputs: Mutex<Option<OutputsWatch>>,
     recording: Mutex<Option<RecordingWish>>,
-    /// Where the page is.
+    /// The page's address.
     page: Mutex<Option<SocketAddr>>,
     /// Size of the camera's pictures, while it is open.
     picture_size: Mutex<Option<(u32, u32)>>,
-    /// What is recorded now.
+    /// The current recording.
     clip: Mutex<Option<PathBuf>>,
     save: AtomicBool,
     reload: AtomicBool,
@@ -77,7 +78,7 @@ fn held<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Supervisor {
-    /// Of the daemon with this config file.
+    /// Returns the supervisor for a daemon with this config file.
     pub fn new(file: &Path, link: LiveLink) -> Self {
         Self {
             link,
@@ -98,60 +99,62 @@ impl Supervisor {
         }
     }
 
-    /// The config's file.
+    /// Returns the config file.
     pub fn file(&self) -> &Path {
         &self.file
     }
 
-    /// Where the config and the set are changed.
+    /// Returns where changes of the config and the set are stored.
     pub fn keeping(&self) -> &Keeping {
         &self.keeping
     }
 
-    /// Held by who looks at the config or what lies beside it and then changes it, one after the other.
+    /// Locks out others that read and then change the config or the files next to it.
     pub fn alone(&self) -> MutexGuard<'_, ()> {
         held(&self.alone)
     }
 
-    /// The config that is used, where there is one.
+    /// Returns the config in use, if any.
     pub fn settings(&self) -> Option<Arc<Settings>> {
         held(&self.settings).clone()
     }
 
-    /// A session begins under this config; none where there is no good one.
+    /// Sets the config of a new session; `None` if there is no valid one.
     pub fn use_settings(&self, settings: Option<Settings>) {
         *held(&self.settings) = settings.map(Arc::new);
     }
 
-    /// The config in the file was read, and is the one to be used.
+    /// Notes that the config in the file was read and will be used.
     pub fn accept(&self) {
         *held(&self.refusal) = None;
     }
 
-    /// Says why the config in the file is not used: it cannot be read, or cannot be run.
+    /// Notes why the config in the file is not used: it cannot be read, or cannot be run.
     pub fn refuse(&self, reason: String) {
         *held(&self.refusal) = Some(reason);
     }
 
-    /// Why the config in the file is not used; none where it is.
+    /// Returns why the config in the file is not used; `None` if it is.
     pub fn refusal(&self) -> Option<String> {
         held(&self.refusal).clone()
     }
 
-    /// Where the page is; none where there is none.
+    /// Sets the page's address; `None` without a page.
     pub fn set_page(&self, address: Option<SocketAddr>) {
         *held(&self.page) = address;
     }
 
-    /// The size of the camera's pictures; none when it is closed.
+    /// Sets the size of the camera's pictures; `None` when it is closed.
     pub fn set_picture_size(&self, size: Option<(u32, u32)>) {
         *held(&self.picture_size) = size;
     }
 
-    /// Whether a config can be run on this machine in place of the one that is used now: what that one holds is free for it.
+    /// Checks whether a config can be run on this machine in place of the current one, ignoring
+    /// what the current one holds.
     ///
     /// # Errors
-    /// The first thing that this machine does not give, or that does not fit the camera, with its place in the config.
+    /// The first thing that is not available on this machine, or does not fit the camera, with its
+    /// place in the config.
     pub fn rehearse(&self, new: &Settings) -> Result<(), ConfigError> {
         let now = self.settings();
         let page = *held(&self.page);
@@ -159,70 +162,70 @@ impl Supervisor {
         new.rehearse_outputs_beside(&listens)?;
         let size = *held(&self.picture_size);
         match (size, now) {
-            // Where the camera stays what it is, the calibration must fit it.
+            // If the camera stays the same, the calibration must fit it.
             (Some((width, height)), Some(now)) if now.device == new.device => new.camera_for(width, height).map(drop),
             _ => Ok(()),
         }
     }
 
-    /// The session's outputs; none when it ends.
+    /// Sets the session's outputs; `None` when it ends.
     pub fn watch_outputs(&self, watch: Option<OutputsWatch>) {
         *held(&self.outputs) = watch;
     }
 
-    /// What the outputs have done so far; none where no session runs.
+    /// Returns the outputs' statistics; empty if no session runs.
     pub fn outputs(&self) -> Vec<OutputStatistics> {
-        // Not under the lock: it asks the outputs.
+        // Do not hold the lock: this queries the outputs.
         let watch = held(&self.outputs).clone();
         watch.map_or_else(Vec::new, |watch| watch())
     }
 
-    /// Wishes for the ring to be saved.
+    /// Requests that the ring be saved.
     pub fn save_ring(&self) {
         self.save.store(true, Ordering::Relaxed);
     }
 
-    /// Takes that wish.
+    /// Takes that request.
     pub fn take_save(&self) -> bool {
         self.save.swap(false, Ordering::Relaxed)
     }
 
-    /// Wishes for the config to be read again.
+    /// Requests that the config be reloaded.
     pub fn reload(&self) {
         self.reload.store(true, Ordering::Relaxed);
     }
 
-    /// Takes that wish.
+    /// Takes that request.
     pub fn take_reload(&self) -> bool {
         self.reload.swap(false, Ordering::Relaxed)
     }
 
-    /// Wishes for a recording, or its end.
+    /// Requests a recording, or its end.
     pub fn record(&self, wish: RecordingWish) {
         *held(&self.recording) = Some(wish);
     }
 
-    /// Takes that wish.
+    /// Takes that request.
     pub fn take_recording(&self) -> Option<RecordingWish> {
         held(&self.recording).take()
     }
 
-    /// What is recorded now.
+    /// Returns the current recording.
     pub fn recording(&self) -> Option<PathBuf> {
         held(&self.clip).clone()
     }
 
-    /// Says what is recorded now.
+    /// Sets the current recording.
     pub fn set_recording(&self, clip: Option<PathBuf>) {
         *held(&self.clip) = clip;
     }
 
-    /// Who has the camera.
+    /// Returns who has the camera.
     pub fn mode(&self) -> Mode {
         Mode::ALL.into_iter().find(|mode| *mode as u8 == self.mode.load(Ordering::Relaxed)).unwrap_or(Mode::Track)
     }
 
-    /// Lends the camera; the session that has it ends soon.
+    /// Sets who has the camera; a session that has it ends soon.
     pub fn set_mode(&self, mode: Mode) {
         self.mode.store(mode as u8, Ordering::Relaxed);
     }

@@ -1,4 +1,4 @@
-//! Processor time of a thread: what a tracker's times are measured with.
+//! CPU time of a thread, to measure a tracker's times.
 
 use std::time::Duration;
 
@@ -6,7 +6,8 @@ use nix::time::ClockId;
 
 use crate::compute_clock::ComputeClock;
 
-/// The clock for [`TrackerSetup::clock`](crate::TrackerSetup::clock): processor time of the calling thread, zero where the system does not say.
+/// Returns the clock for [`TrackerSetup::clock`](crate::TrackerSetup::clock): the calling thread's
+/// CPU time, or zero if the system does not provide it.
 pub fn thread_clock() -> ComputeClock {
     ComputeClock::new(|| ClockId::CLOCK_THREAD_CPUTIME_ID.now().map_or(Duration::ZERO, Duration::from))
 }

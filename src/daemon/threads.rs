@@ -31,30 +31,31 @@ pub enum Delivery {
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum DaemonError {
-    /// The system gave no thread.
+    /// The system provided no thread.
     #[error("cannot start the {stage} thread: {source}; close other programs or raise the limit of processes")]
     Thread {
-        /// Which stage.
+        /// The stage.
         stage: &'static str,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// A stage ended by a defect of the program.
+    /// A stage ended because of a defect in the program.
     #[error("the {0} stage failed; please report this together with the clip")]
     Stage(&'static str),
 }
 
-/// What sees every row with its sample, on the pose thread: overlays, recorders.
+/// Sees every row with its sample on the pose thread: overlays, recorders.
 type Observer = Box<dyn FnMut(&ClipEntry, &PoseSample) + Send>;
 
-/// Rows that may wait between two stages where none may be lost. Chosen: enough that stages do not wait for each other's slow frames.
-/// Raised, more pictures are held in memory.
+/// Maximum rows waiting between two stages if none may be lost. Chosen: enough that stages do not
+/// wait for each other's slow frames. Raised, more pictures are held in memory.
 const QUEUE: usize = 4;
-/// Samples that may wait for a live subscriber before the oldest is dropped: some 8 seconds at 30 a second. Chosen, not tuned. Raised, only
-/// memory: a subscriber that was held up gets older samples.
+/// Maximum samples waiting for a live subscriber before the oldest is dropped: about 8 seconds at
+/// 30 per second. Chosen, not tuned. Raised, it takes more memory, and a subscriber that was held
+/// up gets older samples.
 const SUBSCRIBER_QUEUE: usize = 256;
 
-/// The tracker on threads of its own. Subscribe first, then start.
+/// The tracker on its own threads. Subscribe first, then start.
 pub struct Daemon {
     source: Box<dyn FrameSource>,
     tracker: Tracker,
@@ -79,23 +80,25 @@ pub struct RunningDaemon {
 }
 
 impl Daemon {
-    /// A daemon that reads from `source`.
+    /// Returns a daemon that reads from `source`.
     pub fn new(source: Box<dyn FrameSource>, tracker: Tracker, delivery: Delivery) -> Self {
         let (stop, dropped) = (Arc::default(), Arc::default());
         Self { source, tracker, delivery, subscribers: Vec::new(), observers: Vec::new(), stop, dropped, live: None }
     }
 
-    /// A daemon for a camera: drops the oldest, numbers the rows that are tracked, counts what happens, and gives
-    /// subscribers a stale message ([`State::Stale`](crate::record::State::Stale)) when no picture has come for three frame times.
-    /// Give the tracker the exposure that the camera's mode says.
+    /// Returns a daemon for a camera. It drops the oldest rows, numbers the rows that are tracked,
+    /// counts, and sends subscribers a stale message
+    /// ([`State::Stale`](crate::record::State::Stale)) when no picture has come for three frame
+    /// times. Give the tracker the exposure that the camera's mode states.
     pub fn live(source: LiveSource, tracker: Tracker) -> Self {
-        // One switch for both: a source that waits for a picture would not look at the daemon's.
+        // One switch for both: a source that waits for a picture does not check the daemon's.
         let (live, stop) = (Some(source.link()), source.stop_switch());
         Self { live, stop, ..Self::new(Box::new(source), tracker, Delivery::DropOldest) }
     }
 
-    /// A new subscriber's own channel. It ends when the daemon does. With [`Delivery::Blocking`] a subscriber that does not
-    /// read holds the daemon up; with [`Delivery::DropOldest`] it loses the oldest samples. A dropped receiver harms nobody.
+    /// Returns a new subscriber's channel. It ends with the daemon. With [`Delivery::Blocking`] a
+    /// subscriber that does not read blocks the daemon; with [`Delivery::DropOldest`] it loses the
+    /// oldest samples. Dropping the receiver is harmless.
     pub fn subscribe(&mut self) -> Receiver<PoseSample> {
         match self.delivery {
             Delivery::Blocking => {
@@ -111,7 +114,8 @@ impl Daemon {
         }
     }
 
-    /// Calls `observer` on the pose thread with every row and its sample, before subscribers get it.
+    /// Calls `observer` on the pose thread with every row and its sample, before subscribers get
+    /// it.
     pub fn observe(&mut self, observer: impl FnMut(&ClipEntry, &PoseSample) + Send + 'static) {
         self.observers.push(Box::new(observer));
     }
@@ -119,12 +123,14 @@ impl Daemon {
     /// Starts the three stages, or none of them.
     ///
     /// # Errors
-    /// When the system gives no thread; what was started has ended by then, and the source is closed.
+    /// When the system provides no thread. The stages started before have then ended, and the
+    /// source is closed.
     pub fn start(self) -> Result<RunningDaemon, DaemonError> {
         self.start_with(|stage, run| std::thread::Builder::new().name(stage.to_owned()).spawn(run))
     }
 
-    /// The threads come from a parameter, so that a system that gives none can be tested.
+    /// As [`start`](Self::start), with a function that creates threads, so that its failure can be
+    /// tested.
     fn start_with(self, mut spawn: impl FnMut(&'static str, Run) -> std::io::Result<JoinHandle<()>>) -> Result<RunningDaemon, DaemonError> {
         let Self { source, tracker, delivery, subscribers, observers, stop, dropped, live } = self;
         let Tracker { matcher, poses, .. } = tracker;
@@ -136,7 +142,8 @@ impl Daemon {
         let order = live.as_ref().map(|_| EntryOrder::default());
         let end = (delivery == Delivery::DropOldest).then(|| End { stop: stop.clone(), is_over, unseen });
         let watch = live.map(|link| StaleWatch::new(link, stop.clone()));
-        // The last one first: a stage whose input never begins ends by itself, while a source that is being read may not.
+        // Start the last stage first: a stage without input ends by itself, while a source that is
+        // being read may not.
         let stages: [(&'static str, Run); 3] = [
             ("pose", Box::new(move || publish(poses, &sightings, observers, subscribers, watch))),
             ("matcher", Box::new(move || match_rows(matcher, order, end.as_ref(), &rows, &to_pose))),
@@ -148,7 +155,7 @@ impl Daemon {
             match spawn(stage, run) {
                 Ok(handle) => running.stages.insert(0, (stage, handle)),
                 Err(source) => {
-                    // With the stages that wait, their channels' ends go too.
+                    // This also drops the channel ends of the stages not yet started.
                     drop(waiting);
                     running.stop();
                     let _ = running.join();
@@ -161,24 +168,26 @@ impl Daemon {
 }
 
 impl RunningDaemon {
-    /// Asks the capture stage to end; the others end after what is under way. With [`Delivery::DropOldest`] a frame that waits is not begun,
-    /// but for the last one of a source that came to its end.
+    /// Asks the capture stage to end; the others end after the rows in progress. With
+    /// [`Delivery::DropOldest`] a waiting frame is dropped, except the last one of a source that
+    /// has ended by itself.
     pub fn stop(&self) {
-        // Whoever sees it sees, too, that the source was over before.
+        // Release: whoever reads it also sees whether the source had ended before.
         self.stop.store(true, Ordering::Release);
     }
 
-    /// A switch that does the same from elsewhere (a signal handler's thread).
+    /// Returns a switch that does the same from elsewhere (a signal handler's thread).
     pub fn stop_switch(&self) -> Arc<AtomicBool> {
         self.stop.clone()
     }
 
-    /// Frames dropped because the matcher was late.
+    /// Returns the number of frames dropped because the matcher was late.
     pub fn dropped_frames(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    /// True once a stage has ended: the stream is over, or one of them failed; [`join`](Self::join) tells.
+    /// Whether a stage has ended: the stream is over, or a stage failed; [`join`](Self::join) tells
+    /// which.
     pub fn has_ended(&self) -> bool {
         self.stages.iter().any(|(_, handle)| handle.is_finished())
     }
@@ -195,7 +204,7 @@ impl RunningDaemon {
     }
 }
 
-/// A stage's whole life.
+/// A stage's main function.
 type Run = Box<dyn FnOnce() + Send>;
 
 enum RowSender {
@@ -209,7 +218,7 @@ fn row_channel(delivery: Delivery) -> (RowSender, Receiver<ClipEntry>) {
             let (sender, receiver) = bounded(QUEUE);
             (RowSender::Blocking(sender), receiver)
         }
-        // One frame waits, the newest.
+        // At most one frame waits, the newest.
         Delivery::DropOldest => {
             let (sender, receiver) = drop_oldest(1);
             (RowSender::Latest(sender), receiver)
@@ -217,7 +226,7 @@ fn row_channel(delivery: Delivery) -> (RowSender, Receiver<ClipEntry>) {
     }
 }
 
-/// Counts the frames that nobody looks at.
+/// Counts the frames that are not tracked.
 #[derive(Clone)]
 struct Unseen {
     count: Arc<AtomicU64>,
@@ -231,10 +240,11 @@ impl Unseen {
     }
 }
 
-/// How a live daemon is stopped: a frame that waits is dropped. On a slow machine a frame takes seconds, and whoever stopped it waits.
+/// Stops a live daemon: a waiting frame is dropped. On a slow machine a frame takes seconds, and
+/// the caller waits.
 struct End {
     stop: Arc<AtomicBool>,
-    /// The source came to its end before: its last frame is looked at.
+    /// Set if the source ended by itself before the stop: its last frame is tracked.
     is_over: Arc<AtomicBool>,
     unseen: Unseen,
 }
@@ -275,14 +285,15 @@ impl Capture {
     }
 }
 
-/// A row, what the matcher makes of it, and how old it was when that began.
+/// A row, the matcher's result, and the row's age when matching started.
 struct Seen {
     row: ClipEntry,
     sighting: Sighting,
     age_ms: Option<f64>,
 }
 
-/// `order` numbers the rows of a camera as they are tracked, after some were dropped. Without `end` every row is looked at.
+/// Runs the matcher. `order` numbers a camera's rows as they are tracked, after drops. Without
+/// `end` every row is tracked.
 fn match_rows(mut matcher: Matcher, mut order: Option<EntryOrder>, end: Option<&End>, rows: &Receiver<ClipEntry>, to_pose: &Sender<Seen>) {
     for row in rows {
         if let Some(end) = end.filter(|end| end.has_come()) {
@@ -347,7 +358,7 @@ fn publish(
     }
 }
 
-/// Says which part of the model differs: to whoever listens to a live camera's events, else to the log.
+/// Reports which part of the model differs: as an event of a live camera, else to the log.
 fn tell(news: ModelNews, live: Option<&LiveLink>) {
     let (part, text) = (news.part.word().to_owned(), news.text());
     match live {
@@ -356,7 +367,7 @@ fn tell(news: ModelNews, live: Option<&LiveLink>) {
     }
 }
 
-/// Says that frames show two moments at once, in the same way.
+/// Reports that frames mix two moments, likewise.
 fn tell_mixture(mixture: Mixture, live: Option<&LiveLink>) {
     let text = mixture.text();
     match live {
@@ -365,7 +376,8 @@ fn tell_mixture(mixture: Mixture, live: Option<&LiveLink>) {
     }
 }
 
-/// Says that the shutter is known, or that frames contradict it: to whoever listens to a live camera's events, else to the log.
+/// Reports that the shutter is known, or that frames contradict it: as an event of a live camera,
+/// else to the log.
 fn tell_shutter(news: &ShutterNews, live: Option<&LiveLink>) {
     match (live, news.is_warning()) {
         (Some(live), true) => live.events.publish(Event::ShutterDiffers { text: news.text() }),

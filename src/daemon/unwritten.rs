@@ -1,8 +1,8 @@
-//! What could not be written, in words: the system's own, and what to do about that cause.
+//! Describes why something could not be written: the system's error, and a fix for its cause.
 
 use std::io::{self, ErrorKind};
 
-/// The error with its mend, for a recording.
+/// Returns the error with its fix, for a recording.
 pub fn unwritten(error: &io::Error) -> String {
     let mend = match error.kind() {
         ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => {

@@ -1,4 +1,4 @@
-//! What happens to a live daemon beside its poses: one line each in events.jsonl and in the log.
+//! Events of a live daemon besides its poses: one line each in events.jsonl and in the log.
 
 use std::borrow::Cow;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -22,24 +22,24 @@ pub enum Event {
     CameraOpened {
         /// Its name and place.
         name: String,
-        /// Pixels.
+        /// Picture width, pixels.
         width: u32,
-        /// Pixels.
+        /// Picture height, pixels.
         height: u32,
-        /// V4L2's four letters.
+        /// V4L2's four-character code.
         format: Cow<'static, str>,
-        /// Pictures a second.
+        /// Pictures per second.
         fps: f64,
-        /// Its exposure in seconds, where it is locked and known; else null.
+        /// Its exposure, seconds, if it is locked and known; otherwise null.
         exposure_s: Option<f64>,
         /// Controls as read back.
         controls: Vec<(String, i64)>,
-        /// True where it was open before.
+        /// Whether it had been open before.
         again: bool,
     },
-    /// The camera cannot be opened; it is tried again and again.
+    /// The camera cannot be opened; opening is retried.
     CameraWaiting {
-        /// Why, with the mend.
+        /// Why, with the fix.
         reason: String,
     },
     /// The camera is gone, or was given up.
@@ -47,14 +47,15 @@ pub enum Event {
         /// Why.
         reason: String,
     },
-    /// The driver gives no stamps: times are those of reading, less exactly.
+    /// The driver provides no stamps; frames are stamped when they are read, which is less
+    /// accurate.
     NoDriverStamp {
         /// The camera.
         name: String,
     },
-    /// The exposure that poses rest on is not the one that the camera has.
+    /// The poses are based on another exposure than the camera's.
     ExposureDiffers {
-        /// Both, with the mend.
+        /// Both exposures, with the fix.
         reason: String,
     },
     /// No picture has come for three frame times.
@@ -68,28 +69,28 @@ pub enum Event {
     },
     /// Pictures come again.
     Resumed {
-        /// How long none came, milliseconds.
+        /// Duration of the gap, milliseconds.
         after_ms: f64,
     },
-    /// A frame was dropped, since the tracker was late.
+    /// A frame was dropped because the tracker was late.
     FrameDropped {
         /// Its stamp.
         #[serde(rename = "frame_timestamp_ns")]
         timestamp: Timestamp,
     },
-    /// Recording began.
+    /// A recording started.
     RecorderStarted {
         /// The clip.
         clip: String,
     },
-    /// The recording is whole and closed; the last line of its own events.
+    /// A recording is complete and closed; the last line of its own events.
     RecorderFinished {
         /// The clip.
         clip: String,
-        /// Its rows.
+        /// Number of its rows.
         frames: u64,
     },
-    /// Recording gave up; tracking goes on.
+    /// Recording was given up; tracking continues.
     RecorderStopped {
         /// Why.
         reason: String,
@@ -99,54 +100,56 @@ pub enum Event {
         /// The clip.
         clip: String,
     },
-    /// Somebody marked this moment.
+    /// Someone marked this moment.
     Marked {
-        /// What it is.
+        /// The mark's text.
         text: String,
     },
-    /// The stage has not been tracked for a second, for this reason most of all; again where the reason changes.
+    /// The stage has not been tracked for a second, mostly for this reason; reported again when the
+    /// reason changes.
     NotTracked {
         /// One word.
         reason: Cow<'static, str>,
-        /// What is the matter, and what to do about it.
+        /// The problem, and what to do about it.
         text: String,
     },
     /// The stage is tracked, for the first time or again.
     Tracked {
-        /// Since the first frame, or since it was lost, milliseconds.
+        /// Time since the first frame, or since the loss, milliseconds.
         after_ms: f64,
     },
-    /// A part of the stage or the lens is not as it was told or surveyed; told once each. Tracking goes on by what fits.
+    /// A part of the stage or the lens is not as configured or surveyed; reported once each.
+    /// Tracking continues with what fits.
     ModelDiffers {
         /// `lens`, `shape`, `layout` or `ratio`.
         part: String,
-        /// What its surface is called; null for the lens.
+        /// The name of its surface; null for the lens.
         surface: Option<String>,
-        /// What is the matter, by how much, and what to do about it.
+        /// The problem, its size, and what to do about it.
         text: String,
     },
-    /// The shutter is known now, by the frames; told once.
+    /// The frames have determined the shutter; reported once.
     ShutterLearnt {
-        /// What it is.
+        /// The shutter.
         text: String,
     },
-    /// The frames contradict the configured readout; told once.
+    /// The frames contradict the configured readout; reported once.
     ShutterDiffers {
-        /// What they say, and what to do about it.
+        /// What they show, and what to do about it.
         text: String,
     },
-    /// The safety limits began to hold a pose back.
+    /// The safety limits started to withhold a pose.
     PoseWithheld {
-        /// From this output,
+        /// The output.
         output: String,
-        /// of this body,
+        /// The body.
         body: String,
-        /// for this reason.
+        /// The reason.
         reason: Cow<'static, str>,
     },
-    /// A job began, goes on, or is over.
+    /// A job started, continues, or ended.
     Job(Job),
-    /// The config was read again.
+    /// The config was reloaded.
     ConfigReloaded {
         /// The file.
         file: String,
@@ -156,7 +159,7 @@ pub enum Event {
         /// Why.
         reason: String,
     },
-    /// The daemon ended in good order; always the last line.
+    /// The daemon ended normally; always the last line.
     Ended {
         /// Why.
         reason: String,
@@ -166,7 +169,7 @@ pub enum Event {
 /// An event with its time.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct StampedEvent {
-    /// On the monotonic clock, as the frames'.
+    /// On the monotonic clock, like frames.
     #[serde(rename = "timestamp_ns")]
     pub timestamp: Timestamp,
     /// What happened.
@@ -175,21 +178,22 @@ pub struct StampedEvent {
 }
 
 impl StampedEvent {
-    /// One line of JSON, without the line end. Cameras and files name themselves: what a terminal would obey is escaped.
+    /// Returns one line of JSON, without the line end. Control characters, which may come from
+    /// names of cameras and files, are escaped.
     pub fn to_json_line(&self) -> String {
-        // Serialising to a string fails only for non-string map keys, of which there are none.
+        // Serialising to a string fails only for non-string map keys, and an event has none.
         let line = serde_json::to_string(self).expect("an event has only string keys");
         printable(&line).into_owned()
     }
 }
 
-/// Gives every event to the log and to whoever listens.
+/// Distributes every event to the log and to all listeners.
 #[derive(Debug, Default)]
 pub struct EventLog {
     listeners: Mutex<Vec<(DropOldestSender<StampedEvent>, Weak<()>)>>,
 }
 
-/// A listener's own channel of events; the log forgets it when it is dropped.
+/// A listener's own channel of events; the log removes it after it is dropped.
 #[derive(Debug)]
 pub struct EventListener {
     events: Receiver<StampedEvent>,
@@ -204,11 +208,12 @@ impl std::ops::Deref for EventListener {
     }
 }
 
-/// Events that may wait for a listener before the oldest is dropped. A round figure far above what comes in a second. Raised, only memory.
+/// Maximum events queued for a listener before the oldest is dropped. A round figure far above a
+/// second's events. Raised, only memory.
 const QUEUE: usize = 4096;
 
 impl EventLog {
-    /// A channel with every event from now on; a listener that is late loses the oldest.
+    /// Returns a channel with every event from now on; a slow listener loses the oldest.
     pub fn listen(&self) -> EventListener {
         let (sender, events) = drop_oldest(QUEUE);
         let alive = Arc::new(());
@@ -216,7 +221,7 @@ impl EventLog {
         EventListener { events, _alive: alive }
     }
 
-    /// Something happened now.
+    /// Publishes an event with the current time.
     pub fn publish(&self, event: Event) {
         note(&event);
         let stamped = StampedEvent { timestamp: monotonic_now(), event };
@@ -233,12 +238,12 @@ impl EventLog {
 }
 
 impl Event {
-    /// Whether it is one of many that say how far something is: lists of what happened leave it out.
+    /// Whether it only reports progress: lists of what happened leave it out.
     pub fn is_progress(&self) -> bool {
         matches!(self, Self::FrameDropped { .. } | Self::Job(Job { state: JobState::Running, .. }))
     }
 
-    /// What happened in one sentence without its full stop, and how much it matters.
+    /// Returns the event as a sentence without its full stop, and its severity.
     pub fn says(&self) -> (Level, String) {
         match self {
             Self::CameraOpened { name, width, height, format, fps, again, .. } => {
@@ -267,7 +272,7 @@ impl Event {
             Self::ShutterLearnt { text } => (Level::INFO, text.clone()),
             Self::ShutterDiffers { text } => (Level::WARN, text.clone()),
             Self::ModelDiffers { text, .. } => (Level::WARN, text.clone()),
-            // The output's own warning has said it, at most once a minute.
+            // The output has already logged a warning, at most once a minute.
             Self::PoseWithheld { output, body, reason } => {
                 (Level::DEBUG, format!("output {output}: the pose of {body} is withheld, {reason}"))
             }
@@ -285,7 +290,7 @@ impl Event {
 
 /// Writes an event to the log.
 fn note(event: &Event) {
-    // It comes with every frame that is late, and is seldom asked for.
+    // Progress comes with every late frame and is seldom wanted.
     if event.is_progress() && !tracing::enabled!(Level::DEBUG) {
         return;
     }

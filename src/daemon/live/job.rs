@@ -1,12 +1,12 @@
-//! A job as people hear of it.
+//! A job as reported to clients.
 
 use serde::{Deserialize, Serialize};
 
-/// How a job is doing.
+/// The state of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum JobState {
-    /// It is under way.
+    /// It is running.
     Running,
     /// It is done.
     Done,
@@ -19,12 +19,12 @@ pub enum JobState {
 pub struct Job {
     /// Its number, from 1.
     pub job: u64,
-    /// What it is.
+    /// Its kind.
     pub kind: String,
-    /// How much is done, 0 to 1.
+    /// The share done, 0 to 1.
     pub done: f64,
-    /// How it is doing.
+    /// Its state.
     pub state: JobState,
-    /// What it works on, what came of it, or why it failed.
+    /// What it works on, its result, or why it failed.
     pub text: String,
 }

@@ -1,11 +1,12 @@
-//! A live camera as a source of rows, whatever it does: it may be missing, go, come back, stall, block or panic.
+//! A live camera as a source of rows. The camera may be missing, go, come back, stall, block or
+//! panic.
 //!
 //! ```text
 //!  reader thread (opens, reads, reopens)  --newest picture-->  capture stage (decodes)  --newest row-->  matcher
 //!       ^ nudged, then abandoned where a driver blocks it
 //! ```
-//! Pictures and rows that nobody came for are dropped, the oldest first. [`Pulse`] tells how long the last picture
-//! is ago, from which the pose stage makes stale messages.
+//! If the next stage is slow, the oldest pictures and rows are dropped. [`Pulse`] tells the age of
+//! the last picture, from which the pose stage makes stale messages.
 
 mod event;
 mod job;
@@ -30,9 +31,9 @@ use crate::telemetry::Statistics;
 /// What the stages of a live daemon share.
 #[derive(Debug, Clone, Default)]
 pub struct LiveLink {
-    /// What is counted.
+    /// Counts.
     pub statistics: Arc<Statistics>,
-    /// What happens.
+    /// Events.
     pub events: Arc<EventLog>,
     /// When the last picture came.
     pub pulse: Arc<Pulse>,

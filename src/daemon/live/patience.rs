@@ -1,17 +1,18 @@
-//! How long the pipeline bears a camera that is silent, blocked or gone.
+//! How long the pipeline tolerates a camera that is silent, blocked or gone.
 
 use std::time::Duration;
 
-/// How long the pipeline bears what.
+/// The pipeline's time limits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Patience {
-    /// One wait for a picture.
+    /// A single wait for a picture.
     pub read: Duration,
-    /// No picture at all, before the camera is opened again (and 15 frame times at least).
+    /// Time without any picture before the camera is reopened (at least 15 frame times).
     pub silence: Duration,
-    /// A call that does not come back, before it is interrupted; twice this, before it is left behind.
+    /// Time that a call may block before it is interrupted; after twice this, its thread is
+    /// abandoned.
     pub blocked: Duration,
-    /// Between two tries to open.
+    /// Pause between two attempts to open.
     pub between_openings: Duration,
 }
 

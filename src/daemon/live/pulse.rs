@@ -1,4 +1,4 @@
-//! How long ago the last picture came, and when that is too long.
+//! The age of the last picture, and when it is too old.
 
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
@@ -6,7 +6,7 @@ use std::time::Duration;
 use crate::capture::timestamping::monotonic_now;
 use crate::frame::Timestamp;
 
-/// Shared by the thread that reads pictures and the one that says that none come; nanoseconds.
+/// Shared by the thread that reads pictures and the one that reports their absence; nanoseconds.
 #[derive(Debug)]
 pub struct Pulse {
     arrival_ns: AtomicI64,
@@ -21,32 +21,33 @@ impl Default for Pulse {
     }
 }
 
-/// A stale message is due before the third frame time is over; the rest of it is left for its way. Raised, the message is late; lowered,
-/// frames that are merely late make the output stale.
+/// Frame times without a picture after which a stale message is due. It is less than three to leave
+/// time for delivery. Raised, the message is late; lowered, frames that are merely late make the
+/// output stale.
 const STALE_FRAME_TIMES: f64 = 2.6;
 
 impl Pulse {
-    /// A picture came.
+    /// Notes a picture.
     pub fn beat(&self, arrival: Timestamp, stamp: Timestamp) {
         self.arrival_ns.store(arrival.ns(), Ordering::Relaxed);
         self.stamp_ns.store(stamp.ns(), Ordering::Relaxed);
     }
 
-    /// Pictures come at this rate, a second.
+    /// Sets the picture rate, per second.
     pub fn set_rate(&self, fps: f64) {
         if fps > 0.0 {
             self.frame_time_ns.store((1e9 / fps) as i64, Ordering::Relaxed);
         }
     }
 
-    /// Time until the silence is too long; none where it is already.
+    /// Returns the time until the silence is too long; `None` if it already is.
     pub fn time_left(&self, now: Timestamp) -> Option<Duration> {
         let allowed = (self.frame_time_ns.load(Ordering::Relaxed) as f64 * STALE_FRAME_TIMES) as i64;
         let left = Timestamp::from_ns(self.arrival_ns.load(Ordering::Relaxed)).after_ns(allowed).duration_since(now);
         (!left.is_zero()).then_some(left)
     }
 
-    /// How old the last picture is, milliseconds, from its exposure on.
+    /// Returns the last picture's age since its exposure, milliseconds.
     pub fn age_ms(&self, now: Timestamp) -> f64 {
         now.ms_since(Timestamp::from_ns(self.stamp_ns.load(Ordering::Relaxed)))
     }

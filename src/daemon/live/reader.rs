@@ -1,7 +1,8 @@
-//! The thread that owns the camera: opens it, reads it, gives it up, opens it again.
+//! The thread that owns the camera: opens it, reads it, gives it up, reopens it.
 //!
-//! It is the only one that a driver can block. Its beats tell the capture stage that it is not; a signal wakes it
-//! from most blocks (reads return "interrupted"), and what does not wake is left behind.
+//! Only this thread can be blocked by a driver. Its beats tell the capture stage that it is alive.
+//! A signal interrupts most blocking calls (reads return "interrupted"); a thread that stays
+//! blocked is abandoned.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
@@ -27,7 +28,7 @@ pub(super) struct Arrived {
     pub timestamp: Timestamp,
 }
 
-/// What readers and their source share; it outlives a reader that was left behind.
+/// State shared by readers and their source; it outlives abandoned readers.
 pub(super) struct Shared {
     pub opener: Arc<dyn CameraOpener>,
     pub shutter: Shutter,
@@ -36,19 +37,19 @@ pub(super) struct Shared {
     pub stop: Arc<AtomicBool>,
     /// The mode of the first opening: later ones must have its size.
     pub first_mode: Mutex<Option<CameraMode>>,
-    /// True once there is a reader; what was there before is not late.
+    /// Set once rows are being taken; pictures before that do not count as dropped.
     pub is_read: AtomicBool,
-    /// True once it was said that the driver gives no stamps.
+    /// Set once the missing driver stamps have been reported.
     pub unstamped_said: AtomicBool,
 }
 
 /// One reader's own state.
 pub(super) struct Ticket {
-    /// False from when it is no longer wanted.
+    /// Cleared when it is no longer wanted.
     pub wanted: AtomicBool,
-    /// When it last was not blocked, nanoseconds on the monotonic clock.
+    /// When it was last seen unblocked, nanoseconds on the monotonic clock.
     beat_ns: AtomicI64,
-    /// True where its camera will give no more pictures (a played clip).
+    /// Set if its camera has no more pictures (a played clip).
     pub ended: AtomicBool,
     /// Its thread, while it runs.
     thread: Mutex<Option<libc::pthread_t>>,
@@ -64,16 +65,17 @@ impl Ticket {
         self.beat_ns.store(monotonic_now().ns(), Ordering::Relaxed);
     }
 
-    /// How long it has been blocked.
+    /// Returns how long it has been blocked.
     pub fn blocked_for(&self) -> Duration {
         monotonic_now().duration_since(Timestamp::from_ns(self.beat_ns.load(Ordering::Relaxed)))
     }
 
-    /// Interrupts what it is blocked in.
+    /// Interrupts the call it is blocked in.
     pub fn nudge(&self) {
         let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(thread) = *thread {
-            // SAFETY: the thread clears its entry under this lock before it ends ([`OnThread`]), so it is alive.
+            // SAFETY: the thread clears its entry under this lock before it ends ([`OnThread`]), so
+            // it is alive.
             unsafe { libc::pthread_kill(thread, libc::SIGURG) };
         }
     }
@@ -87,13 +89,13 @@ impl Ticket {
     }
 }
 
-/// Keeps the calling thread's id in a ticket for as long as it lives, however the thread ends: an id that outlived its
-/// thread would be signalled, and may be another thread's by then.
+/// Keeps the calling thread's id in a ticket while the thread runs, however it ends. A stale id
+/// could be another thread's by the time it is signalled.
 struct OnThread<'a>(&'a Ticket);
 
 impl<'a> OnThread<'a> {
     fn enter(ticket: &'a Ticket) -> Self {
-        // SAFETY: it only asks who we are.
+        // SAFETY: it only reads the calling thread's id.
         ticket.set_thread(Some(unsafe { libc::pthread_self() }));
         Self(ticket)
     }
@@ -105,31 +107,32 @@ impl Drop for OnThread<'_> {
     }
 }
 
-/// Makes the nudging signal do nothing but interrupt.
+/// Installs an empty handler, so that the nudging signal only interrupts.
 fn take_signal() {
     extern "C" fn nothing(_: libc::c_int) {}
-    /// The signal's handler is set once for the process.
+    /// Ensures that the handler is installed once per process.
     static TAKEN: Once = Once::new();
     TAKEN.call_once(|| {
-        // No SA_RESTART: a blocked call shall come back.
+        // No SA_RESTART: a blocked call must return.
         let action = SigAction::new(SigHandler::Handler(nothing), SaFlags::empty(), SigSet::empty());
         // SAFETY: the handler does nothing.
         let _ = unsafe { sigaction(Signal::SIGURG, &action) };
     });
 }
 
-/// Why a camera was given up.
+/// Why reading a camera ended.
 enum Loss {
     Unwanted,
     Ended,
     Gone(String),
 }
 
-/// The thread's whole life.
+/// The thread's main function.
 pub(super) fn read(shared: &Shared, ticket: &Ticket, to: &DropOldestSender<Arrived>) {
     take_signal();
     let _here = OnThread::enter(ticket);
-    // What drivers do is contained where they are called; this is for all the rest. The source starts another reader.
+    // Driver panics are contained where the driver is called; this catches all others. The source
+    // starts another reader.
     if catch_unwind(AssertUnwindSafe(|| open_and_stream(shared, ticket, to))).is_err() {
         shared.link.statistics.contained_panics.add(1);
         shared.link.statistics.camera_lost();
@@ -180,7 +183,7 @@ fn nap(shared: &Shared, ticket: &Ticket, whole: Duration) {
     }
 }
 
-/// A driver's library may panic while it closes.
+/// Closes a camera; its driver's library may panic.
 fn close(shared: &Shared, camera: Box<dyn Camera>) {
     if catch_unwind(AssertUnwindSafe(|| drop(camera))).is_err() {
         shared.link.statistics.contained_panics.add(1);
@@ -250,7 +253,8 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: Camer
         }
         if let (Some(before), Some(now)) = (last_sequence, picture.device_sequence) {
             let lost: u32 = u32::wrapping_sub(now, before).wrapping_sub(1);
-            // A count that goes back begins anew; it does not mean four thousand million frames.
+            // A count that goes back has restarted; it does not mean four thousand million lost
+            // frames.
             shared.link.statistics.device_dropped.add(if lost < 10_000 { lost.into() } else { 0 });
         }
         last_sequence = picture.device_sequence.or(last_sequence);
@@ -265,7 +269,7 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: Camer
     Loss::Unwanted
 }
 
-/// A frame nobody came for.
+/// Counts and reports a dropped frame.
 pub(in crate::daemon) fn dropped(link: &LiveLink, timestamp: Timestamp) {
     link.statistics.dropped.add(1);
     link.events.publish(Event::FrameDropped { timestamp });
@@ -292,7 +296,7 @@ mod tests {
         drop(inside);
         assert!(reader.join().is_err());
         assert!(!ticket.is_running());
-        // There is nobody to signal.
+        // There is no thread to signal.
         ticket.nudge();
     }
 }

@@ -1,20 +1,23 @@
-//! The camera's exposure and readout: as set, as the camera says, and where the two contradict each other.
+//! The camera's exposure and readout: as configured, as reported by the camera, and contradictions
+//! between the two.
 
 use crate::camera::Shutter;
 use crate::capture::camera::CameraMode;
 
-/// Two exposures are equal within this much, seconds (drivers count in units of 0.1 ms), and within this share of the longer. Chosen: no
-/// error that the tracker notices. Raised, wrong settings pass; lowered, rounding is reported.
+/// Exposures are equal within this many seconds (drivers count in units of 0.1 ms) or this share of
+/// the longer one. Chosen: an error that the tracker does not notice. Raised, wrong settings pass;
+/// lowered, rounding is reported.
 const SAME_EXPOSURE_S: f64 = 1.5e-4;
 const SAME_EXPOSURE_SHARE: f64 = 0.02;
 
-/// The exposure to stamp and to track with: as set here, else as the camera has it locked; 0 where neither is known.
+/// Returns the exposure for stamps and tracking: the configured one, else the camera's locked one;
+/// 0 if neither is known.
 pub fn exposure_of(shutter: &Shutter, mode: &CameraMode) -> f64 {
     if shutter.exposure_s > 0.0 { shutter.exposure_s } else { locked(mode).unwrap_or(0.0) }
 }
 
-/// What is to be said where the exposure that poses rest on is not the one that the camera has locked now; `first` is
-/// the mode that the tracker was made for.
+/// Describes a contradiction between the exposure that poses are based on and the one that the
+/// camera has locked now; `first` is the mode that the tracker was made for.
 pub fn contradiction(shutter: &Shutter, first: &CameraMode, now: &CameraMode) -> Option<String> {
     let (used, real) = (exposure_of(shutter, first), locked(now).unwrap_or(0.0));
     let (used_ms, real_ms) = (used * 1e3, real * 1e3);
@@ -35,7 +38,7 @@ pub fn contradiction(shutter: &Shutter, first: &CameraMode, now: &CameraMode) ->
     }
 }
 
-/// The exposure that a camera has locked, where it can be true.
+/// Returns the exposure that a camera has locked, if it is plausible.
 fn locked(mode: &CameraMode) -> Option<f64> {
     mode.exposure_s.filter(|s| *s > 0.0 && *s <= Shutter::LONGEST_S)
 }

@@ -1,4 +1,5 @@
-//! The capture stage of a live daemon: takes the newest picture, decodes it, and looks after the reader.
+//! The capture stage of a live daemon: takes the newest picture, decodes it, and supervises the
+//! reader.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -15,11 +16,11 @@ use crate::capture::repeats::Repeats;
 use crate::capture::{ClipEntry, FrameSource, Received, decode_picture};
 use crate::drop_oldest::drop_oldest;
 
-/// Readers that may be left behind before the daemon only waits for one of them. Chosen, not tuned. Raised, a driver that hangs for good
-/// holds more threads.
+/// Maximum number of abandoned readers; after that the daemon only waits for one of them. Chosen,
+/// not tuned. Raised, a driver that hangs forever holds more threads.
 const MOST_READERS: usize = 8;
-/// How often the reader is looked after. Chosen: well below a frame time of slow cameras. Raised, a lost camera is noticed later; lowered,
-/// waiting takes processor time.
+/// Interval of checks on the reader. Chosen: well below a frame time of slow cameras. Raised, a
+/// lost camera is noticed later; lowered, waiting takes processor time.
 const TICK: Duration = Duration::from_millis(20);
 
 /// A live camera as a source of rows. It ends when it is stopped, or when a played clip does.
@@ -38,14 +39,14 @@ pub struct LiveSource {
 pub struct LiveStop(Arc<Shared>);
 
 impl LiveStop {
-    /// The source ends at its next look.
+    /// Makes the source end at its next check.
     pub fn stop(&self) {
         self.0.stop.store(true, Ordering::Release);
     }
 }
 
 impl LiveSource {
-    /// Starts to open the camera and to read it.
+    /// Starts to open and read the camera.
     pub fn start(opener: Arc<dyn CameraOpener>, shutter: Shutter, patience: Patience, link: LiveLink) -> Self {
         let (stop, is_read, unstamped_said) = (Arc::default(), false.into(), false.into());
         let shared = Shared { opener, shutter, patience, link, stop, first_mode: Mutex::new(None), is_read, unstamped_said };
@@ -54,8 +55,8 @@ impl LiveSource {
         Self { shared, pictures, reader, left_behind: Vec::new(), nudged: false, next_sequence: 0, repeats: Repeats::default() }
     }
 
-    /// What the camera delivers, once it has been opened for the first time; looks after the reader meanwhile.
-    /// `None` when `give_up` says so.
+    /// Waits until the camera has been opened for the first time, and returns its mode; supervises
+    /// the reader meanwhile. Returns `None` when `give_up` returns true.
     pub fn wait_for_camera(&mut self, mut give_up: impl FnMut() -> bool) -> Option<CameraMode> {
         loop {
             if let Some(mode) = self.shared.first_mode.lock().unwrap_or_else(PoisonError::into_inner).clone() {
@@ -69,17 +70,18 @@ impl LiveSource {
         }
     }
 
-    /// A switch that ends it.
+    /// Returns a switch that stops it.
     pub fn stopper(&self) -> LiveStop {
         LiveStop(self.shared.clone())
     }
 
-    /// The switch behind [`stopper`](Self::stopper), which the daemon makes its own: what stops one stops the other.
+    /// Returns the switch behind [`stopper`](Self::stopper). The daemon shares it, so stopping one
+    /// stops the other.
     pub(in crate::daemon) fn stop_switch(&self) -> Arc<AtomicBool> {
         self.shared.stop.clone()
     }
 
-    /// What it shares with the other stages.
+    /// Returns the state that it shares with the other stages.
     pub fn link(&self) -> LiveLink {
         self.shared.link.clone()
     }
@@ -93,9 +95,9 @@ impl LiveSource {
         self.next_sequence += 1;
         let (content, received) = decoded.content(mode.size, timestamp, sequence);
         let repeats = match &received {
-            // A buffer may have other stale bytes behind the same picture.
+            // The decoder's input buffer may have other stale bytes after the same picture.
             Received::Jpeg(jpeg) => self.repeats.is_repeat(jpeg.to_vec()),
-            // Grey pictures may be those of a played clip, whose video repeats them where nothing
+            // Grey pictures may come from a played clip, whose video repeats them while nothing
             // moves.
             Received::Raw if mode.layout != PixelLayout::Grey => self.repeats.is_repeat(picture.bytes),
             _ => false,
@@ -103,9 +105,9 @@ impl LiveSource {
         ClipEntry { sequence, timestamp, content, decode, repeats, received: Some(received) }
     }
 
-    /// Puts another reader in the place of one that is gone or stays blocked; interrupts one that is blocked before that.
+    /// Replaces a reader that ended or stays blocked; a blocked one is interrupted first.
     fn look_after_reader(&mut self) {
-        // The thread holds the other handle: without it, it has ended, or the system gave none.
+        // The thread holds the other handle: without it, the thread has ended or was never created.
         if Arc::strong_count(&self.reader) == 1 {
             if !self.reader.ended.load(Ordering::Relaxed) {
                 std::thread::sleep(self.shared.patience.between_openings);
@@ -143,7 +145,8 @@ impl LiveSource {
     }
 }
 
-/// A reader and its channel. Where the system gives no thread, the channel is closed and the next look tries again.
+/// Starts a reader and returns its channel. If the system provides no thread, the channel is closed
+/// and the next check tries again.
 fn spawn(shared: &Arc<Shared>) -> (Receiver<Arrived>, Arc<Ticket>) {
     let (to, pictures) = drop_oldest(1);
     let ticket = Arc::new(Ticket::new());
@@ -164,7 +167,7 @@ impl FrameSource for LiveSource {
                 Err(RecvTimeoutError::Timeout) => self.look_after_reader(),
                 Err(RecvTimeoutError::Disconnected) if self.reader.ended.load(Ordering::Relaxed) => return None,
                 Err(RecvTimeoutError::Disconnected) => {
-                    // It is about to end.
+                    // The reader is about to end.
                     std::thread::sleep(Duration::from_millis(1));
                     self.look_after_reader();
                 }
@@ -183,7 +186,7 @@ impl FrameSource for LiveSource {
 }
 
 impl Drop for LiveSource {
-    /// Lets the reader close its camera, for a second at most.
+    /// Lets the reader close its camera, for at most a second.
     fn drop(&mut self) {
         self.shared.stop.store(true, Ordering::Relaxed);
         let begun = Instant::now();

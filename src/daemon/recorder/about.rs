@@ -1,4 +1,5 @@
-//! clip.toml: the camera, its controls, and how the clip's clock relates to the world's; and the config beside it.
+//! Writes clip.toml (the camera, its controls, and how the clip's clock relates to UTC) and the
+//! config next to it.
 
 use std::io;
 use std::path::Path;
@@ -14,14 +15,15 @@ use crate::frame::Timestamp;
 use crate::track::LearntCamera;
 use crate::utc;
 
-/// What a clip says of itself.
+/// A clip's description.
 #[derive(Debug, Clone)]
 pub struct AboutClip {
     /// The camera as it was opened.
     pub camera: CameraMode,
-    /// The config as it was read, with all that it names.
+    /// The config as it was read, with all files it names.
     pub config: ConfigSource,
-    /// The exposure that the tracker was given, seconds; 0 = none. The copy of the config names it where the config does not.
+    /// The exposure that the tracker uses, seconds; 0 = unknown. The config's copy states it if the
+    /// config does not.
     pub exposure_s: f64,
 }
 
@@ -29,7 +31,7 @@ pub struct AboutClip {
 struct ClipToml<'a> {
     program: String,
     begun_utc: String,
-    /// Replay with this config.
+    /// The config for a replay.
     config: &'a str,
     /// What was known of the camera before the first row.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -58,7 +60,8 @@ struct Camera<'a> {
 }
 
 impl AboutClip {
-    /// Writes clip.toml and config/ into a clip. `learnt`: what was known of the camera before its first row.
+    /// Writes clip.toml and config/ into a clip; `learnt` is what was known of the camera before
+    /// its first row.
     pub fn write(&self, clip: &Path, learnt: &LearntCamera, disk: &mut dyn Disk) -> io::Result<()> {
         self.write_about(clip, learnt, disk)?;
         let config = clip.join("config");
@@ -67,7 +70,7 @@ impl AboutClip {
         files.iter().try_for_each(|(name, bytes)| disk.write_file(&config.join(name), bytes))
     }
 
-    /// Writes clip.toml alone.
+    /// Writes only clip.toml.
     pub fn write_about(&self, clip: &Path, learnt: &LearntCamera, disk: &mut dyn Disk) -> io::Result<()> {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let clock = Clock { monotonic_ns: monotonic_now(), utc_ns: i64::try_from(now.as_nanos()).unwrap_or(i64::MAX) };

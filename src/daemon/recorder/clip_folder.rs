@@ -1,4 +1,5 @@
-//! A clip that is being recorded: `frames/` in folders of 10,000, `timestamps.csv`, `poses.jsonl`, `events.jsonl`, `dropped.csv`.
+//! A clip that is being recorded: `frames/` in folders of 10,000, `timestamps.csv`, `poses.jsonl`,
+//! `events.jsonl`, `dropped.csv`.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -14,7 +15,7 @@ use crate::safe_file::first_taken;
 use crate::track::LearntCamera;
 use crate::utc;
 
-/// A row as it is kept.
+/// A row as it is stored.
 #[derive(Debug, Clone)]
 pub(super) struct Recorded {
     pub timestamp: Timestamp,
@@ -25,19 +26,19 @@ pub(super) struct Recorded {
     pub learnt: LearntCamera,
 }
 
-/// What is kept of a picture.
+/// What is stored of a picture.
 #[derive(Debug, Clone)]
 pub(super) enum Picture {
     /// As received.
     Jpeg(Arc<[u8]>),
     /// Luma.
     Grey(GrayImage),
-    /// It was none; an empty file replays to the same.
+    /// There was none; an empty file replays to the same.
     Nothing,
 }
 
 impl Recorded {
-    /// Bytes on their way to the disk.
+    /// Returns the number of bytes to write.
     pub fn bytes(&self) -> usize {
         let picture = match &self.picture {
             Picture::Jpeg(bytes) => bytes.len(),
@@ -48,26 +49,29 @@ impl Recorded {
     }
 }
 
-/// Pictures in one folder: five minutes at 30 a second. Chosen: file managers and simple file systems grow slow with more.
+/// Maximum pictures in one folder: five minutes at 30 per second. Chosen: file managers and simple
+/// file systems are slow with more.
 const PER_FOLDER: u64 = 10_000;
-/// The first line of an index, as EuRoC's data sets have it.
+/// The first line of an index, as in EuRoC's data sets.
 pub(super) const INDEX_HEAD: &[u8] = b"#timestamp [ns],filename\n";
 
-/// Names of all that a recording writes into its folder.
+/// Names of everything that a recording writes into its folder.
 const PARTS: [&str; 7] = ["frames", "timestamps.csv", "poses.jsonl", "events.jsonl", "dropped.csv", "clip.toml", "config"];
 
-/// The files and folders of a recording to a folder.
+/// Returns the files and folders of a recording in a folder.
 pub fn parts(folder: &Path) -> impl Iterator<Item = PathBuf> {
     PARTS.into_iter().map(|name| folder.join(name))
 }
 
-/// What of an earlier recording, whole or in part, a new one in this folder would write over or add to.
+/// Returns the first part of an earlier recording that a new one in this folder would overwrite or
+/// extend.
 pub fn taken_by_earlier(folder: &Path) -> Option<PathBuf> {
     first_taken(folder, PARTS)
 }
 
-/// A new folder below `folder`: clip-20261121T074500Z, with a number behind it where need be. It is made at once, so that a recording and a
-/// ring that is saved in the same second do not take one name; where it cannot be made, it is the name alone, and whoever records says why.
+/// Returns a new folder in `folder`: clip-20261121T074500Z, with a number appended if needed. It is
+/// created at once, so that a recording and a ring that is saved in the same second do not take one
+/// name. If it cannot be created, only the name is returned, and the recorder will report why.
 pub fn new_clip_folder(folder: &Path) -> PathBuf {
     let plain: String = utc::date_and_time(utc::now_s()).chars().filter(|c| *c != '-' && *c != ':').collect();
     let first = folder.join(format!("clip-{plain}"));
@@ -88,7 +92,7 @@ pub(super) struct ClipFolder {
 }
 
 impl ClipFolder {
-    /// Makes the folder, which may be there but must hold nothing of a clip yet.
+    /// Creates the folder, which may exist but must hold nothing of a clip.
     pub fn create(folder: &Path, disk: &mut dyn Disk) -> io::Result<Self> {
         if let Some(taken) = taken_by_earlier(folder) {
             let reason = format!("{} is there already; give a new folder", taken.display());
@@ -99,12 +103,12 @@ impl ClipFolder {
         Ok(Self::of(folder))
     }
 
-    /// A folder that is there.
+    /// Returns the object for an existing folder.
     pub fn of(folder: &Path) -> Self {
         Self { folder: folder.to_owned(), pictures: 0, dropped_begun: false }
     }
 
-    /// Rows that were written.
+    /// Returns the number of rows written.
     pub fn rows(&self) -> u64 {
         self.pictures
     }
@@ -127,7 +131,7 @@ impl ClipFolder {
         disk.append(&self.folder.join("poses.jsonl"), format!("{}\n", row.line).as_bytes())
     }
 
-    /// Writes an event; a dropped frame goes to an index of its own.
+    /// Writes an event; dropped frames go to their own index.
     pub fn event(&mut self, event: &StampedEvent, disk: &mut dyn Disk) -> io::Result<()> {
         if let Event::FrameDropped { timestamp } = event.event {
             let head = if self.dropped_begun { "" } else { "#timestamp [ns] of frames that were not tracked\n" };

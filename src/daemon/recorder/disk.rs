@@ -1,4 +1,4 @@
-//! Writing in a way that a full disk or a killed process leaves behind only whole files and whole lines.
+//! Writes such that a full disk or a killed process leaves only whole files and whole lines.
 
 use std::collections::HashMap;
 use std::fs::{self, File, OpenOptions};
@@ -7,28 +7,28 @@ use std::path::{Path, PathBuf};
 
 use crate::safe_file;
 
-/// What the recorder asks of a disk; tests put one in its place that fills up.
+/// The recorder's interface to a disk; tests substitute one that fills up.
 pub trait Disk: Send {
-    /// Makes a folder with those above it.
+    /// Creates a folder and its parents.
     fn make_folder(&mut self, folder: &Path) -> io::Result<()>;
     /// Writes a new file, whole or not at all.
     fn write_file(&mut self, file: &Path, bytes: &[u8]) -> io::Result<()>;
     /// Appends to a file, whole or not at all.
     fn append(&mut self, file: &Path, bytes: &[u8]) -> io::Result<()>;
-    /// Brings lines that were appended since the last call to the medium.
+    /// Syncs the lines appended since the last call to the medium.
     fn sync(&mut self);
-    /// Closes the files below a folder that is finished, or about to be moved or removed.
+    /// Closes the files in a folder that is finished or about to be moved or removed.
     fn let_go(&mut self, folder: &Path);
 }
 
 /// The machine's disk.
 #[derive(Debug, Default)]
 pub struct RealDisk {
-    /// Files that are appended to.
+    /// Files open for appending.
     open: HashMap<PathBuf, Appended>,
 }
 
-/// A file that is appended to.
+/// A file open for appending.
 #[derive(Debug)]
 struct Appended {
     file: File,
@@ -37,7 +37,7 @@ struct Appended {
     is_dirty: bool,
 }
 
-/// An error with the file that it is about.
+/// Adds the file's name to an error.
 fn at(file: &Path) -> impl Fn(io::Error) -> io::Error + '_ {
     move |e| io::Error::new(e.kind(), format!("{}: {e}", file.display()))
 }
@@ -70,7 +70,7 @@ impl Disk for RealDisk {
     fn sync(&mut self) {
         for open in self.open.values_mut() {
             if std::mem::take(&mut open.is_dirty) {
-                // What cannot be synced will fail to be written next.
+                // If syncing fails, the next write will report it.
                 let _ = open.file.sync_data();
             }
         }

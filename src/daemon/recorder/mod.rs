@@ -1,8 +1,10 @@
-//! Records what is tracked, on a thread of its own: the pictures as they came, their stamps, the records, the events.
+//! Records on its own thread what is tracked: the pictures as received, their stamps, the records,
+//! the events.
 //!
-//! A recording is a clip that replays to the same records byte for byte. It is written so that it is a good clip at every
-//! moment: a picture first, then its line. A disk that is full or too slow ends the recording and nothing else.
-//! The ring keeps the last seconds in the same form, until a user wants to know what happened just now.
+//! A recording is a clip that replays to the same records byte for byte. It is a valid clip at
+//! every moment: a picture is written before its line. A disk that is full or too slow ends the
+//! recording and nothing else. The ring keeps the last seconds in the same form, so that a user can
+//! save what just happened.
 
 mod about;
 mod clip_folder;
@@ -32,30 +34,32 @@ use crate::track::LearntCamera;
 use clip_folder::{ClipFolder, Picture, Recorded};
 use ring::Ring;
 
-/// What is to be recorded.
+/// What to record.
 #[derive(Debug, Clone)]
 pub struct RecorderPlan {
     /// Everything, to this new folder.
     pub clip: Option<PathBuf>,
-    /// The last seconds, below this folder, where saved rings go too.
+    /// The last seconds, in this folder, which also gets saved rings.
     pub ring: Option<(PathBuf, f64)>,
-    /// What clip.toml says.
+    /// The content of clip.toml.
     pub about: AboutClip,
 }
 
-/// Rows that may wait for the disk, and their bytes: beyond them the disk is too slow. Chosen: 17 seconds at 30 a second, and what a small
-/// machine can spare. Raised, longer stalls of a disk lose nothing and take more memory.
+/// Maximum rows waiting for the disk, and their bytes; beyond them the disk is too slow. Chosen: 17
+/// seconds at 30 per second, and what a small machine can spare. Raised, longer stalls of a disk
+/// lose nothing and take more memory.
 const MOST_WAITING: usize = 512;
 const MOST_WAITING_BYTES: usize = 256 << 20;
-/// Events that a saved ring has at most, the newest. A round figure far above what comes in a ring's time.
+/// Maximum events in a saved ring, the newest. A round figure far above what happens in a ring's
+/// time. Raised, only memory.
 const RECENT_EVENTS: usize = 4096;
 
 enum Job {
     Entry(Recorded),
     Save,
-    /// A clip begins in this new folder.
+    /// Start a clip in this new folder.
     Begin(PathBuf),
-    /// It ends.
+    /// End the clip.
     End,
 }
 
@@ -66,7 +70,7 @@ pub struct Recorder {
     thread: JoinHandle<Option<String>>,
 }
 
-/// What waits for the disk.
+/// What is waiting for the disk.
 #[derive(Default)]
 struct Queue {
     bytes: AtomicUsize,
@@ -76,10 +80,10 @@ struct Queue {
 }
 
 impl Recorder {
-    /// Makes the clip and begins; the disk is a parameter so that a full one can be tested.
+    /// Creates the clip and starts; the disk is a parameter so that a full one can be tested.
     ///
     /// # Errors
-    /// When the clip or the ring cannot be made, or the system gives no thread.
+    /// When the clip or the ring cannot be created, or the system provides no thread.
     pub fn start(plan: RecorderPlan, link: &LiveLink, mut disk: Box<dyn Disk>) -> std::io::Result<Self> {
         let clip = plan.clip.as_deref().map(|folder| begin_clip(folder, &plan.about, &mut *disk)).transpose()?;
         let ring = plan.ring.as_ref().map(|(folder, seconds)| Ring::create(folder, *seconds, &mut *disk)).transpose()?;
@@ -106,7 +110,7 @@ impl Recorder {
         Ok(Self { jobs, queue, thread })
     }
 
-    /// What the daemon's pose stage calls with every row; waits for nothing.
+    /// Returns what the daemon's pose stage calls with every row; it never waits.
     pub fn observer(&self) -> impl FnMut(&ClipEntry, &PoseSample) + Send + 'static {
         let (jobs, queue) = (self.jobs.clone(), self.queue.clone());
         move |row, sample| {
@@ -121,7 +125,7 @@ impl Recorder {
         }
     }
 
-    /// A switch that saves the ring, for other threads (an HTTP call).
+    /// Returns a function that saves the ring, for other threads (an HTTP call).
     pub fn saver(&self) -> impl Fn() + Send + Sync + 'static {
         let jobs = self.jobs.clone();
         move || {
@@ -129,7 +133,8 @@ impl Recorder {
         }
     }
 
-    /// Begins a clip in a new folder, beside the ring. Where one is recorded already, nothing happens.
+    /// Starts a clip in a new folder, in addition to the ring. If one is being recorded already,
+    /// nothing happens.
     pub fn begin(&self, folder: PathBuf) {
         if self.jobs.try_send(Job::Begin(folder)).is_ok() {
             self.queue.wanted.store(true, Ordering::Relaxed);
@@ -141,8 +146,8 @@ impl Recorder {
         let _ = self.jobs.try_send(Job::End);
     }
 
-    /// Writes what waits, and ends; tells why the recording ended before its time, where it did. The daemon with its
-    /// observer must have ended before.
+    /// Writes what is waiting, ends, and returns why the recording ended early, if it did. The
+    /// daemon and its observer must have ended before.
     pub fn finish(self) -> Option<String> {
         let Self { jobs, queue: _, thread } = self;
         drop(jobs);
@@ -150,10 +155,10 @@ impl Recorder {
     }
 }
 
-/// Whether recordings below this folder may be written, as far as the system says before any is.
+/// Whether recordings in this folder may be written, as far as the system tells before writing.
 ///
 /// # Errors
-/// What the system says of the folder, or of the nearest one above it that is there.
+/// The system's error for the folder, or for its nearest existing parent.
 pub fn may_record(folder: &Path) -> std::io::Result<()> {
     let mut file = folder.join("recording");
     while let Some(above) = file.parent().filter(|above| !above.as_os_str().is_empty() && above.symlink_metadata().is_err()) {
@@ -170,7 +175,7 @@ fn begin_clip(folder: &Path, about: &AboutClip, disk: &mut dyn Disk) -> std::io:
     begun
 }
 
-/// What is kept of a row.
+/// Returns what is stored of a row.
 fn recorded(row: &ClipEntry, sample: &PoseSample) -> Recorded {
     let picture = match (&row.received, &row.content) {
         (Some(Received::Jpeg(bytes)), _) => Picture::Jpeg(bytes.clone()),
@@ -196,7 +201,7 @@ struct Work {
 }
 
 impl Work {
-    /// Why it gave up, where it did.
+    /// Runs until the jobs' channel closes; returns why it gave up, if it did.
     fn run(mut self, jobs: &Receiver<Job>, events: &Receiver<StampedEvent>) -> Option<String> {
         loop {
             select! {
@@ -209,7 +214,7 @@ impl Work {
                 },
                 recv(events) -> event => match event {
                     Ok(event) => self.event(event),
-                    // The daemon's log is closed before the recorder ends: rows may still come.
+                    // The daemon's event log closes before the recorder ends: rows may still come.
                     Err(_) => std::thread::sleep(Duration::from_millis(1)),
                 },
             }
@@ -231,7 +236,7 @@ impl Work {
 
     fn row(&mut self, row: &Recorded) {
         self.queue.bytes.fetch_sub(row.bytes(), Ordering::Relaxed);
-        // What was known before the first row is known once that comes.
+        // What was known before the first row is stated in that row's sample.
         let is_first = self.clip.as_ref().filter(|clip| clip.rows() == 0 && !row.learnt.is_empty()).map(|clip| clip.folder.clone());
         let begun = is_first.map_or(Ok(()), |folder| self.plan.about.write_about(&folder, &row.learnt, &mut *self.disk));
         let to_clip = begun.and(self.clip.as_mut().map_or(Ok(()), |clip| clip.push(row, &mut *self.disk)));
@@ -281,7 +286,8 @@ impl Work {
         }
     }
 
-    /// Writes a recording's last line, so that a later reader knows that nothing is missing, and closes its files.
+    /// Writes a recording's last line, so that readers know that nothing is missing, and closes its
+    /// files.
     fn finish_clip(&mut self) {
         let Some(clip) = &self.clip else { return };
         let event = Event::RecorderFinished { clip: clip.folder.display().to_string(), frames: clip.rows() };
@@ -292,13 +298,13 @@ impl Work {
         }
     }
 
-    /// Brings a finished clip's files to the medium and closes them.
+    /// Syncs a finished clip's files to the medium and closes them.
     fn close(&mut self, clip: &Path) {
         self.disk.sync();
         self.disk.let_go(clip);
     }
 
-    /// Gives up; what is written stays a good clip.
+    /// Gives up; what is written stays a valid clip.
     fn stop(&mut self, reason: &str) {
         let (clip, ring) = (self.clip.take(), self.ring.take());
         if clip.is_none() && ring.is_none() {

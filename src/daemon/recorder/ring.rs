@@ -1,6 +1,7 @@
-//! The last seconds on disk, as short clips in a row of which the oldest is removed.
+//! The last seconds on disk, as a series of short clips whose oldest is removed.
 //!
-//! Each is a good clip by itself, so that a killed daemon leaves them readable; saving puts them together in one.
+//! Each is a valid clip by itself, so that a killed daemon leaves them readable. Saving joins them
+//! into one clip.
 
 use std::collections::VecDeque;
 use std::io;
@@ -25,13 +26,14 @@ pub(super) struct Ring {
     made: u64,
 }
 
-/// Segments that make up the wanted time. The ring is longer by up to one of them. Raised, it is cut more closely and more folders are made
-/// and removed.
+/// Segments per requested duration. The ring is longer than that by up to one segment. Raised, it
+/// is cut more closely and more folders are created and removed.
 const SEGMENTS: i64 = 8;
-/// The file that marks a folder as a ring of this program: only such a folder is moved or removed.
+/// The marker file of this program's rings: only marked folders are moved or removed.
 const MARK: &str = ".stagepose-ring";
 
-/// Whether a folder may be moved and removed: it has the mark, or nothing is in it. A link is no folder.
+/// Whether a folder may be moved and removed: it has the marker, or is empty. A link is not a
+/// folder.
 fn is_own(folder: &Path) -> io::Result<bool> {
     if !folder.symlink_metadata()?.is_dir() {
         return Ok(false);
@@ -39,7 +41,7 @@ fn is_own(folder: &Path) -> io::Result<bool> {
     Ok(folder.join(MARK).symlink_metadata().is_ok() || std::fs::read_dir(folder)?.next().is_none())
 }
 
-/// Refuses a path that is there and is no ring of this program.
+/// Refuses an existing path that is not a ring of this program.
 fn refuse_foreign(folder: &Path) -> io::Result<()> {
     match is_own(folder) {
         Ok(true) => Ok(()),
@@ -53,7 +55,8 @@ fn refuse_foreign(folder: &Path) -> io::Result<()> {
 }
 
 impl Ring {
-    /// Begins in `folder`/ring; what a killed daemon left there is kept as `folder`/ring-before, once.
+    /// Starts a ring in `folder`/ring; what a killed daemon left there is kept as
+    /// `folder`/ring-before, once.
     pub fn create(folder: &Path, seconds: f64, disk: &mut dyn Disk) -> io::Result<Self> {
         let (ring, before) = (folder.join("ring"), folder.join("ring-before"));
         [&ring, &before].into_iter().try_for_each(|folder| refuse_foreign(folder))?;
@@ -66,7 +69,7 @@ impl Ring {
         Ok(Self { folder: ring, length_ns: (seconds * 1e9) as i64, segments: VecDeque::new(), made: 0 })
     }
 
-    /// Writes a row to the newest segment and removes what is too old.
+    /// Writes a row to the newest segment and removes segments that are too old.
     pub fn push(&mut self, row: &Recorded, disk: &mut dyn Disk) -> io::Result<()> {
         let age = |segment: &Segment| row.timestamp.ns_since(segment.first);
         if self.segments.back().is_none_or(|s| age(s) >= self.length_ns / SEGMENTS) {
@@ -74,7 +77,7 @@ impl Ring {
             self.made += 1;
             self.segments.push_back(Segment { clip, first: row.timestamp, learnt: row.learnt });
         }
-        // The oldest may go when those behind it reach back far enough.
+        // The oldest may go when the later ones cover the duration.
         while self.segments.get(1).is_some_and(|second| age(second) >= self.length_ns) {
             if let Some(oldest) = self.segments.pop_front() {
                 disk.let_go(&oldest.clip.folder);
@@ -84,7 +87,7 @@ impl Ring {
         self.segments.back_mut().map_or(Ok(()), |newest| newest.clip.push(row, disk))
     }
 
-    /// Ends it; gives its folder.
+    /// Ends the ring and returns its folder.
     pub fn into_folder(self) -> PathBuf {
         self.folder
     }
@@ -94,7 +97,8 @@ impl Ring {
         self.segments.is_empty()
     }
 
-    /// Moves what is there into a clip of its own and begins anew; gives the first row's stamp, and what was known of the camera before it.
+    /// Moves the segments into a clip and starts anew; returns the first row's stamp, and what was
+    /// known of the camera before it.
     pub fn save(&mut self, clip: &Path, disk: &mut dyn Disk) -> io::Result<(Timestamp, LearntCamera)> {
         disk.make_folder(&clip.join("frames"))?;
         let first = self.segments.front().map(|s| (s.first, s.learnt)).unwrap_or_default();

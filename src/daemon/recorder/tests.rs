@@ -1,4 +1,5 @@
-//! Recordings that replay, on disks that fill up, by processes that are killed, of rings that go round.
+//! Tests recordings: that they replay, on disks that fill up, in processes that are killed, and
+//! with rings that wrap.
 
 use std::io;
 
@@ -61,7 +62,7 @@ fn row(sequence: u64) -> (ClipEntry, PoseSample) {
     (ClipEntry { sequence, timestamp, content, decode: Duration::ZERO, repeats: false, received: Some(Received::Raw) }, sample)
 }
 
-/// Records rows and ends, or leaves the recorder as a killed process would.
+/// Records rows and finishes.
 fn record(plan: RecorderPlan, disk: Box<dyn Disk>, rows: std::ops::Range<u64>) -> LiveLink {
     let link = LiveLink::default();
     let recorder = Recorder::start(plan, &link, disk).unwrap();
@@ -104,7 +105,7 @@ fn a_recording_replays_row_by_row() {
     assert!(events.contains("recorder_started"), "{events}");
     assert!(events.lines().last().unwrap().contains("\"event\":\"recorder_finished\"") && events.ends_with("\"frames\":20}\n"), "{events}");
     assert!(crate::config::Settings::load(&clip.join("config/stage.toml")).is_ok());
-    // A clip is not written over.
+    // An existing clip is not overwritten.
     let again = RecorderPlan { clip: Some(clip), ring: None, about: about() };
     assert!(Recorder::start(again, &LiveLink::default(), Box::<RealDisk>::default()).is_err());
 }
@@ -161,7 +162,7 @@ fn the_ring_keeps_the_last_seconds_and_saves_them_as_a_clip() {
     assert!((2_000_000_000..=2_400_000_000).contains(&span), "{span}");
     assert!(stamps.windows(2).all(|w| w[1] == w[0] + 100_000_000));
     assert_eq!(std::fs::read_to_string(Path::new(&saved).join("poses.jsonl")).unwrap().lines().count(), stamps.len());
-    // What a killed daemon left of the next round is still there after the next start.
+    // What a killed daemon left of the next ring still exists after the next start.
     let (row, sample) = row(100);
     observe(&row, &sample);
     drop(observe);
@@ -227,7 +228,7 @@ fn a_recording_says_what_was_known_of_the_camera_before_its_first_row() {
     assert_eq!(known(Path::new(&saved)), 1e-3 * (1.0 + first as f64));
 }
 
-/// Descriptors of this process that are open below a folder.
+/// Returns the number of this process's file descriptors that are open in a folder.
 fn open_below(folder: &Path) -> usize {
     let links = std::fs::read_dir("/proc/self/fd").unwrap().flatten().filter_map(|fd| std::fs::read_link(fd.path()).ok());
     links.filter(|to| to.starts_with(folder)).count()
@@ -235,7 +236,7 @@ fn open_below(folder: &Path) -> usize {
 
 #[test]
 fn saved_rings_and_ended_recordings_leave_no_file_open() {
-    // Far above the files that a process may have open on small systems, where two stay open each time.
+    // Far above the limit of open files on small systems, if two stayed open each time.
     const TIMES: u64 = 200;
     let folder = tempfile::tempdir().unwrap();
     let link = LiveLink::default();
@@ -260,7 +261,7 @@ fn saved_rings_and_ended_recordings_leave_no_file_open() {
         some_rows();
         recorder.end();
         wait_for(|e| matches!(e, Event::RecorderFinished { .. }));
-        // The next job begins when this one's files are closed.
+        // The next job starts after this one's files are closed.
         recorder.begin(folder.path().join("take-0"));
         wait_for(|e| matches!(e, Event::RecorderStopped { .. }));
         open.push(open_below(folder.path()));
@@ -282,7 +283,7 @@ fn a_ring_that_is_saved_as_a_recording_begins_takes_another_folder() {
     for n in 0..5 {
         let (row, sample) = row(n);
         observe(&row, &sample);
-        // Named before the ring is saved, begun behind it.
+        // Named before the ring is saved, started after it.
         let clip = super::new_clip_folder(folder.path());
         recorder.saver()();
         recorder.begin(clip.clone());
@@ -340,7 +341,7 @@ fn only_a_ring_of_its_own_is_moved_and_removed() {
         assert_eq!(std::fs::read_to_string(foreign.join("wedding.jpg")).unwrap(), "kept");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
-    // A link to somebody's folder, and a file, are left alone too.
+    // A link to a foreign folder, and a file, are also left alone.
     let folder = tempfile::tempdir().unwrap();
     std::os::unix::fs::symlink("/tmp", folder.path().join("ring")).unwrap();
     assert!(create(folder.path()).is_err());

@@ -1,4 +1,4 @@
-//! The zip of a report, written from its first byte to its last: to a file, or to who downloads it.
+//! A report's zip, written sequentially: to a file, or to a download.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -10,8 +10,8 @@ use zip::write::{SimpleFileOptions, StreamWriter};
 
 use crate::safe_file;
 
-/// Of one file at most this many bytes are taken: a report is to be sent by mail. The name of what is cut says so. Chosen, not tuned.
-/// Raised, reports of long recordings grow too large for mail.
+/// Maximum bytes taken of one file, since reports are sent by mail. A cut file's name says so.
+/// Chosen, not tuned. Raised, reports of long recordings grow too large for mail.
 const MOST_BYTES: u64 = 32 << 20;
 
 /// A zip that is being written.
@@ -34,12 +34,13 @@ impl<W: Write> Bundle<W> {
         Ok(())
     }
 
-    /// Adds a file; one that cannot be read leaves a sentence in its place.
+    /// Adds a file; an unreadable one is replaced by a text with the reason.
     pub fn add_file(&mut self, name: &str, file: &Path) -> io::Result<()> {
         self.add_opened(name, file, || safe_file::open(file))
     }
 
-    /// As [`add_file`](Self::add_file), for a file below a folder; no link below the folder is followed.
+    /// As [`add_file`](Self::add_file), for a file in a folder; links inside the folder are not
+    /// followed.
     pub fn add_below(&mut self, name: &str, folder: &Path, file: &Path) -> io::Result<()> {
         self.add_opened(name, &folder.join(file), || safe_file::open_below(folder, file))
     }
@@ -57,7 +58,7 @@ impl<W: Write> Bundle<W> {
         }
     }
 
-    /// Completes it and gives the list of what is in it.
+    /// Completes the zip and returns its list of contents.
     pub fn finish(self) -> io::Result<Vec<String>> {
         self.zip.finish().map_err(io_error)?.flush()?;
         Ok(self.contents)

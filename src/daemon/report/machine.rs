@@ -1,9 +1,9 @@
-//! What a machine is: system, processor, memory, ffmpeg.
+//! Describes the machine: system, processor, memory, ffmpeg.
 
 use std::fs;
 use std::process::{Command, Stdio};
 
-/// A line for each thing that is known.
+/// Returns one line per property.
 pub(super) fn describe() -> String {
     let mut text = String::new();
     let mut line = |name: &str, value: Option<String>| text += &format!("{name}: {}\n", value.as_deref().unwrap_or("not known"));
@@ -18,7 +18,7 @@ pub(super) fn describe() -> String {
     text
 }
 
-/// The first value of a name in a file of `name separator value` lines.
+/// Returns the first value for a name in a file of `name separator value` lines.
 fn field(file: &str, name: &str, separator: char) -> Option<String> {
     let text = fs::read_to_string(file).ok()?;
     let value = text.lines().filter_map(|line| line.split_once(separator)).find(|(key, _)| key.trim() == name)?.1;

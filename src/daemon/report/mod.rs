@@ -1,8 +1,9 @@
-//! A report: one zip with all that is needed to find out what went wrong.
+//! A report: one zip with everything needed to find a fault.
 //!
-//! Versions, the config with the calibrations that it names, what reading it comes to, what a running daemon says of itself, and of the
-//! newest recording and of the ring events, records and their counts. Each part is taken as far as it can be read: a report is
-//! made where something is wrong, so nothing that is missing or broken stops it. Pictures show people: they go in only on request.
+//! It has versions, the config with its calibrations, the result of reading it, what a running
+//! daemon says about itself, and events, records and their counts from the newest recording and the
+//! ring. A report is made when something is wrong, so a missing or broken part does not stop it.
+//! Pictures show people: they are included only on request.
 
 mod bundle;
 mod machine;
@@ -17,38 +18,40 @@ use crate::utc;
 use bundle::Bundle;
 pub use recordings::{Recording, find};
 
-/// More than any config has, bytes: a round figure, so that a wrong file is refused instead of read into memory.
+/// Maximum size of a config, bytes: a round figure above any, so that a wrong file is refused and
+/// not read into memory.
 const MOST_CONFIG_BYTES: u64 = 16 << 20;
 
-/// What a report is made of.
+/// The content of a report.
 pub struct Report<'a> {
-    /// The config's file.
+    /// The config file.
     pub config: &'a Path,
-    /// Its text; it may be a bad one.
+    /// Its text; it may be invalid.
     pub text: Vec<u8>,
-    /// What reading it came to.
+    /// The result of reading it.
     pub settings: &'a Result<Settings, ConfigError>,
-    /// What a running daemon says of itself: names in the report, and texts.
+    /// What a running daemon says about itself: names in the report, and texts.
     pub said: Vec<(&'static str, String)>,
-    /// What is taken of the recorder's folder.
+    /// The recordings to include.
     pub recordings: Vec<Recording>,
-    /// Seconds of pictures from the end of each recording, and the stage's artwork; none of both where there is no number.
+    /// Seconds of pictures from the end of each recording, plus the stage's artwork; `None`
+    /// includes neither.
     pub picture_seconds: Option<f64>,
 }
 
-/// The text of a config.
+/// Reads a config's text.
 ///
 /// # Errors
-/// What the system says, or that it is larger than a config.
+/// The system's error, or that the file is too large for a config.
 pub fn config_text(file: &Path) -> io::Result<Vec<u8>> {
     safe_file::read(file, MOST_CONFIG_BYTES)
 }
 
 impl Report<'_> {
-    /// Writes the zip and gives the list of what is in it.
+    /// Writes the zip and returns its list of contents.
     ///
     /// # Errors
-    /// Where it cannot be written.
+    /// When it cannot be written.
     pub fn write(&self, to: impl Write) -> io::Result<Vec<String>> {
         let mut bundle = Bundle::begin(to);
         bundle.add("about.txt", about())?;
@@ -73,7 +76,7 @@ impl Report<'_> {
     }
 }
 
-/// Program, time and machine.
+/// Describes program, time and machine.
 fn about() -> String {
     let features = [("live", cfg!(feature = "live")), ("http", cfg!(feature = "http"))];
     let features: Vec<&str> = features.into_iter().filter_map(|(name, is_on)| is_on.then_some(name)).collect();
@@ -88,6 +91,6 @@ fn about() -> String {
 
 #[cfg(feature = "live")]
 fn devices() -> String {
-    // Serialising to a string fails only for non-string map keys, of which there are none.
+    // Serialising to a string fails only for non-string map keys, and a listing has none.
     serde_json::to_string_pretty(&crate::capture::v4l2::devices()).expect("a listing has only string keys")
 }

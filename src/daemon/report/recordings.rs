@@ -1,4 +1,4 @@
-//! The recordings that a report takes from: the newest clip, and what the ring holds or held.
+//! The recordings in a report: the newest clip, and what the ring holds or held.
 
 use std::collections::BTreeMap;
 use std::io::{self, BufRead, BufReader, Write};
@@ -9,7 +9,7 @@ use crate::capture::timestamps::read_timestamps;
 use crate::frame::Timestamp;
 use crate::safe_file;
 
-/// The text files of a clip that go into a report, those that are there.
+/// The text files of a clip that go into a report, if they exist.
 const TEXTS: [&str; 5] = ["clip.toml", "events.jsonl", "poses.jsonl", "timestamps.csv", "dropped.csv"];
 
 /// A clip on disk.
@@ -19,7 +19,7 @@ pub struct Recording {
     folder: PathBuf,
 }
 
-/// The clip that was named, else the newest in the recorder's folder; then the ring's parts.
+/// Returns the named clip, else the newest in the recorder's folder; then the ring's parts.
 pub fn find(named: Option<&Path>, folder: Option<&Path>) -> Vec<Recording> {
     let newest = || folder.and_then(|folder| clips(folder).pop());
     let clip = named.map(Path::to_owned).or_else(newest).map(|folder| Recording { name: "recording".to_owned(), folder });
@@ -32,7 +32,7 @@ pub fn find(named: Option<&Path>, folder: Option<&Path>) -> Vec<Recording> {
     clip.into_iter().chain(rings).collect()
 }
 
-/// The clips in a folder, oldest first.
+/// Returns the clips in a folder, oldest first.
 fn clips(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let mut clips: Vec<_> = entries
@@ -46,7 +46,7 @@ fn clips(folder: &Path) -> Vec<PathBuf> {
 }
 
 impl Recording {
-    /// Puts texts, counts and, where they are wanted, the last seconds of pictures into the report.
+    /// Adds texts, counts and, if requested, the last seconds of pictures to the report.
     pub(super) fn add<W: Write>(&self, bundle: &mut Bundle<W>, picture_seconds: Option<f64>) -> io::Result<()> {
         let Self { name, folder } = self;
         for text in TEXTS.iter().filter(|text| folder.join(text).exists()) {
@@ -59,23 +59,24 @@ impl Recording {
         Ok(())
     }
 
-    /// Names of the pictures within so long before the clip's end.
+    /// Returns the names of the pictures in the last `seconds` of the clip.
     pub fn last_pictures(&self, seconds: f64) -> Vec<String> {
         let Ok(file) = safe_file::open_below(&self.folder, Path::new("timestamps.csv")) else { return Vec::new() };
         let rows = read_timestamps(file).unwrap_or_default();
         let stamped: Vec<(Timestamp, String)> = rows.into_iter().filter_map(|row| Some((row.stamp.ok()?, row.file))).collect();
         let Some(end) = stamped.iter().map(|(stamp, _)| *stamp).max() else { return Vec::new() };
         let since = end.after_s(-seconds);
-        // A name that leads out of the clip is none of its pictures.
+        // A name that leads out of the clip is not one of its pictures.
         let is_inside = |name: &str| Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
         stamped.into_iter().filter(|(stamp, name)| *stamp >= since && is_inside(name)).map(|(_, name)| name).collect()
     }
 
-    /// How often each state was said.
+    /// Counts the records by state.
     fn summary(&self) -> String {
         let mut states: BTreeMap<String, u64> = BTreeMap::new();
         let records = safe_file::open_below(&self.folder, Path::new("poses.jsonl")).map(BufReader::new);
-        // An hour's records do not fit into memory, and what follows after a line that cannot be read is not known.
+        // Read line by line, as an hour's records do not fit into memory, and stop at an unreadable
+        // line, as what follows is unknown.
         for line in records.into_iter().flat_map(BufRead::lines).map_while(Result::ok) {
             let record: Option<serde_json::Value> = serde_json::from_str(&line).ok();
             let state = record.as_ref().and_then(|r| r["state"].as_str()).unwrap_or("not a record");
