@@ -1,13 +1,14 @@
-//! Reports: one HTML file that needs nothing else, in the reader's light or dark scheme, with figures as SVG.
+//! Reports: one self-contained HTML file, in the reader's light or dark scheme, with figures as
+//! SVG.
 
 pub mod svg;
 
 use svg::escaped;
 
-/// How every report looks.
+/// The style sheet of every report.
 const STYLE: &str = include_str!("page.css");
 
-/// A whole page around a body of HTML; `date` is when it was made.
+/// Returns a whole page around an HTML body; `date` is when it was made.
 pub fn page(title: &str, date: &str, body: &str) -> String {
     let (title, date) = (escaped(title), escaped(date));
     format!(
@@ -17,7 +18,7 @@ pub fn page(title: &str, date: &str, body: &str) -> String {
     )
 }
 
-/// A figure with its caption, which is HTML.
+/// Returns a figure with its caption, which is HTML.
 pub fn figure(svg: &str, caption: &str) -> String {
     format!("<figure>{svg}<figcaption>{caption}</figcaption></figure>\n")
 }

@@ -1,4 +1,4 @@
-//! The few shapes that the figures are drawn with, as SVG text.
+//! The few shapes used in figures, as SVG text.
 
 use std::fmt::Write;
 
@@ -13,13 +13,13 @@ pub struct Drawing {
     shapes: String,
 }
 
-/// Text that may stand in HTML and in attributes.
+/// Escapes a text for HTML content and attributes.
 pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 impl Drawing {
-    /// An empty one, `width` by `height` units.
+    /// Returns an empty drawing, `width` by `height` units.
     pub fn new(width: f64, height: f64) -> Self {
         Self { width, height, shapes: String::new() }
     }
@@ -29,14 +29,14 @@ impl Drawing {
         let _ = self.shapes.write_fmt(shape);
     }
 
-    /// A line between two points.
+    /// Draws a line between two points.
     pub fn line(&mut self, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2], colour: &str, width: f64) {
         self.add(format_args!(
             "<line x1=\"{x1:.2}\" y1=\"{y1:.2}\" x2=\"{x2:.2}\" y2=\"{y2:.2}\" stroke=\"{colour}\" stroke-width=\"{width:.2}\"/>"
         ));
     }
 
-    /// A line through many points, closed or not.
+    /// Draws a line through many points, closed or not.
     pub fn path(&mut self, points: &[[f64; 2]], closed: bool, stroke: &str, fill: &str, width: f64) {
         let list: Vec<String> = points.iter().map(|[x, y]| format!("{x:.2},{y:.2}")).collect();
         let shape = if closed { "polygon" } else { "polyline" };
@@ -46,25 +46,25 @@ impl Drawing {
         ));
     }
 
-    /// An upright cross with arms of this length.
+    /// Draws an upright cross with arms of this length.
     pub fn cross(&mut self, [x, y]: [f64; 2], arm: f64, colour: &str, width: f64) {
         self.line([x - arm, y], [x + arm, y], colour, width);
         self.line([x, y - arm], [x, y + arm], colour, width);
     }
 
-    /// A circle around a point.
+    /// Draws a circle around a point.
     pub fn circle(&mut self, [x, y]: [f64; 2], radius: f64, stroke: &str, fill: &str, width: f64) {
         self.add(format_args!(
             "<circle cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"{radius:.2}\" stroke=\"{stroke}\" fill=\"{fill}\" stroke-width=\"{width:.2}\"/>"
         ));
     }
 
-    /// A rectangle from its upper left corner.
+    /// Draws a rectangle from its upper left corner.
     pub fn rect(&mut self, [x, y]: [f64; 2], [w, h]: [f64; 2], stroke: &str, fill: &str) {
         self.add(format_args!("<rect x=\"{x:.2}\" y=\"{y:.2}\" width=\"{w:.2}\" height=\"{h:.2}\" stroke=\"{stroke}\" fill=\"{fill}\"/>"));
     }
 
-    /// `anchor` is start, middle or end.
+    /// Writes a text; `anchor` is start, middle or end.
     pub fn text(&mut self, [x, y]: [f64; 2], size: f64, anchor: &str, colour: &str, text: &str) {
         let text = escaped(text);
         self.add(format_args!(
@@ -72,17 +72,17 @@ impl Drawing {
         ));
     }
 
-    /// A picture from a data URI, filling the drawing.
+    /// Draws a picture from a data URI, filling the drawing.
     pub fn picture(&mut self, uri: &str) {
         self.picture_at(uri, [0.0, 0.0], [self.width, self.height]);
     }
 
-    /// A picture from a data URI, from its upper left corner.
+    /// Draws a picture from a data URI, from its upper left corner.
     pub fn picture_at(&mut self, uri: &str, [x, y]: [f64; 2], [w, h]: [f64; 2]) {
         self.add(format_args!("<image href=\"{uri}\" x=\"{x}\" y=\"{y}\" width=\"{w}\" height=\"{h}\" preserveAspectRatio=\"none\"/>"));
     }
 
-    /// The finished element; `title` is what a screen reader says.
+    /// Returns the finished element; `title` is for screen readers.
     pub fn finish(self, title: &str) -> String {
         let (w, h) = (self.width, self.height);
         let title = escaped(title);
@@ -90,7 +90,7 @@ impl Drawing {
     }
 }
 
-/// A picture as a JPEG in a data URI; empty where it cannot be encoded.
+/// Returns a picture as a JPEG in a data URI; empty if it cannot be encoded.
 pub fn data_uri(picture: &GrayImage) -> String {
     let mut bytes = Vec::new();
     let (width, height) = picture.dimensions();
@@ -101,15 +101,15 @@ pub fn data_uri(picture: &GrayImage) -> String {
     format!("data:image/jpeg;base64,{}", base64(&bytes))
 }
 
-/// Quality of embedded pictures, 1 to 100: for looking at. Raised, a report grows.
+/// JPEG quality of embedded pictures, 1 to 100: good enough to look at. Raised, a report grows.
 const JPEG_QUALITY: u8 = 80;
 
-/// A colour for the k-th of many things: hues a golden section apart.
+/// Returns a colour for the k-th of many things: hues are a golden angle apart.
 pub fn hue(k: usize) -> String {
     format!("hsl({:.0} 70% 50%)", (k as f64 * 137.508) % 360.0)
 }
 
-/// Bytes as base64 (RFC 4648).
+/// Encodes bytes as base64 (RFC 4648).
 fn base64(bytes: &[u8]) -> String {
     // The alphabet of RFC 4648, section 4.
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";

@@ -1,4 +1,4 @@
-//! `/healthz`: 200 while pictures come, 503 while they do not, and why.
+//! `/healthz`: 200 while pictures come, 503 with the reason while they do not.
 
 use serde::Serialize;
 
@@ -21,8 +21,8 @@ struct Health<'a> {
     recorder: &'a str,
 }
 
-/// The page; ages are as `clock` counts them. A camera that gives no pictures is the only thing that makes it 503: a stage
-/// that is dark or a recorder that stopped are states, not faults of the daemon.
+/// Returns the page; ages are by `clock`. Only a camera without pictures makes it 503: a dark stage
+/// or a stopped recorder is a state, not a fault of the daemon.
 pub fn health(statistics: &Statistics, clock: &FrameClock) -> Page {
     let camera = statistics.camera();
     let good = camera == CameraState::Streaming;
@@ -47,9 +47,9 @@ pub fn health(statistics: &Statistics, clock: &FrameClock) -> Page {
             RecorderState::Stopped => "stopped",
         },
     };
-    // Serialising to a string fails only for non-string map keys, of which there are none.
+    // Serialising to a string fails only for non-string map keys, and the health has none.
     let body = serde_json::to_string(&health).expect("the health has only string keys");
-    // A camera names itself, and the page may be read on a terminal.
+    // A camera's name may hold control characters, and the page may be read on a terminal.
     let body = printable(&body).into_owned();
     Page { status: if good { 200 } else { 503 }, content_type: "application/json", body }
 }

@@ -1,9 +1,9 @@
-//! A histogram of times that many threads fill and one reads, without a lock.
+//! A lock-free histogram of times, written by many threads and read by one.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Upper edges of the buckets, seconds: from what a kernel takes to what a lost camera takes, closest around a frame's time. Chosen; more
-/// edges tell times apart better and make longer metrics.
+/// Upper edges of the buckets, seconds: from a kernel's time to a lost camera's, densest around a
+/// frame time. Chosen; more edges resolve times better and make the metrics longer.
 pub(super) const EDGES_S: [f64; 14] = [0.001, 0.002, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06, 0.1, 0.2, 0.5, 1.0, 2.0];
 
 /// Counts of times by bucket; the last bucket has no upper edge.
@@ -14,7 +14,7 @@ pub struct Histogram {
 }
 
 impl Histogram {
-    /// Counts one time, milliseconds; what is no time counts as 0.
+    /// Counts a time, milliseconds; a non-finite or negative one counts as 0.
     pub fn observe_ms(&self, ms: f64) {
         let s = if ms.is_finite() { ms.max(0.0) * 1e-3 } else { 0.0 };
         let bucket = EDGES_S.iter().position(|edge| s <= *edge).unwrap_or(EDGES_S.len());
@@ -22,7 +22,7 @@ impl Histogram {
         self.sum_us.fetch_add((s * 1e6).round() as u64, Ordering::Relaxed);
     }
 
-    /// How many times are at most each edge, then how many there are in all.
+    /// Returns how many times are at most each edge, then the total.
     pub(super) fn cumulative(&self) -> [u64; EDGES_S.len() + 1] {
         let mut total = 0;
         self.counts.each_ref().map(|count| {
@@ -31,12 +31,12 @@ impl Histogram {
         })
     }
 
-    /// Sum of all times, seconds.
+    /// Returns the sum of all times, seconds.
     pub fn sum_s(&self) -> f64 {
         self.sum_us.load(Ordering::Relaxed) as f64 / 1e6
     }
 
-    /// How many times were counted.
+    /// Returns how many times were counted.
     pub fn count(&self) -> u64 {
         self.cumulative()[EDGES_S.len()]
     }

@@ -1,14 +1,14 @@
-//! The last lines of the log, for who cannot see the terminal.
+//! The last lines of the log, for those who cannot see the terminal.
 
 use std::collections::VecDeque;
 use std::sync::{Mutex, PoisonError};
 
-/// Lines that are kept. Chosen: an evening's warnings. Raised, only memory.
+/// Number of lines kept. Chosen: an evening's warnings. Raised, only memory.
 const KEPT: usize = 1000;
-/// Of one line at most this many bytes are kept. A round figure; raised, only memory.
+/// Maximum bytes kept of one line. A round figure. Raised, only memory.
 const LONGEST: usize = 1000;
 
-/// A static, because the log is one for the whole program.
+/// The kept lines. It is static because the whole program has one log.
 static TAIL: Mutex<VecDeque<String>> = Mutex::new(VecDeque::new());
 
 /// Keeps a line as it was written, with its line end.
@@ -21,7 +21,7 @@ pub fn keep_log_line(line: &str) {
     tail.push_back(format!("{}\n", line[..end].trim_end()));
 }
 
-/// The last lines, oldest first.
+/// Returns the last lines, oldest first.
 pub fn log_tail(lines: usize) -> Vec<String> {
     let tail = TAIL.lock().unwrap_or_else(PoisonError::into_inner);
     tail.iter().skip(tail.len().saturating_sub(lines)).cloned().collect()

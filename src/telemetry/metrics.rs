@@ -1,4 +1,4 @@
-//! `/metrics`: the daemon's numbers in Prometheus' text format (0.0.4).
+//! `/metrics`: the daemon's counters and gauges in Prometheus' text format (0.0.4).
 
 use std::fmt::Write as _;
 
@@ -8,7 +8,7 @@ use super::statistics::{CameraState, RecorderState, Statistics};
 use crate::publish::FrameClock;
 use crate::record::State;
 
-/// The page; ages are as `clock` counts them.
+/// Returns the page; ages are by `clock`.
 pub fn metrics(statistics: &Statistics, clock: &FrameClock) -> Page {
     let mut text = String::with_capacity(8 << 10);
     states(&mut text, statistics);
@@ -92,7 +92,7 @@ mod tests {
     use crate::publish::stepped::{START, SteppedClocks};
     use crate::record::{PoseSample, StageTimes};
 
-    /// The dashboard for Grafana asks for nothing that is not told, and leaves no counter out.
+    /// The Grafana dashboard uses only existing metrics, and every counter.
     #[test]
     fn the_dashboard_shows_each_metric_and_no_other() {
         let text = include_str!("../../packaging/grafana.json");

@@ -1,4 +1,7 @@
-//! What a running daemon counts: [`Statistics`] is filled without locks, the last lines of the log are kept; [`health`] and [`metrics`] are pure functions from it to a page.
+//! Statistics of a running daemon.
+//!
+//! Threads fill [`Statistics`] without locks, and the log's last lines are kept. [`health`] and
+//! [`metrics`] are pure functions from the statistics to a page.
 
 mod health;
 mod histogram;
@@ -11,7 +14,7 @@ pub use log_tail::{keep_log_line, log_tail};
 pub use metrics::metrics;
 pub use statistics::{CameraState, RecorderState, STAGES, Statistics};
 
-/// A page as a server gives it out.
+/// A page as a server returns it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Page {
     /// HTTP status.

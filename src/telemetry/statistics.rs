@@ -1,4 +1,4 @@
-//! What the daemon's threads count: atomics, filled where things happen, read where they are shown.
+//! Statistics of the daemon's threads: atomics, updated at the source and read when shown.
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -10,18 +10,18 @@ use crate::publish::FrameClock;
 use crate::record::{PoseSample, State};
 use crate::track::LearntCamera;
 
-/// What is known of the camera.
+/// The state of the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CameraState {
     /// It has not been found yet, or is gone.
     Waiting,
-    /// It is open and gives pictures.
+    /// It is open and delivers pictures.
     Streaming,
-    /// It is open, or was, and gives none.
+    /// It is open, or was, and delivers none.
     Silent,
 }
 
-/// What is known of the recorder.
+/// The state of the recorder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RecorderState {
     /// Nothing is to be recorded.
@@ -37,33 +37,34 @@ pub enum RecorderState {
 pub struct Counter(AtomicU64);
 
 impl Counter {
-    /// Counts `n` more.
+    /// Adds `n`.
     pub fn add(&self, n: u64) {
         self.0.fetch_add(n, Ordering::Relaxed);
     }
 
-    /// The count so far.
+    /// Returns the count so far.
     pub fn get(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }
 }
 
-/// Counts and last values of a running daemon. Every method may be called from any thread and waits for nobody.
+/// Counts and last values of a running daemon. Every method may be called from any thread and never
+/// waits long.
 #[derive(Debug, Default)]
 pub struct Statistics {
     states: [Counter; State::ALL.len()],
     last_state: AtomicU8,
-    /// Rows that held no readable picture.
+    /// Rows without a readable picture.
     pub undecodable: Counter,
-    /// Rows that were not tracked for their stamp or their size.
+    /// Rows that were not tracked because of their stamp or size.
     pub skipped: Counter,
     /// Frames dropped because the tracker was late.
     pub dropped: Counter,
-    /// Frames that the driver's own numbers say were lost before they came here.
+    /// Frames lost before they arrived, by the driver's own numbers.
     pub device_dropped: Counter,
-    /// How often the camera was opened again.
+    /// How often the camera was reopened.
     pub reconnects: Counter,
-    /// Panics that were contained.
+    /// Contained panics.
     pub contained_panics: Counter,
     /// Frames recorded.
     pub recorded: Counter,
@@ -79,17 +80,17 @@ pub struct Statistics {
     /// Decode, acquire, align, pose, total.
     stages: [Histogram; 5],
     age: Histogram,
-    /// The camera's name; written at an opening, read for a page.
+    /// The camera's name; written when it is opened, read for a page.
     camera: Mutex<String>,
-    /// What the pictures taught of the camera, as of the last sample.
+    /// What has been learnt of the camera, as of the last sample.
     learnt: Mutex<LearntCamera>,
 }
 
-/// The stages of the latency histograms, in the order in which they are kept.
+/// The stages of the latency histograms, in their storage order.
 pub const STAGES: [&str; 5] = ["decode", "acquire", "align", "pose", "total"];
 
 impl Statistics {
-    /// Counts a sample, its times and its quality. A stale one counts as a state only.
+    /// Counts a sample, its times and its quality. A stale one counts only as a state.
     pub fn sample(&self, sample: &PoseSample) {
         self.states[sample.state as usize].add(1);
         self.last_state.store(sample.state as u8, Ordering::Relaxed);
@@ -109,12 +110,12 @@ impl Statistics {
         *self.learnt.lock().unwrap_or_else(PoisonError::into_inner) = sample.learnt;
     }
 
-    /// What the pictures taught of the camera, as of the last sample.
+    /// Returns what has been learnt of the camera, as of the last sample.
     pub fn learnt(&self) -> LearntCamera {
         *self.learnt.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Notes that the camera streams; `again` where it was open before.
+    /// Notes that the camera streams; `again` if it had been open before.
     pub fn camera_opened(&self, name: &str, again: bool) {
         self.reconnects.add(u64::from(again));
         name.clone_into(&mut self.camera.lock().unwrap_or_else(PoisonError::into_inner));
@@ -126,52 +127,52 @@ impl Statistics {
         self.streaming.store(false, Ordering::Relaxed);
     }
 
-    /// Notes whether pictures fail to come.
+    /// Notes whether pictures are missing.
     pub fn set_silent(&self, silent: bool) {
         self.silent.store(silent, Ordering::Relaxed);
     }
 
-    /// Notes what the recorder does.
+    /// Notes the recorder's state.
     pub fn set_recorder(&self, state: RecorderState) {
         self.recorder.store(state as u8, Ordering::Relaxed);
     }
 
-    /// Notes the frame rate as measured, frames a second.
+    /// Notes the measured frame rate, frames per second.
     pub fn set_rate(&self, fps: f64) {
         self.rate_bits.store(fps.to_bits(), Ordering::Relaxed);
     }
 
-    /// Frames tracked so far, whatever became of them.
+    /// Returns the number of frames so far, tracked or not.
     pub fn frames(&self) -> u64 {
         State::ALL.iter().filter(|s| **s != State::Stale).map(|s| self.in_state(*s)).sum()
     }
 
-    /// Samples in a state so far.
+    /// Returns the number of samples in a state so far.
     pub fn in_state(&self, state: State) -> u64 {
         self.states[state as usize].get()
     }
 
-    /// The state of the last sample.
+    /// Returns the state of the last sample.
     pub fn last_state(&self) -> State {
         State::ALL.into_iter().find(|s| *s as u8 == self.last_state.load(Ordering::Relaxed)).unwrap_or_default()
     }
 
-    /// Frames a second, as last measured.
+    /// Returns the measured frame rate, frames per second.
     pub fn rate(&self) -> f64 {
         f64::from_bits(self.rate_bits.load(Ordering::Relaxed))
     }
 
-    /// Inliers of the last frame; 0 where it was not tracked.
+    /// Returns the last frame's inliers; 0 if it was not tracked.
     pub fn inliers(&self) -> u64 {
         self.inliers.load(Ordering::Relaxed)
     }
 
-    /// Residual of the last frame, pixels; 0 where it was not tracked.
+    /// Returns the last frame's residual, pixels; 0 if it was not tracked.
     pub fn rms_px(&self) -> f64 {
         f64::from_bits(self.rms_bits.load(Ordering::Relaxed))
     }
 
-    /// What is known of the camera.
+    /// Returns the state of the camera.
     pub fn camera(&self) -> CameraState {
         match (self.streaming.load(Ordering::Relaxed), self.silent.load(Ordering::Relaxed)) {
             (false, _) => CameraState::Waiting,
@@ -180,12 +181,12 @@ impl Statistics {
         }
     }
 
-    /// The camera's name; empty before it was found.
+    /// Returns the camera's name; empty before it was found.
     pub fn camera_name(&self) -> String {
         self.camera.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// What is known of the recorder.
+    /// Returns the state of the recorder.
     pub fn recorder(&self) -> RecorderState {
         match self.recorder.load(Ordering::Relaxed) {
             1 => RecorderState::Recording,
@@ -194,19 +195,20 @@ impl Statistics {
         }
     }
 
-    /// How long ago the last tracked frame was taken, by the clock that the outputs judge by; none before the first.
+    /// Returns the last tracked frame's age, by the clock that the outputs use; `None` before the
+    /// first.
     pub fn last_frame_age(&self, clock: &FrameClock) -> Option<Duration> {
         let stamp = Some(self.last_frame_ns.load(Ordering::Relaxed)).filter(|ns| *ns != 0).map(Timestamp::from_ns)?;
         let taken = clock.taken(stamp, Duration::ZERO)?;
         Some(clock.now().boot.duration_since(taken))
     }
 
-    /// How old frames were when tracking them began.
+    /// Returns the frames' ages when tracking them began.
     pub fn age(&self) -> &Histogram {
         &self.age
     }
 
-    /// The stages' names and times.
+    /// Returns the stages' names and times.
     pub(super) fn stages(&self) -> impl Iterator<Item = (&'static str, &Histogram)> {
         STAGES.into_iter().zip(&self.stages)
     }
