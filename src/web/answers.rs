@@ -1,4 +1,4 @@
-//! From a request that may be asked to its answer: routes, methods, WebSockets.
+//! Answers a request that has passed the guard: routes, methods, WebSockets.
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
@@ -33,33 +33,33 @@ use super::reply::Reply;
 use super::routes::{Handler, Route, listed};
 use super::view::show;
 
-/// A client has nothing to say on the WebSocket, so that its messages may be short, bytes. A round figure. Raised, a client may take more
-/// memory.
+/// Maximum size of a client's WebSocket message, bytes; clients only send single letters. A round
+/// figure. Raised, a client may take more memory.
 const LONGEST_MESSAGE: usize = 4 * 1024;
 
-/// Who has no connection is nobody who is known.
+/// The peer of a request without a connection.
 const NOBODY: IpAddr = IpAddr::V4(Ipv4Addr::UNSPECIFIED);
 
-/// What a request knows of its connection.
+/// What a request knows about its connection.
 #[derive(Debug, Clone)]
 pub(super) struct Caller {
-    /// Its place among those that last; none where it is answered in brief.
+    /// Its place among the lasting connections; `None` if it is answered briefly.
     pub place: Option<Arc<Place>>,
-    /// Who asks.
+    /// Address of the client.
     pub peer: IpAddr,
-    /// Its connection; none in a test.
+    /// Its connection; `None` in a test.
     pub connection: Option<Connection>,
-    /// What it carries that may last.
+    /// The transfers on it, which may take long.
     pub transfers: Transfers,
 }
 
-/// What all routes are answered with.
+/// What all routes need to answer.
 struct Desk {
     keys: Arc<Keys>,
     lanes: Lanes,
 }
 
-/// What the streams are of.
+/// Sources of the streams.
 pub(super) struct Streams {
     pub feed: Arc<Feed>,
     pub hub: Arc<Hub>,
@@ -68,7 +68,7 @@ pub(super) struct Streams {
 }
 
 impl Streams {
-    /// /ws, /ws/events, /ws/view, /api/v1/pose and /api/v1/state.
+    /// Returns the routes /ws, /ws/events, /ws/view, /api/v1/pose and /api/v1/state.
     fn routes(self) -> Vec<Route> {
         let Self { feed, hub, events, stopped } = self;
         let (pose, state) = (feed.clone(), feed.clone());
@@ -91,7 +91,8 @@ impl Streams {
     }
 }
 
-/// The streams, the given routes, a list of all of them, and the page: from a folder, where one is named.
+/// Builds the router: the streams, the given routes, a list of all of them, and the page, from a
+/// folder if one is given.
 pub(super) fn router(streams: Streams, routes: Vec<Route>, keys: Arc<Keys>, page_dir: Option<PathBuf>) -> Router {
     let of_page = if page_dir.is_some() { Vec::new() } else { assets::routes() };
     let mut by_path: BTreeMap<&'static str, Vec<Route>> = BTreeMap::new();
@@ -136,7 +137,8 @@ async fn answer(request: HttpRequest<Body>, of_path: Arc<[Route]>, desk: Arc<Des
     }
 }
 
-/// Answers on another thread, when the request has its turn. Its content is here by then, but for a large file, which comes piece by piece.
+/// Answers on another thread when it is the request's turn. Its content has arrived by then, except
+/// a large file, which is read in pieces.
 async fn answer_aside(request: HttpRequest<Body>, route: &Route, caller: Option<Caller>, desk: &Desk) -> Result<Response<Body>, Reply> {
     let peer = caller.as_ref().map_or(NOBODY, |caller| caller.peer);
     let connection = caller.as_ref().and_then(|caller| caller.connection.clone());
@@ -156,7 +158,7 @@ async fn answer_aside(request: HttpRequest<Body>, route: &Route, caller: Option<
     let query = parts.uri.query().unwrap_or_default().to_owned();
     let (access, headers) = (route.access, parts.headers.clone());
     let permission = Permission { keys: desk.keys.clone(), access, method: parts.method, headers, peer };
-    // The lock may have come, and a browser gone, while it waited.
+    // The show lock may have been set, or the browser revoked, while the request waited.
     permission.judge()?;
     let mut call = Call { fields, query, headers: parts.headers, content, permission };
     let work = tokio::task::spawn_blocking(move || {
@@ -189,7 +191,7 @@ async fn fields(parts: &mut axum::http::request::Parts) -> Vec<(String, String)>
     named.map(|named| named.iter().map(|(name, value)| (name.to_owned(), value.to_owned())).collect()).unwrap_or_default()
 }
 
-/// Says which methods a path has.
+/// Returns the reply that lists a path's methods.
 fn wrong_method(of_path: &[Route]) -> Response<Body> {
     let mut methods: Vec<&str> = of_path.iter().map(|route| route.method.as_str()).collect();
     if methods.contains(&"GET") {
@@ -203,12 +205,12 @@ fn wrong_method(of_path: &[Route]) -> Response<Body> {
     response(Reply::text(405, sentence).with("allow", &methods.join(", ")))
 }
 
-/// A connection that becomes a WebSocket, and is then served by `serve`.
+/// Turns a connection into a WebSocket, which `serve` then serves.
 async fn web_socket<F>(request: HttpRequest<Body>, serve: impl FnOnce(WebSocket) -> F + Send + 'static) -> Response<Body>
 where
     F: Future<Output = ()> + Send,
 {
-    // The connection's place is kept for as long as the WebSocket lasts.
+    // The WebSocket keeps the connection's place as long as it lasts.
     let Some(place) = request.extensions().get::<Caller>().and_then(|caller| caller.place.clone()) else {
         return response(Reply::text(503, "too many clients are connected; close some and try again\n"));
     };
@@ -225,13 +227,14 @@ where
     }
 }
 
-/// `/ws`: every record from now on.
+/// Serves `/ws`: every record from now on.
 async fn stream(mut socket: WebSocket, feed: Arc<Feed>, mut stopped: watch::Receiver<bool>) {
     let mut lines = feed.lines();
     loop {
         tokio::select! {
             line = lines.recv() => {
-                // Behind by more than the queue holds, or the end: either way it is over.
+                // The client is further behind than the queue holds, or the server ends: either way
+                // the stream is over.
                 let Ok(line) = line else { break };
                 match timeout(TAKES_WITHIN, socket.send(Message::Text(line))).await {
                     Ok(Ok(())) => {}
@@ -239,7 +242,7 @@ async fn stream(mut socket: WebSocket, feed: Arc<Feed>, mut stopped: watch::Rece
                 }
             }
             message = socket.recv() => match message {
-                // Pings are answered by the library; what a client says is not needed.
+                // The library answers pings; a client's messages are not needed.
                 Some(Ok(Message::Close(_))) | Some(Err(_)) | None => return,
                 Some(Ok(_)) => {}
             },

@@ -1,7 +1,9 @@
 //! The page: the files that a browser loads, embedded in the program.
 //!
-//! Nothing comes from elsewhere: the policy sent with each file allows scripts, styles and connections of this server alone, and no script or
-//! style within the HTML. They travel packed to whoever can unpack them. A browser asks each time whether its copy is still the newest, so that a page never mixes two versions.
+//! Nothing is loaded from elsewhere: the policy sent with each file allows only this server's
+//! scripts, styles and connections, and none inline in the HTML. Files are sent compressed to
+//! clients that accept it. A browser revalidates its copies each time, so that a page never mixes
+//! two versions.
 
 use std::sync::LazyLock;
 
@@ -32,7 +34,7 @@ const STYLE: &str = "text/css; charset=utf-8";
 const PICTURE: &str = "image/svg+xml";
 const TEXT: &str = "text/plain; charset=utf-8";
 
-/// An [`Asset`] of a file in `page/`, by its path below it.
+/// Makes the [`Asset`] for a file in `page/`, by its path there.
 macro_rules! asset {
     ($content_type:expr, $file:literal) => {
         asset!($content_type, $file, concat!("/", $file))
@@ -93,11 +95,13 @@ const ASSETS: &[Asset] = &[
     asset!(TEXT, "vendor/LICENSES.txt"),
 ];
 
-/// What the page may load: files and connections of this server alone, pictures also from its own memory. Nobody may frame it.
+/// What the page may load: files and connections of this server only, and pictures from its own
+/// memory. Framing is forbidden.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; base-uri 'none'; \
     form-action 'none'; frame-ancestors 'none'";
 
-/// Start and factor of the 64-bit FNV-1a hash, as its authors give them: it tells versions apart, against nobody's ill will.
+/// Start and factor of the 64-bit FNV-1a hash, as published. The hash identifies versions; it does
+/// not protect against malice.
 const FNV_START: u64 = 0xcbf2_9ce4_8422_2325;
 const FNV_FACTOR: u64 = 0x0100_0000_01b3;
 
@@ -105,23 +109,24 @@ fn hash(start: u64, bytes: &[u8]) -> u64 {
     bytes.iter().fold(start, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(FNV_FACTOR))
 }
 
-/// One word for the version of the page: another one says that a page that is open is not the newest.
+/// Returns the page's version as one word: if it changes, an open page is outdated.
 pub(super) fn version() -> String {
     format!("{:016x}", ASSETS.iter().fold(FNV_START, |hashed, asset| hash(hashed, asset.bytes)))
 }
 
-/// The files packed by gzip, in the order of [`ASSETS`]; made when the first of them is asked for, in some 20 ms.
+/// The files compressed with gzip, in the order of [`ASSETS`]; made on first use, in about 20 ms.
 static PACKED: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| ASSETS.iter().map(|asset| packed(asset.bytes)).collect());
 
-/// Larger than any file of the page, bytes; a round figure.
+/// Maximum size of a file of the page, bytes; a round figure. Raised, a larger file may be served
+/// from a folder.
 const LARGEST_FILE: u64 = 16 << 20;
 
-/// For a path that nothing is at.
+/// Returns the reply for a path without content.
 pub(super) fn nothing_here() -> Response<Body> {
     response(Reply::text(404, "there is nothing here; the page is at /\n"))
 }
 
-/// A file of a folder as it is now, for who works on the page; reading it takes a moment of another thread.
+/// Serves a file of a folder as it is now, for developing the page; it is read on another thread.
 pub(super) async fn from_folder(request: Request<Body>, folder: PathBuf) -> Response<Body> {
     if let Some(refused) = reads(&request) {
         return refused;
@@ -130,7 +135,7 @@ pub(super) async fn from_folder(request: Request<Body>, folder: PathBuf) -> Resp
         "/" => "index.html",
         path => &path[1..],
     };
-    // No part leads out of the folder.
+    // No component may lead out of the folder.
     if !path.split('/').all(is_name) {
         return nothing_here();
     }
@@ -145,7 +150,7 @@ pub(super) async fn from_folder(request: Request<Body>, folder: PathBuf) -> Resp
     }
 }
 
-/// The MIME type of a file of the page.
+/// Returns the MIME type of a file of the page.
 fn content_type(file: &Path) -> &'static str {
     match file.extension().and_then(|extension| extension.to_str()) {
         Some("html") => HTML,
@@ -156,7 +161,7 @@ fn content_type(file: &Path) -> &'static str {
     }
 }
 
-/// The files of the program.
+/// Returns the routes for the embedded files.
 pub(super) fn routes() -> Vec<Route> {
     let of = |(k, asset): (usize, &'static Asset)| {
         let tag = format!("\"{:016x}\"", hash(FNV_START, asset.bytes));
@@ -171,7 +176,7 @@ fn answer(request: &Request<Body>, asset: &Asset, k: usize, tag: &str) -> Respon
     headers.insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
     headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
-    // Sixteen digits between quotes.
+    // Sixteen digits in quotes are a valid header value.
     headers.extend(HeaderValue::from_str(tag).ok().map(|tag| (header::ETAG, tag)));
     headers.insert(header::VARY, HeaderValue::from_static("accept-encoding"));
     if has_it(request, tag) {
@@ -185,7 +190,7 @@ fn answer(request: &Request<Body>, asset: &Asset, k: usize, tag: &str) -> Respon
     response
 }
 
-/// Whether the browser says that it has the file already (RFC 9110, 13.1.2).
+/// Whether the browser has the file already (RFC 9110, 13.1.2).
 fn has_it(request: &Request<Body>, tag: &str) -> bool {
     let said = request.headers().get_all(header::IF_NONE_MATCH).iter().filter_map(|value| value.to_str().ok());
     said.flat_map(|value| value.split(',')).map(str::trim).any(|one| one == "*" || one.strip_prefix("W/").unwrap_or(one) == tag)

@@ -3,14 +3,14 @@ use std::path::Path;
 
 use super::*;
 
-/// Names in quotes that a module imports, or that an attribute of the HTML names.
+/// Returns the names in quotes that a module imports, or that an HTML attribute references.
 fn named(text: &str) -> impl Iterator<Item = &str> {
     let parts: Vec<&str> = text.split('"').collect();
     let follows = |before: &str| ["from", "import", "import(", "src=", "href="].iter().any(|word| before.trim_end().ends_with(word));
     parts.windows(2).filter(|pair| follows(pair[0])).map(|pair| pair[1]).collect::<Vec<_>>().into_iter()
 }
 
-/// The path of a name within the file at `from`; none for what is not below the page.
+/// Resolves a name relative to the file at `from`; `None` if it is not in the page's folder.
 fn path(from: &str, name: &str) -> Option<String> {
     let folder = from.rsplit_once('/').map_or("", |(folder, _)| folder);
     match (name.strip_prefix("./"), name.strip_prefix("../")) {
@@ -24,10 +24,11 @@ fn path(from: &str, name: &str) -> Option<String> {
 fn every_file_that_the_page_names_is_there_and_each_is_named() {
     let there: BTreeSet<String> = ASSETS.iter().map(|asset| asset.path.to_owned()).collect();
     let mut reached = BTreeSet::from(["/".to_owned(), "/vendor/LICENSES.txt".to_owned()]);
-    // One module made of many imports nothing, and its packed text has `from` and quotes of other meaning.
+    // A bundled module imports nothing, and its minified text has `from` and quotes with other
+    // meanings.
     for asset in ASSETS.iter().filter(|asset| asset.path != "/vendor/three.js") {
         let text = std::str::from_utf8(asset.bytes).unwrap();
-        // Types are for the compiler that checks the modules: no browser asks for them.
+        // Types are for the compiler that checks the modules; browsers do not load them.
         for name in named(text).filter(|name| !name.ends_with("/types.js")) {
             let path = path(asset.path, name).unwrap_or_else(|| panic!("{} names {name:?}, which is not below the page", asset.path));
             assert!(there.contains(&path), "{} names {name:?}, which is not embedded", asset.path);

@@ -1,5 +1,5 @@
-//! How the camera moves while the rows of a frame are read: for whoever draws over the picture of a rolling shutter. It comes from the last
-//! poses that were measured; nothing else is kept.
+//! The camera's motion while a frame's rows are read, for drawing over a rolling shutter's picture.
+//! It is derived from the last measured poses; nothing else is stored.
 
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -8,16 +8,16 @@ use crate::frame::Timestamp;
 use crate::geometry::{Camera, Pose, Stage};
 use crate::record::{PoseSample, State};
 
-/// Seconds between two frames at most for their difference to be a motion. Chosen: ten frames a second. Raised, a shake between two frames
-/// passes for a slow motion.
+/// Maximum interval between two frames for their difference to be a motion, seconds. Chosen: ten
+/// frames per second. Raised, a shake between two frames passes for a slow motion.
 const LONGEST_GAP_S: f64 = 0.1;
 
 /// The camera's motion in its own axes, at a frame's stamp.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct CameraMotion {
-    /// m/s.
+    /// Velocity, m/s.
     pub velocity: [f64; 3],
-    /// rad/s.
+    /// Angular velocity, rad/s.
     pub turn_rate: [f64; 3],
 }
 
@@ -31,12 +31,12 @@ pub(super) struct MotionFollower {
 struct Before {
     pose: Pose<Stage, Camera>,
     timestamp: Timestamp,
-    /// From the one before to this one, per second, in the camera's axes.
+    /// Rates from the previous pose to this one, per second, in the camera's axes.
     rates: Option<[Vector3<f64>; 2]>,
 }
 
 impl MotionFollower {
-    /// The motion at this sample's stamp; `None` where no pose was measured just before.
+    /// Returns the motion at this sample's stamp; `None` if no pose was measured just before.
     pub fn after(&mut self, sample: &PoseSample) -> Option<CameraMotion> {
         let Some(pose) = sample.measurement.as_ref().filter(|_| sample.state == State::Tracking).map(|measured| measured.pose) else {
             self.before = None;
@@ -52,7 +52,8 @@ impl MotionFollower {
             let turn = (before.pose.rotation.inverse() * pose.rotation).scaled_axis();
             [shift / *dt_s, turn / *dt_s]
         });
-        // The difference is the motion half a frame ago; half its change leads to now.
+        // The difference is the motion half a frame ago; adding half its change extrapolates to
+        // now.
         let now = since.and_then(|(before, _)| {
             let between = rates?;
             Some(before.rates.map_or(between, |then| [0, 1].map(|k| between[k] + (between[k] - then[k]) * 0.5)))
@@ -76,7 +77,7 @@ mod tests {
         sample
     }
 
-    /// A camera that is pushed along its own x ever faster, and turns about its own y.
+    /// A camera that accelerates along its own x and turns about its own y.
     fn pose(t: f64) -> Pose<Stage, Camera> {
         let first = UnitQuaternion::from_euler_angles(0.3, -0.2, 0.9);
         let rotation = first * UnitQuaternion::from_scaled_axis(Vector3::y() * (0.5 * t + t * t));

@@ -1,4 +1,4 @@
-//! A client's connection, of which a request that waits can ask whether the client is still there.
+//! A client's connection. A waiting request can check through it whether the client is still there.
 
 use std::io::{self, ErrorKind};
 use std::mem::MaybeUninit;
@@ -13,10 +13,12 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::time::sleep;
 
-/// How often a waiting request looks whether its client is there. Chosen, not tuned. Raised, requests of lost clients wait for longer.
+/// Interval at which a waiting request checks for its client. Chosen, not tuned. Raised, requests
+/// of lost clients wait longer.
 const LOOKS_EACH: Duration = Duration::from_millis(200);
-/// A client that has closed its side may still listen; it is waited for this long. Raised, requests of lost clients wait for longer;
-/// lowered, a client that closes its side as soon as it has asked gets no answer from a busy daemon.
+/// A client that has closed its sending side may still listen; it is waited for this long. Raised,
+/// requests of lost clients wait longer; lowered, a client that closes right after asking gets no
+/// answer from a busy daemon.
 const LISTENS_FOR: Duration = Duration::from_secs(5);
 
 /// A connection that the server and its requests share.
@@ -28,7 +30,8 @@ impl Connection {
         Self(Arc::new(stream))
     }
 
-    /// Waits until the client is gone: by a reset at once, or some time after it has closed its side.
+    /// Waits until the client is gone: at once on a reset, or some time after it has closed its
+    /// side.
     pub async fn gone(&self) {
         let mut closed_at = None;
         loop {
@@ -47,7 +50,7 @@ impl Connection {
         }
     }
 
-    /// Both ends of one on this machine.
+    /// Returns both ends of a local connection.
     #[cfg(test)]
     pub async fn pair() -> (Self, TcpStream) {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
@@ -98,7 +101,7 @@ impl AsyncWrite for Connection {
     }
 
     fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        // A socket keeps nothing back.
+        // A socket buffers nothing here.
         Poll::Ready(Ok(()))
     }
 

@@ -1,4 +1,4 @@
-//! What comes with a request and goes with a reply, piece by piece: a large file is never in memory as a whole.
+//! The content of requests, in pieces: a large file is never in memory as a whole.
 
 use std::io::{self, Read};
 use std::pin::Pin;
@@ -10,39 +10,42 @@ use tokio::time::timeout;
 
 use super::reply::Reply;
 
-/// The next piece of a request's content must come within this time. Chosen: longer than a wireless network's hiccup. Raised, who sends
-/// nothing holds a thread for longer.
+/// Maximum time for the next piece of a request's content. Chosen: longer than a wireless network's
+/// hiccup. Raised, a silent client holds a thread longer.
 const ARRIVES_WITHIN: Duration = Duration::from_secs(5);
-/// The whole content must come within this time, and a second more for each [`SLOWEST`] bytes of it. Chosen: a bad wireless network is
-/// faster. Raised, who sends a byte now and then holds a connection for longer; lowered, slow honest clients are cut off.
+/// Maximum time for the whole content, plus a second for each [`SLOWEST`] bytes received. Chosen: a
+/// bad wireless network is faster. Raised, a client that trickles bytes holds a connection longer;
+/// lowered, slow honest clients are cut off.
 const ARRIVES_WHOLE_WITHIN: Duration = Duration::from_secs(20);
-/// Bytes a second below which a content is cut off in the end: a telephone line. Raised, honest uploads over bad networks fail.
+/// Bytes per second below which a content is eventually cut off: a telephone line. Raised, honest
+/// uploads over bad networks fail.
 const SLOWEST: u64 = 8 * 1024;
-/// Pieces that may wait between the connection and who reads or writes them. A round figure; raised, more memory.
+/// Maximum pieces queued between the connection and the reader. A round figure; raised, more
+/// memory.
 const PIECES: usize = 4;
 
-/// A request's content, read on another thread than it arrives on.
+/// A request's content, read on another thread than the one it arrives on.
 #[derive(Debug)]
 pub(super) struct Upload {
-    /// What is still to come.
+    /// Pieces still to come.
     pieces: Option<mpsc::Receiver<io::Result<Bytes>>>,
     rest: Bytes,
 }
 
 impl Upload {
-    /// With what fills it.
+    /// Returns an upload and the channel that fills it.
     pub fn channel() -> (mpsc::Sender<io::Result<Bytes>>, Self) {
         let (to, pieces) = mpsc::channel(PIECES);
         (to, Self { pieces: Some(pieces), rest: Bytes::new() })
     }
 
-    /// One that is here already.
+    /// Returns an upload whose content has already arrived.
     pub fn whole(content: Vec<u8>) -> Self {
         Self { pieces: None, rest: content.into() }
     }
 }
 
-/// How long a content may take from when it began, by what has come.
+/// The deadline of a content, depending on how much has arrived.
 struct Deadline {
     begun: Instant,
     bytes: u64,
@@ -53,21 +56,21 @@ impl Deadline {
         Self { begun: Instant::now(), bytes: 0 }
     }
 
-    /// Time that is left for the next piece; none is zero.
+    /// Returns the time left for the next piece; zero if there is none.
     fn left(&self) -> Duration {
         let whole = ARRIVES_WHOLE_WITHIN + Duration::from_secs(self.bytes / SLOWEST);
         whole.saturating_sub(self.begun.elapsed()).min(ARRIVES_WITHIN)
     }
 }
 
-/// The next bytes of a content in time; none at its end.
+/// Returns the next bytes of a content, if they arrive in time; `None` at its end.
 async fn next_piece(body: &mut Body, deadline: &mut Deadline) -> io::Result<Option<Bytes>> {
     loop {
         let next = std::future::poll_fn(|cx| Pin::new(&mut *body).poll_frame(cx));
         match timeout(deadline.left(), next).await {
             Ok(None) => return Ok(None),
             Ok(Some(Ok(frame))) => {
-                // Trailers say nothing here.
+                // Trailers are ignored.
                 if let Ok(bytes) = frame.into_data() {
                     deadline.bytes += bytes.len() as u64;
                     return Ok(Some(bytes));
@@ -79,10 +82,10 @@ async fn next_piece(body: &mut Body, deadline: &mut Deadline) -> io::Result<Opti
     }
 }
 
-/// All of a content that is not longer than this; one that is longer is not waited for.
+/// Reads a whole content of at most this length; a longer one is not read to its end.
 ///
 /// # Errors
-/// The reply where it is longer, broke off, or did not come in time.
+/// The reply, if it is longer, broke off, or did not arrive in time.
 pub(super) async fn gathered(mut body: Body, most_bytes: u64) -> Result<Vec<u8>, Reply> {
     if body.size_hint().lower() > most_bytes {
         return Err(too_large(most_bytes));
@@ -111,7 +114,7 @@ impl Read for Upload {
     }
 }
 
-/// Content beyond its limit.
+/// Returns the reply for content above its limit.
 pub(super) fn too_large(most_bytes: u64) -> Reply {
     if most_bytes == 0 {
         return Reply::text(413, "this request has no content\n");
@@ -120,7 +123,7 @@ pub(super) fn too_large(most_bytes: u64) -> Reply {
     Reply::text(413, format!("the content is larger than {limit}, which is the most that is taken here\n"))
 }
 
-/// Content that did not come.
+/// Returns the reply for content that did not arrive.
 pub(super) fn not_arrived(error: &io::Error) -> Reply {
     match error.kind() {
         io::ErrorKind::TimedOut => Reply::text(408, "the content did not come in time; send it again\n"),
@@ -128,7 +131,7 @@ pub(super) fn not_arrived(error: &io::Error) -> Reply {
     }
 }
 
-/// Brings a request's content to who reads it, until either ends.
+/// Forwards a request's content to its reader, until either ends.
 pub(super) async fn pump(mut body: Body, to: mpsc::Sender<io::Result<Bytes>>) {
     let mut deadline = Deadline::begin();
     loop {

@@ -1,4 +1,5 @@
-//! A reply's content that is made while it is sent, piece by piece: a large file is never in memory as a whole.
+//! Content of replies that is generated while it is sent, in pieces: a large file is never in
+//! memory as a whole.
 
 use std::io::{self, Write};
 use std::pin::Pin;
@@ -10,17 +11,19 @@ use axum::body::{Body, Bytes, HttpBody};
 use hyper::body::Frame;
 use tokio::sync::mpsc;
 
-/// Pieces that may wait between who writes them and the connection. A round figure; raised, more memory.
+/// Maximum pieces queued between the writer and the connection. A round figure; raised, more
+/// memory.
 const PIECES: usize = 4;
-/// Bytes of one piece of a download. Chosen: few system calls, little memory. Raised, more memory for each download.
+/// Size of a download's pieces, bytes. Chosen: few system calls, little memory. Raised, more memory
+/// per download.
 const PIECE_BYTES: usize = 64 * 1024;
 
-/// Counts what a connection carries that may last: such a connection is not ended for its age.
+/// Counts the lasting transfers on a connection: while there are any, it is not closed for its age.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Transfers(Arc<AtomicUsize>);
 
 impl Transfers {
-    /// Counts one until it is dropped.
+    /// Counts a transfer until it is dropped.
     pub fn begin(&self) -> Transfer {
         self.0.fetch_add(1, Ordering::Relaxed);
         Transfer(self.0.clone())
@@ -32,7 +35,7 @@ impl Transfers {
     }
 }
 
-/// One of them.
+/// A counted transfer.
 #[derive(Debug)]
 pub(super) struct Transfer(Arc<AtomicUsize>);
 
@@ -42,7 +45,8 @@ impl Drop for Transfer {
     }
 }
 
-/// A reply's content that is made on a thread of its own while it is sent, as fast as it is taken.
+/// Content of a reply that is generated on its own thread while it is sent, as fast as the client
+/// reads.
 #[derive(Debug)]
 pub struct Download {
     pieces: mpsc::Receiver<io::Result<Bytes>>,
@@ -50,10 +54,11 @@ pub struct Download {
 }
 
 impl Download {
-    /// Starts `make`, which writes the content. Where it fails, the connection breaks off, so that half a file is not taken for a whole one.
+    /// Starts `make`, which writes the content. If it fails, the connection breaks off, so that
+    /// half a file is not taken for a whole one.
     ///
     /// # Errors
-    /// Where the system gives no thread.
+    /// When the system provides no thread.
     pub fn start(make: impl FnOnce(&mut dyn Write) -> io::Result<()> + Send + 'static) -> io::Result<Self> {
         let (to, pieces) = mpsc::channel(PIECES);
         let work = move || {
@@ -67,7 +72,7 @@ impl Download {
         Ok(Self { pieces, transfer: None })
     }
 
-    /// As a response's content, which counts among the connection's transfers.
+    /// Returns it as a response's body, which counts among the connection's transfers.
     pub(super) fn into_body(mut self, transfers: Option<&Transfers>) -> Body {
         self.transfer = transfers.map(Transfers::begin);
         Body::new(self)
@@ -103,7 +108,7 @@ impl Write for Sink {
             return Ok(());
         }
         let piece = Bytes::from(std::mem::take(&mut self.buffer));
-        // Who asked is gone.
+        // The client is gone.
         self.to.blocking_send(Ok(piece)).map_err(|_| io::ErrorKind::BrokenPipe.into())
     }
 }

@@ -1,4 +1,4 @@
-//! `/api/v1/session`, `pair`, `clients`, `lock`, `unlock`: who is here, and what they may do.
+//! `/api/v1/session`, `pair`, `clients`, `lock`, `unlock`: who is connected, and what they may do.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -12,10 +12,10 @@ use super::keys::Keys;
 use super::reply::Reply;
 use super::routes::{Access, Route};
 
-/// What the caller says of itself: an object.
+/// Returns the caller's own description, an object.
 pub type About = Box<dyn Fn() -> serde_json::Value + Send + Sync>;
 
-/// Larger than any request here, bytes.
+/// Maximum size of a request here, bytes. Raised, a client may take more memory.
 const LARGEST: u64 = 4096;
 
 #[derive(Deserialize)]
@@ -26,7 +26,7 @@ struct Pairing {
     name: String,
 }
 
-/// The routes. `about` adds what the daemon says of itself to the session.
+/// Returns the routes. `about` adds the daemon's description to the session.
 pub(super) fn routes(keys: &Arc<Keys>, about: Option<About>) -> Vec<Route> {
     let of = |keys: &Arc<Keys>| keys.clone();
     let (session, pair, clients, revoke, lock, unlock) = (of(keys), of(keys), of(keys), of(keys), of(keys), of(keys));

@@ -1,4 +1,4 @@
-//! What happens beside the poses, for `/ws/events`: the last of it at once, then each event as it comes.
+//! Events besides the poses, for `/ws/events`: first the latest ones, then each new event.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,15 +13,17 @@ use super::lifetime::{TAKES_WITHIN, close, ended};
 use crate::daemon::live::{Event, EventListener, StampedEvent};
 use crate::printable::printable;
 
-/// Events that one who comes later still hears of: an evening's, where nothing fails again and again. Chosen, not tuned. Raised, only memory.
+/// Number of past events that a new client receives: an evening's, unless something fails again and
+/// again. Chosen, not tuned. Raised, only memory.
 const REMEMBERED: usize = 200;
-/// Events that a client may be behind before it is let go. As above.
+/// Maximum events that a client may be behind before it is dropped. Chosen, not tuned. Raised, only
+/// memory.
 const MOST_BEHIND: usize = 256;
 
-/// What has happened, and to whom it is said.
+/// Past events and the clients' channel.
 #[derive(Debug)]
 pub(super) struct Events {
-    /// Where events come from.
+    /// The source of events.
     source: Mutex<Option<EventListener>>,
     recent: Mutex<VecDeque<Utf8Bytes>>,
     lines: broadcast::Sender<Utf8Bytes>,
@@ -30,7 +32,7 @@ pub(super) struct Events {
 /// An event as it is sent.
 #[derive(Serialize)]
 struct Line<'a> {
-    /// When it was heard of, milliseconds since 1970.
+    /// When it was received, milliseconds since 1970.
     unix_ms: u64,
     /// `error`, `warn` or `info`.
     level: &'static str,
@@ -44,15 +46,15 @@ impl Events {
         Self { source: Mutex::default(), recent: Mutex::default(), lines: broadcast::Sender::new(MOST_BEHIND) }
     }
 
-    /// From now on these are the events.
+    /// Follows these events from now on.
     pub fn follow(&self, source: EventListener) {
         *self.source.lock().unwrap_or_else(PoisonError::into_inner) = Some(source);
     }
 
-    /// Takes what has happened since the last time; called several times a second.
+    /// Takes the events since the last call; called several times a second.
     pub fn watch(&self) {
         let source = self.source.lock().unwrap_or_else(PoisonError::into_inner);
-        // A dropped frame is counted; there may be thousands.
+        // Dropped frames are only counted; there may be thousands.
         let told = source.iter().flat_map(|source| source.try_iter()).filter(|e| !matches!(e.event, Event::FrameDropped { .. }));
         for (line, is_kept) in told.filter_map(|event| Some((line(&event)?, !event.event.is_progress()))) {
             let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
@@ -62,19 +64,20 @@ impl Events {
                 }
                 recent.push_back(line.clone());
             }
-            // Under the lock, so that who comes now hears of it once. Nobody may be there to hear it.
+            // Sent under the lock, so that a new client gets each event once. There may be no
+            // client.
             let _ = self.lines.send(line);
         }
     }
 
-    /// The last events, and a channel with those to come.
+    /// Returns the last events, and a channel with those to come.
     fn listen(&self) -> (Vec<Utf8Bytes>, broadcast::Receiver<Utf8Bytes>) {
         let recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
         (recent.iter().cloned().collect(), self.lines.subscribe())
     }
 }
 
-/// How much an event matters, as a word, and what happened.
+/// Returns an event's severity as a word, and its sentence.
 pub(super) fn said(event: &Event) -> (&'static str, String) {
     let (level, says) = event.says();
     let level = match level {
@@ -103,12 +106,12 @@ pub(super) async fn tell(mut socket: WebSocket, events: Arc<Events>, mut stopped
             None => tokio::select! {
                 line = lines.recv() => match line {
                     Ok(line) => line,
-                    // Behind by more than the queue holds, or the end.
+                    // The client is further behind than the queue holds, or the server ends.
                     Err(_) => break,
                 },
                 message = socket.recv() => match message {
                     Some(Ok(Message::Close(_)) | Err(_)) | None => return,
-                    // There is nothing to say here.
+                    // Clients have nothing to say here.
                     Some(Ok(_)) => continue,
                 },
                 () = ended(&mut stopped) => break,

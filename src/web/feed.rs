@@ -1,8 +1,9 @@
 //! The last sample, for requests, and every sample as it comes, for WebSockets.
 //!
-//! Both judge a frame's age by the same rule as the outputs: once the newest frame is older than the limit, the answer is that no
-//! pose is known, whatever the last record was, and so it is where a record comes late. A record whose stamp does not follow the last one
-//! (a row that was skipped) says nothing of the bodies and is passed over.
+//! Both judge a frame's age by the outputs' rule: once the newest frame is older than the limit,
+//! the answer is that no pose is known, whatever the last record was. The same holds for a record
+//! that arrives late. A record whose stamp does not follow the last one (a skipped row) says
+//! nothing about the bodies and is ignored.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -16,10 +17,11 @@ use crate::frame::Timestamp;
 use crate::publish::FrameClock;
 use crate::record::{PoseSample, State};
 
-/// Records that a client may be behind before it is let go: some 8 seconds at 30 a second. Chosen, not tuned. Raised, slow clients show
-/// older poses, and more lines are held.
+/// Maximum records that a client may be behind before it is dropped: about 8 seconds at 30 per
+/// second. Chosen, not tuned. Raised, slow clients show older poses, and more lines are held.
 const MOST_BEHIND: usize = 256;
-/// How often a silence is said again. Chosen, not tuned. Raised, a client that comes later learns of it later.
+/// Interval at which a silence is repeated. Chosen, not tuned. Raised, a client that connects later
+/// learns of it later.
 const REPEAT: Duration = Duration::from_secs(1);
 
 /// What has been published so far.
@@ -30,7 +32,7 @@ pub(super) struct Feed {
     lines: broadcast::Sender<Utf8Bytes>,
 }
 
-/// How old frames are, and may be.
+/// The clock for frames' ages, and the age limit.
 #[derive(Debug, Clone)]
 struct Ages {
     clock: Arc<FrameClock>,
@@ -41,9 +43,9 @@ struct Ages {
 struct Last {
     /// The last record, and when its frame was taken.
     record: Option<(Arc<PoseSample>, Timestamp)>,
-    /// What came after it says that no frame comes.
+    /// The stale message that followed it.
     silence: Option<Arc<PoseSample>>,
-    /// When a silence was last said.
+    /// When a silence was last reported.
     said: Option<Timestamp>,
 }
 
@@ -56,7 +58,7 @@ impl Feed {
         Self { ages: Mutex::default(), last: Mutex::default(), lines: broadcast::Sender::new(MOST_BEHIND) }
     }
 
-    /// From now on a frame older than `most` is too old.
+    /// Treats frames older than `most` as too old from now on.
     pub fn judge_ages(&self, clock: Arc<FrameClock>, most: Duration) {
         *self.ages.lock().unwrap_or_else(PoisonError::into_inner) = Some(Ages { clock, most });
     }
@@ -92,7 +94,7 @@ impl Feed {
         }
     }
 
-    /// Says that the newest frame has become too old, once a second; called several times a second.
+    /// Reports once a second that the newest frame is too old; called several times a second.
     pub fn watch(&self) {
         let Some(ages) = self.ages() else { return };
         let now = ages.clock.now().boot;
@@ -110,12 +112,12 @@ impl Feed {
 
     fn send(&self, line: impl FnOnce() -> String) {
         if self.lines.receiver_count() > 0 {
-            // Nobody may be left to hear it by now.
+            // By now there may be no client left.
             let _ = self.lines.send(line().into());
         }
     }
 
-    /// How old the newest frame is, where that is known.
+    /// Returns the newest frame's age, if known.
     fn age(&self, last: &Last) -> Option<Duration> {
         let (ages, (_, taken)) = (self.ages()?, last.record.as_ref()?);
         Some(ages.clock.now().boot.duration_since(*taken))
@@ -125,7 +127,7 @@ impl Feed {
         last.silence.is_some() || self.ages().is_some_and(|ages| self.age(last).is_some_and(|age| age >= ages.most))
     }
 
-    /// The message that no frame comes, with the newest one's age as it is now.
+    /// Returns the stale message, with the newest frame's current age.
     fn silence(&self, last: &Last) -> PoseSample {
         let (sequence, timestamp) = last.record.as_ref().map(|(record, _)| (record.sequence, record.timestamp)).unwrap_or_default();
         let told_ms = last.silence.as_ref().and_then(|silence| silence.times.age_ms);
@@ -133,12 +135,12 @@ impl Feed {
         PoseSample::stale(sequence, timestamp, age_ms.unwrap_or(0.0))
     }
 
-    /// Every line from now on.
+    /// Returns a channel with every line from now on.
     pub fn lines(&self) -> broadcast::Receiver<Utf8Bytes> {
         self.lines.subscribe()
     }
 
-    /// How many listen.
+    /// Returns the number of listeners.
     #[cfg(test)]
     pub fn clients(&self) -> usize {
         self.lines.receiver_count()
@@ -159,7 +161,7 @@ impl Feed {
         Reply::json(200, self.known().to_string())
     }
 
-    /// What is known, of which frame, and how old that frame is.
+    /// Returns the known state, its frame, and that frame's age.
     pub fn known(&self) -> Value {
         let last = self.last();
         let is_too_old = self.is_too_old(&last);

@@ -1,9 +1,10 @@
-//! Who may ask: what is looked at before a request is routed.
+//! Decides which requests may be answered, before they are routed.
 //!
-//! There is no password, so a browser must not lend its reach to a foreign page. The host that is asked for must be one of
-//! [`AllowedHosts`] (else a page could point its own name here), and the page that asks must come from this server (`Origin`, and
-//! `Sec-Fetch-Site` where a browser sends it), for every path and for WebSockets, to which browsers apply no such rule themselves. What
-//! has no `Origin` is no browser's script and passes.
+//! There is no password, so a foreign page must not reach this server through a user's browser. The
+//! requested host must be one of [`AllowedHosts`] (else a page could point its own name here), and
+//! the requesting page must come from this server (`Origin`, and `Sec-Fetch-Site` if the browser
+//! sends it). This holds for every path and for WebSockets, to which browsers do not apply the
+//! same-origin policy. A request without `Origin` is not from a browser's script and passes.
 
 use std::net::IpAddr;
 
@@ -12,7 +13,7 @@ use axum::http::{HeaderMap, HeaderName, Method, Request, Uri, Version, header};
 use super::hosts::{AllowedHosts, HostAndPort};
 use super::reply::Reply;
 
-/// The ports of `http` and `https` where an address names none (RFC 9110, 4.2).
+/// Default ports of `http` and `https` (RFC 9110, 4.2).
 const HTTP_PORT: u16 = 80;
 const HTTPS_PORT: u16 = 443;
 
@@ -35,7 +36,7 @@ pub(super) fn judge<B>(hosts: &AllowedHosts, request: &Request<B>, reached: IpAd
     Ok(())
 }
 
-/// The host that a request is for; none where it is HTTP/1.0 without one, which no browser speaks.
+/// Returns the requested host; `None` for HTTP/1.0 without a host, which no browser uses.
 fn asked_host<B>(request: &Request<B>) -> Result<Option<HostAndPort>, Reply> {
     let bad = |sentence: &str| Reply::text(400, sentence);
     if request.method() == Method::CONNECT {
@@ -53,7 +54,7 @@ fn asked_host<B>(request: &Request<B>) -> Result<Option<HostAndPort>, Reply> {
     }
 }
 
-/// The host of a target that is a whole address, such as http://localhost:8090/ws.
+/// Returns the host of an absolute target, such as http://localhost:8090/ws.
 fn absolute(uri: &Uri) -> Result<Option<HostAndPort>, ()> {
     match (uri.scheme_str(), uri.authority()) {
         (None, None) => Ok(None),
@@ -62,21 +63,23 @@ fn absolute(uri: &Uri) -> Result<Option<HostAndPort>, ()> {
     }
 }
 
-/// A header's text, where it is there; an error where it is there twice. What is no text is an empty one, which nothing allows.
+/// Returns a header's text, if present; an error if it occurs twice. A value that is not text
+/// becomes empty, which nothing allows.
 fn only(headers: &HeaderMap, name: HeaderName) -> Result<Option<&str>, ()> {
     let mut values = headers.get_all(name).iter();
     let first = values.next().map(|value| value.to_str().unwrap_or(""));
     if values.next().is_some() { Err(()) } else { Ok(first) }
 }
 
-/// Whether the page that asks is of this server: the same host and port. TLS may end at a proxy before it.
+/// Whether the requesting page is from this server: the same host and port. A proxy in front may
+/// terminate TLS.
 fn is_from_here(headers: &HeaderMap, host: Option<&HostAndPort>) -> bool {
     let origin = match only(headers, header::ORIGIN) {
         Ok(None) => return true,
         Ok(Some(origin)) => origin,
         Err(()) => return false,
     };
-    // `null` is what a page says that hides where it comes from.
+    // `null` is the origin of a page that hides where it comes from.
     let place = [("http://", HTTP_PORT), ("https://", HTTPS_PORT)].into_iter().find_map(|(scheme, default_port)| {
         let place = HostAndPort::parse(origin.strip_prefix(scheme)?)?;
         Some((place, default_port))
@@ -84,7 +87,8 @@ fn is_from_here(headers: &HeaderMap, host: Option<&HostAndPort>) -> bool {
     matches!((place, host), (Some((place, default_port)), Some(host)) if place.is_at(host, default_port))
 }
 
-/// What the browser says of the page that asks. A link from another site may be followed: nobody reads what comes but who clicked it.
+/// Whether the browser says that the request is from here. Following a link from another site is
+/// allowed: only the user sees the answer.
 fn is_fetched_from_here(method: &Method, headers: &HeaderMap) -> bool {
     let says = |name: &'static str| only(headers, HeaderName::from_static(name)).unwrap_or(Some(""));
     match says("sec-fetch-site") {

@@ -3,7 +3,7 @@ use std::net::Ipv4Addr;
 use super::*;
 use crate::config::HostName;
 
-/// The status of a request with these headers; 0 where it passes.
+/// Returns the status for a request with these headers; 0 if it passes.
 fn status(method: &str, target: &str, version: Version, headers: &[(&str, &str)]) -> u16 {
     let hosts = AllowedHosts::new(&[HostName::parse("stage.example.org").unwrap()]);
     let mut request = Request::builder().method(method).uri(target).version(version);

@@ -1,8 +1,9 @@
-//! The names that the server answers to.
+//! The host names that the server answers to.
 //!
-//! A page on the web can let its own name point to this machine (DNS rebinding); its scripts would then read and command the server as
-//! if it were theirs. Their requests still carry that name as `Host`. So only names are answered that belong here: loopback's, the
-//! machine's own addresses and host name, and what the config adds.
+//! A page on the web can point its own name to this machine (DNS rebinding); its scripts could then
+//! read from and command the server as their own. Their requests still carry that name as `Host`.
+//! So only local names are answered: loopback's, the machine's own addresses and host name, and the
+//! config's additions.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::{Mutex, PoisonError};
@@ -10,22 +11,23 @@ use std::time::{Duration, Instant};
 
 use crate::config::HostName;
 
-/// The system's names for loopback, as /etc/hosts has them.
+/// The system's names for loopback, as in /etc/hosts.
 const LOOPBACK_NAMES: [&str; 3] = ["localhost", "ip6-localhost", "ip6-loopback"];
-/// The machine's addresses are asked for again after this time: a network may come while the server runs. Asking takes the system some 0.1
-/// ms, which a flood of requests shall not make it do each time. Raised, a new address is refused for longer.
+/// Lifetime of the cached list of the machine's addresses: a network may come up while the server
+/// runs. The query takes about 0.1 ms, which a flood of requests must not cost each time. Raised, a
+/// new address is refused for longer.
 const ADDRESSES_LAST: Duration = Duration::from_secs(5);
-/// A host and the port behind it, as `Host` and `Origin` write them.
+/// A host with its port, as `Host` and `Origin` write them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct HostAndPort {
     pub host: HostName,
-    /// As it stands there.
+    /// The port as written.
     pub port: Option<u16>,
 }
 
 impl HostAndPort {
     pub fn parse(text: &str) -> Option<Self> {
-        // An IPv6 address has its own colons, and stands in brackets.
+        // An IPv6 address has its own colons and is in brackets.
         let end = if text.starts_with('[') { text.find(']')? + 1 } else { text.find(':').unwrap_or(text.len()) };
         let (host, port) = text.split_at(end);
         let port = match port.strip_prefix(':') {
@@ -37,29 +39,29 @@ impl HostAndPort {
         Some(Self { host: HostName::parse(host)?, port })
     }
 
-    /// The same place, where a missing port is the scheme's own.
+    /// Whether both are the same place, with a missing port being the scheme's default.
     pub fn is_at(&self, other: &Self, default_port: u16) -> bool {
         self.host == other.host && self.port.unwrap_or(default_port) == other.port.unwrap_or(default_port)
     }
 }
 
-/// Which hosts the server answers for.
+/// The hosts that the server answers for.
 #[derive(Debug)]
 pub struct AllowedHosts {
     /// Loopback's and the machine's own names.
     names: Vec<String>,
     /// From the config.
     added: Vec<HostName>,
-    /// The machine's addresses, and when they were asked for.
+    /// The machine's addresses, and when they were queried.
     own: Mutex<Option<(Instant, Vec<IpAddr>)>>,
 }
 
 impl AllowedHosts {
-    /// The machine's, and these.
+    /// Allows the machine's hosts and these.
     pub fn new(added: &[HostName]) -> Self {
         let mut names: Vec<String> = LOOPBACK_NAMES.map(str::to_owned).into();
         if let Some(HostName::Name(own)) = nix::unistd::gethostname().ok().and_then(|name| HostName::parse(name.to_str()?)) {
-            // The whole name, its first part, and that part as multicast DNS announces it.
+            // The full name, its first label, and that label as multicast DNS announces it.
             let first = own.split('.').next().unwrap_or(&own).to_owned();
             names.extend([format!("{first}.local"), first, own]);
         }
@@ -67,7 +69,7 @@ impl AllowedHosts {
         Self { names, added: added.to_vec(), own: Mutex::new(None) }
     }
 
-    /// Whether a request for this host, which came in at the address `reached`, is answered.
+    /// Whether to answer a request for this host that came in at the address `reached`.
     pub(super) fn allows(&self, host: &HostName, reached: IpAddr) -> bool {
         self.added.contains(host)
             || match host {
@@ -78,7 +80,7 @@ impl AllowedHosts {
             }
     }
 
-    /// The machine's addresses, as of a few seconds ago at most.
+    /// Returns the machine's addresses, at most a few seconds old.
     fn own_addresses(&self) -> Vec<IpAddr> {
         let mut own = self.own.lock().unwrap_or_else(PoisonError::into_inner);
         match &*own {
@@ -91,7 +93,7 @@ impl AllowedHosts {
         }
     }
 
-    /// All of them, for people.
+    /// Lists all allowed hosts, for people.
     pub fn listing(&self) -> String {
         let addresses = self.own_addresses().into_iter().filter(|address| !address.is_loopback()).map(|address| address.to_string());
         let loopback = ["127.0.0.1", "::1"].map(str::to_owned).into_iter();
@@ -100,8 +102,8 @@ impl AllowedHosts {
     }
 }
 
-/// What to type into a browser to see the page of a server that listens at this address. A server that listens at all addresses
-/// is named as this machine reaches it, and as the others do.
+/// Returns the address to type into a browser for a server that listens here. If the server listens
+/// on all addresses, it returns the one for this machine and the one for others.
 pub fn page_address(listen: SocketAddr) -> String {
     page_address_among(listen, &addresses_of_this_machine())
 }
@@ -116,7 +118,7 @@ fn page_address_among(listen: SocketAddr, own: &[IpAddr]) -> String {
     own.iter().find(is_reached).map_or(here.clone(), |address| format!("{here}, from other machines {}", at(*address)))
 }
 
-/// What the system says; nothing where it does not answer.
+/// Returns the system's list of addresses; empty if that fails.
 fn addresses_of_this_machine() -> Vec<IpAddr> {
     let Ok(interfaces) = nix::ifaddrs::getifaddrs() else { return Vec::new() };
     let address = |interface: nix::ifaddrs::InterfaceAddress| {

@@ -1,9 +1,12 @@
-//! The newest frame with its record, for those who watch; nothing is copied or encoded while nobody waits for a frame.
+//! The newest frame with its record, for viewers; nothing is copied or encoded while no viewer
+//! waits for a frame.
 //!
 //! ```text
 //! pose stage --row, sample--> Hub (a viewer waits?) --newest only--> thread `view` (encodes, joins) --newest only--> /ws/view, one each viewer
 //! ```
-//! A message is one piece of memory, whoever gets it: a viewer holds at most the one that is on its way to it.
+//! A camera's own JPEGs are joined with their records on the thread `view`; other pictures are
+//! encoded and joined on a second thread, `encode`. All viewers share a message's memory, and each
+//! holds at most the message being sent to it.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -23,17 +26,19 @@ use crate::record::{PoseSample, State};
 use crate::telemetry::Statistics;
 use crate::track::{Displaced, UsedPixel, UsedPixels};
 
-/// Quality of JPEGs that are encoded here, 1 to 100. Chosen: no blocks are seen, at a third of the size of 95. Raised, larger messages.
+/// Quality of JPEGs encoded here, 1 to 100. Chosen: no visible blocks, at a third of the size
+/// of 95. Raised, messages are larger.
 const QUALITY: u8 = 80;
-/// Used pixels of a frame that are told at most: dots that show where the stage is seen. Raised, larger messages.
+/// Maximum used pixels sent per frame: dots that show where the stage is seen. Raised, messages are
+/// larger.
 const MOST_USED: usize = 600;
-/// Displaced tiles of a frame that are told at most: arrows that do not lie on each other. Raised, larger messages.
+/// Maximum displaced tiles sent per frame: arrows that do not overlap. Raised, messages are larger.
 const MOST_DISPLACED: usize = 300;
-/// Residuals beyond this many robust standard deviations count nothing, so that such pixels are not shown: where the alignment's own weight
-/// ends.
+/// Residuals beyond this many robust standard deviations have no weight in the alignment, so such
+/// pixels are not shown. Raised, pixels without weight are shown.
 const COUNTS_BELOW: f32 = 4.7;
 
-/// What is taken over of a row.
+/// What is copied of a row.
 #[derive(Debug)]
 struct Taken {
     epoch: u64,
@@ -44,12 +49,12 @@ struct Taken {
     used: Option<Shown>,
 }
 
-/// What a frame's poses rest on, as it is told.
+/// What a frame's poses rest on, as it is sent.
 #[derive(Debug, PartialEq)]
 struct Shown {
-    /// Columns and rows of pixels by turns.
+    /// Columns and rows of pixels, alternating.
     pixels: Vec<u16>,
-    /// Column, row, and how far from there the picture lies along both, pixels, of tiles by turns.
+    /// Tiles, four numbers each: column, row, and the picture's displacement along both, pixels.
     displaced: Vec<f64>,
 }
 
@@ -57,29 +62,31 @@ struct Shown {
 enum Picture {
     /// The camera's own.
     Jpeg(Arc<[u8]>),
-    /// All that is left of a raw one.
+    /// The luma of a raw picture.
     Grey(GrayImage),
 }
 
-/// Between the pose stage and those who watch.
+/// Connects the pose stage with the viewers.
 #[derive(Debug)]
 pub(super) struct Hub {
     /// Viewers that could take a frame now.
     waiting: AtomicUsize,
-    /// Where the rows that were copied are counted.
+    /// Where copied rows are counted.
     statistics: Arc<Statistics>,
-    /// Sessions so far: row numbers begin anew with each.
+    /// Number of sessions so far: row numbers restart with each.
     epochs: AtomicU64,
-    /// Viewers that ask for the pixels that poses rest on, and whether there are any, for the tracker.
+    /// Viewers that request the pixels behind the poses, and whether there are any, for the
+    /// tracker.
     asking: AtomicUsize,
     wants_pixels: Arc<AtomicBool>,
-    /// The camera's own JPEGs are given on; what must be encoded first goes another way.
+    /// The camera's own JPEGs are forwarded; pictures that must be encoded first go to another
+    /// thread.
     to_view: DropOldestSender<Taken>,
     to_encode: DropOldestSender<Taken>,
     newest: Arc<watch::Sender<Bytes>>,
 }
 
-/// A viewer that asks for pixels, until it is dropped.
+/// A viewer's request for pixels, until it is dropped.
 #[derive(Debug)]
 pub(super) struct Asking(Arc<Hub>);
 
@@ -91,7 +98,7 @@ impl Drop for Asking {
     }
 }
 
-/// A viewer that waits for a frame, until it is dropped.
+/// A viewer's wait for a frame, until it is dropped.
 #[derive(Debug)]
 pub(super) struct Waiting(Arc<Hub>);
 
@@ -102,14 +109,15 @@ impl Drop for Waiting {
 }
 
 impl Hub {
-    /// With a thread of its own, which ends when the hub is dropped.
+    /// Starts a hub with its threads, which end when it is dropped.
     ///
     /// # Errors
-    /// Where the system gives no thread.
+    /// When the system provides no thread.
     pub fn start(statistics: Arc<Statistics>) -> std::io::Result<Arc<Self>> {
         let newest = Arc::new(watch::Sender::new(Bytes::new()));
-        // To put a message together takes a tenth of a millisecond: a thread that stands back would wait for the tracker's next pause, and so would
-        // everybody who watches. Encoding takes long, and stands back.
+        // Joining a message takes a tenth of a millisecond: at low priority it would wait for the
+        // tracker's next pause, and so would all viewers. Encoding takes long, so it runs at low
+        // priority.
         let to_view = worker("view", newest.clone(), || {})?;
         let to_encode = worker("encode", newest.clone(), stand_back)?;
         Ok(Arc::new(Self {
@@ -124,19 +132,20 @@ impl Hub {
         }))
     }
 
-    /// True while a viewer asks for the pixels that poses rest on.
+    /// Returns a flag that is true while a viewer requests the pixels behind the poses.
     pub fn wants_pixels(&self) -> Arc<AtomicBool> {
         self.wants_pixels.clone()
     }
 
-    /// Says that a viewer asks for them.
+    /// Registers a viewer that requests them.
     pub fn ask_pixels(self: &Arc<Self>) -> Asking {
         self.asking.fetch_add(1, Ordering::Relaxed);
         self.wants_pixels.store(true, Ordering::Relaxed);
         Asking(self.clone())
     }
 
-    /// What a new session's pose stage calls with every row; waits for nothing. `pixels` come from its tracker while they are wanted.
+    /// Returns what a new session's pose stage calls with every row; it never waits. `pixels` come
+    /// from its tracker while they are wanted.
     pub fn observer(self: &Arc<Self>, pixels: Option<Receiver<UsedPixels>>) -> impl FnMut(&ClipEntry, &PoseSample) + Send + 'static {
         let (hub, epoch) = (self.clone(), self.epochs.fetch_add(1, Ordering::Relaxed) + 1);
         let (mut follower, mut pixels) = (MotionFollower::default(), PixelsByRow { pixels, next: None });
@@ -152,7 +161,7 @@ impl Hub {
         }
     }
 
-    /// Gives a row to the thread that makes its message.
+    /// Passes a row to the thread that makes its message.
     fn show(&self, taken: Taken) {
         let to = match &taken.picture {
             Picture::Jpeg(_) => &self.to_view,
@@ -161,37 +170,37 @@ impl Hub {
         to.send(taken);
     }
 
-    /// Says that a viewer waits for a frame.
+    /// Registers a viewer that waits for a frame.
     pub fn wait(self: &Arc<Self>) -> Waiting {
         self.waiting.fetch_add(1, Ordering::Relaxed);
         Waiting(self.clone())
     }
 
-    /// Messages from now on, the newest only.
+    /// Returns a channel with the newest message.
     pub fn messages(&self) -> watch::Receiver<Bytes> {
         self.newest.subscribe()
     }
 
-    /// Rows that were copied so far.
+    /// Returns the number of rows copied so far.
     #[cfg(test)]
     pub fn copied(&self) -> u64 {
         self.statistics.viewed.get()
     }
 
-    /// Viewers that could take a frame now.
+    /// Returns the number of viewers that could take a frame now.
     #[cfg(test)]
     pub fn waiting(&self) -> usize {
         self.waiting.load(Ordering::Relaxed)
     }
 
-    /// How many watch.
+    /// Returns the number of viewers.
     #[cfg(test)]
     pub fn viewers(&self) -> usize {
         self.newest.receiver_count()
     }
 }
 
-/// A row's picture with its sample; none where the row has no picture.
+/// Returns a row's picture with its sample; `None` if the row has no picture.
 fn taken(epoch: u64, row: &ClipEntry, sample: &PoseSample, motion: Option<CameraMotion>) -> Option<Taken> {
     let EntryContent::Frame(frame) = &row.content else { return None };
     let picture = match &row.received {
@@ -201,10 +210,11 @@ fn taken(epoch: u64, row: &ClipEntry, sample: &PoseSample, motion: Option<Camera
     Some(Taken { epoch, picture, size: frame.image.dimensions(), sample: sample.clone(), motion, used: None })
 }
 
-/// The tracker's pixels, which come in the order of the rows, and before the row's sample. Not every row has some.
+/// The tracker's pixels. They come in the order of the rows and before the row's sample; not every
+/// row has some.
 struct PixelsByRow {
     pixels: Option<Receiver<UsedPixels>>,
-    /// Those of a row that is still to come.
+    /// Pixels of a row still to come.
     next: Option<UsedPixels>,
 }
 
@@ -225,23 +235,25 @@ impl PixelsByRow {
     }
 }
 
-/// Some of the pixels that the poses rest on, and of the tiles that lie elsewhere, evenly; raw pixels of the frame.
+/// Returns an even selection of the pixels behind the poses and of the displaced tiles; raw pixels
+/// of the frame.
 fn shown(used: &UsedPixels) -> Shown {
     let counted: Vec<&UsedPixel> = used.pixels.iter().filter(|pixel| pixel.takes_part && pixel.sigmas < COUNTS_BELOW).collect();
-    // A frame has fewer than 65536 columns and rows, or no JPEG would hold it.
+    // A frame has fewer than 65536 columns and rows, or it would not fit a JPEG.
     let pixels = evenly(&counted, MOST_USED).flat_map(|pixel| pixel.centre_px.map(|px| px.round().max(0.0) as u16)).collect();
-    // Thousandths of a pixel: what noise leaves of a tile.
+    // Round to thousandths of a pixel, the noise of a tile.
     let told = |px: f64| (px * 1e3).round() / 1e3;
     let arrow = |tile: &Displaced| [tile.centre_px.x, tile.centre_px.y, tile.shift_px.x, tile.shift_px.y].map(told);
     Shown { pixels, displaced: evenly(&used.displaced, MOST_DISPLACED).flat_map(arrow).collect() }
 }
 
-/// At most so many of them, evenly.
+/// Returns at most this many items, evenly spaced.
 fn evenly<T>(all: &[T], most: usize) -> impl Iterator<Item = &T> {
     all.iter().step_by(all.len().div_ceil(most).max(1))
 }
 
-/// A thread that makes messages of rows, the newest only; it ends when the sender is dropped. `begin` is called on it first.
+/// Starts a thread that makes messages of the newest rows; it ends when the sender is dropped. It
+/// calls `begin` first.
 fn worker(name: &str, to: Arc<watch::Sender<Bytes>>, begin: impl FnOnce() + Send + 'static) -> std::io::Result<DropOldestSender<Taken>> {
     let (sender, rows) = drop_oldest(1);
     let work = move || {
@@ -256,27 +268,28 @@ fn worker(name: &str, to: Arc<watch::Sender<Bytes>>, begin: impl FnOnce() + Send
     Ok(sender)
 }
 
-/// What is said of a frame beside its picture.
+/// The part of a message before the picture.
 #[derive(Debug, Serialize)]
 struct Head<'a> {
     epoch: u64,
     size: [u32; 2],
-    /// Why the stage is not tracked, as a word, a sentence and what to do; all null while it is.
+    /// Why the stage is not tracked, as a word, a sentence and a fix; all null while it is.
     reason: Option<&'static str>,
     says: Option<&'static str>,
     mend: Option<&'static str>,
-    /// How the camera moved at the frame's stamp, in its own axes; null where that is not known.
+    /// The camera's motion at the frame's stamp, in its own axes; null if unknown.
     motion: Option<CameraMotion>,
-    /// Where the poses were seen, where a viewer asked for it.
+    /// The pixels behind the poses, if a viewer requested them.
     #[serde(skip_serializing_if = "Option::is_none")]
     used: Option<&'a [u16]>,
-    /// How far the picture lies from the poses there, as above.
+    /// The displacements of the picture from the poses there, likewise.
     #[serde(skip_serializing_if = "Option::is_none")]
     displaced: Option<&'a [f64]>,
     record: &'a PoseSample,
 }
 
-/// Length of the head in bytes (u32, little-endian), the head as JSON, a JPEG. None for a picture that no JPEG can hold.
+/// Builds a message: the head's length in bytes (u32, little-endian), the head as JSON, a JPEG.
+/// `None` for a picture that does not fit a JPEG.
 fn message(row: &Taken) -> Option<Bytes> {
     let sample = &row.sample;
     let reason = sample.reason.filter(|_| sample.state != State::Tracking);
@@ -305,7 +318,7 @@ fn message(row: &Taken) -> Option<Bytes> {
     Some(whole.into())
 }
 
-/// What is there, followed by a grey picture as a JPEG.
+/// Appends a grey picture as a JPEG.
 pub(super) fn grey_jpeg(picture: &[u8], width: u16, height: u16, mut behind: Vec<u8>) -> Option<Vec<u8>> {
     Encoder::new(&mut behind, QUALITY).encode(picture, width, height, ColorType::Luma).ok()?;
     Some(behind)

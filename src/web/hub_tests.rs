@@ -17,14 +17,14 @@ fn row(sequence: u64, received: Option<Received>) -> ClipEntry {
     ClipEntry { received, ..ClipEntry::new(sequence, Timestamp::from_ns(40), EntryContent::Frame(frame)) }
 }
 
-/// The head and the JPEG of a message.
+/// Returns the head and the JPEG of a message.
 fn parts(message: &[u8]) -> (serde_json::Value, &[u8]) {
     let (length, rest) = message.split_first_chunk().unwrap();
     let (head, jpeg) = rest.split_at(u32::from_le_bytes(*length) as usize);
     (serde_json::from_slice(head).unwrap(), jpeg)
 }
 
-/// Heads of messages with all that there is, and with nothing.
+/// Returns heads of messages with all fields, and with none.
 pub(in crate::web) fn heads() -> Vec<serde_json::Value> {
     let [tracked, mut lost] = crate::web::api::types_tests::samples();
     lost.reason = Some(Reason::Covered);
@@ -54,7 +54,8 @@ fn a_cameras_jpeg_is_given_on_as_it_came_beside_the_record_of_its_frame() {
 fn tables_that_a_camera_leaves_out_are_put_in() {
     let whole = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/dolly/frames/000000.jpg")).unwrap();
     assert_eq!(*with_huffman_tables(&whole), *whole);
-    // Encoded here with the standard tables, which are then cut out: FF C4, its length, its content.
+    // Encoded here with the standard tables, which are then cut out: FF C4, its length, its
+    // content.
     let mut jpeg = Vec::new();
     let row = row(0, None);
     let EntryContent::Frame(frame) = &row.content else { unreachable!("it was made with a frame") };
@@ -139,7 +140,7 @@ fn used_pixels_come_with_their_own_frame_while_somebody_asks() {
     let head = parts(&messages.borrow_and_update()).0;
     let numbers = |key: &str| -> Vec<f64> { head[key].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect() };
     let (used, displaced) = (numbers("used"), numbers("displaced"));
-    // Every fourth of the 1998 that count.
+    // Every fourth of the 1998 with weight.
     assert_eq!((used.len(), &used[..6]), (1000, &[0.0, 7.0, 6.0, 7.0, 10.0, 7.0][..]));
     assert_eq!((displaced.len(), &displaced[..5]), (800, &[0.0, 3.0, -0.123, 0.25, 20.0][..]));
     drop(asking.1);

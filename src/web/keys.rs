@@ -1,7 +1,9 @@
-//! Who may change something: pairing of browsers on other machines, and the lock for the show.
+//! Access control: pairing of browsers on other machines, and the show lock.
 //!
-//! On this machine everybody may. A browser elsewhere types a code of eight digits once, which `stagepose pair` and the journal tell to who
-//! has this machine, and keeps a random token in a cookie that no script can read. Only the token's hash is kept here, in the state folder.
+//! On this machine everyone may make changes. A browser elsewhere types a code of eight digits
+//! once, which `stagepose pair` and the journal show to whoever controls this machine, and stores a
+//! random token in a cookie that no script can read. Only the token's hash is stored here, in the
+//! state folder.
 
 use std::fs::OpenOptions;
 use std::io::{self, Read, Write};
@@ -19,40 +21,48 @@ use super::places::network_of;
 use super::reply::Reply;
 use crate::safe_file;
 
-/// The cookie's name, with the daemon's port behind it: to a browser the daemons of one machine are one site. Cookies of the bare name are of former versions.
+/// The cookie's name; the daemon's port is appended, as browsers treat all daemons of a machine as
+/// one site. Earlier versions used the bare name.
 const COOKIE: &str = "stagepose";
-/// How long a browser keeps it, seconds: a year. Raised, a tablet that was given away stays paired for longer.
+/// Lifetime of the cookie, seconds: a year. Raised, a tablet that was given away stays paired
+/// longer.
 const COOKIE_LASTS_S: u64 = 365 * 24 * 3600;
-/// Codes that one peer may try within [`TRIES_WITHIN`]. Raised, the code is guessed sooner; lowered, who mistypes waits.
+/// Maximum codes that one peer may try within [`TRIES_WITHIN`]. Raised, the code is guessed sooner;
+/// lowered, mistyping means waiting.
 const MOST_TRIES: usize = 5;
-/// The same, by everybody together: eight digits then last a year of guessing by any number of peers. Raised, they last less; lowered, fewer
-/// peers that guess keep an honest one out.
+/// Maximum codes tried by all peers together: eight digits then withstand a year of guessing by any
+/// number of peers. Raised, they last less; lowered, fewer guessing peers can lock an honest one
+/// out.
 const MOST_TRIES_OF_ALL: usize = 100;
 const TRIES_WITHIN: Duration = Duration::from_secs(60);
-/// Browsers that are paired at most; the oldest goes. Chosen: more than a theatre has. Raised, forgotten ones stay for longer.
+/// Maximum number of paired browsers; the oldest is removed. Chosen: more than a theatre has.
+/// Raised, forgotten ones stay longer.
 const MOST_CLIENTS: usize = 64;
-/// Longest name of a browser, characters. Chosen for the list that shows it.
+/// Maximum length of a browser's name, characters. Chosen for the list that shows it. Raised, the
+/// list is wider.
 const LONGEST_LABEL: usize = 60;
-/// Larger than the file of clients can be, bytes.
+/// Maximum size of the file of clients, bytes. Raised, a foreign file takes more memory.
 const LARGEST_FILE: u64 = 1 << 20;
 
-/// Who may ask.
+/// Who may use a route.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Access {
-    /// Whoever passes the guard; it changes nothing.
+    /// Anyone who passes the guard; it changes nothing.
     Anyone,
-    /// It changes nothing, but tells more than the page shows: off loopback for paired browsers only.
+    /// It changes nothing, but reveals more than the page shows: off loopback only for paired
+    /// browsers.
     Paired,
-    /// It changes something: off loopback for paired browsers only, and for nobody while the show lock is on.
+    /// It changes something: off loopback only for paired browsers, and for nobody while the show
+    /// lock is on.
     Change,
-    /// It changes something, also under the lock: what releases it.
+    /// It changes something even under the lock: it releases the lock.
     Unlock,
     /// Pairing itself.
     Pair,
 }
 
 impl Access {
-    /// Its word in the list of routes.
+    /// Returns its word in the list of routes.
     pub(super) fn word(self) -> &'static str {
         match self {
             Self::Anyone => "anyone",
@@ -73,7 +83,7 @@ struct Client {
     hash: String,
 }
 
-/// What is kept on disk.
+/// What is stored on disk.
 #[derive(Debug, Default, Serialize, Deserialize)]
 struct Kept {
     locked: bool,
@@ -84,26 +94,26 @@ struct Kept {
 struct Known {
     kept: Kept,
     code: String,
-    /// Codes that were tried: when, and by whom.
+    /// The codes tried: when, and by whom.
     tries: Vec<(Instant, IpAddr)>,
 }
 
 /// Codes, clients and the lock.
 #[derive(Debug)]
 pub struct Keys {
-    /// Where they are kept; nowhere in a test.
+    /// Where they are stored; `None` in a test.
     folder: Option<PathBuf>,
-    /// Tells several daemons of one machine apart.
+    /// Distinguishes several daemons on one machine.
     port: u16,
     known: Mutex<Known>,
 }
 
-/// Where the code for a daemon's port is kept, for `stagepose pair`.
+/// Returns the file with the code for a daemon's port, for `stagepose pair`.
 pub fn code_file(state: &Path, port: u16) -> PathBuf {
     state.join(format!("pair-code-{port}"))
 }
 
-/// This many random bytes as hexadecimal digits.
+/// Returns this many random bytes as hexadecimal digits.
 fn random_hex(bytes: usize) -> io::Result<String> {
     let mut random = vec![0; bytes];
     std::fs::File::open("/dev/urandom")?.read_exact(&mut random)?;
@@ -118,23 +128,23 @@ fn hash(token: &str) -> String {
     hex(&Sha256::digest(token.as_bytes()))
 }
 
-/// Eight random digits.
+/// Returns eight random digits.
 fn new_code() -> io::Result<String> {
     let random = random_hex(8)?;
-    // Sixteen hexadecimal digits are 64 bits: the digits are even to a few in 10^12.
+    // Sixteen hexadecimal digits are 64 bits: the distribution is uniform to a few in 10^12.
     let number = u64::from_str_radix(&random, 16).unwrap_or_default();
     Ok(format!("{:08}", number % 100_000_000))
 }
 
 impl Keys {
-    /// Those that `folder` keeps, with a new code.
+    /// Loads the keys stored in `folder`, with a new code.
     ///
     /// # Errors
-    /// Where the system gives no random numbers, or the folder cannot be written.
+    /// When the system provides no random numbers, or the folder cannot be written.
     pub fn open(folder: Option<&Path>, port: u16) -> io::Result<Self> {
         let keys = Self { folder: folder.map(Path::to_owned), port, known: Mutex::default() };
         let kept = keys.file().and_then(|file| safe_file::read(&file, LARGEST_FILE).ok());
-        // A file that cannot be read pairs nobody: they pair again.
+        // If the file is unreadable, no browser is paired and all must pair again.
         let kept: Kept = kept.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();
         if let Some(folder) = &keys.folder {
             std::fs::create_dir_all(folder)?;
@@ -154,13 +164,13 @@ impl Keys {
         Some(self.folder.as_ref()?.join(format!("clients-{}.json", self.port)))
     }
 
-    /// A new code, so that each is used once.
+    /// Makes a new code, so that each is used once.
     fn renew(&self, known: &mut Known) -> io::Result<()> {
         known.code = new_code()?;
         let Some(folder) = &self.folder else { return Ok(()) };
         let file = code_file(folder, self.port);
         let _ = std::fs::remove_file(&file);
-        // For this user and the machine's master alone.
+        // Readable by this user and root only.
         OpenOptions::new().write(true).create_new(true).mode(0o600).open(&file)?.write_all(known.code.as_bytes())
     }
 
@@ -171,17 +181,17 @@ impl Keys {
             .map_err(|e| Reply::text(500, format!("{}: cannot be written ({e}); make room in the state folder\n", file.display())))
     }
 
-    /// The code as it is told to people.
+    /// Returns the code to show to people.
     pub fn code(&self) -> String {
         self.known().code.clone()
     }
 
-    /// Whether this machine itself asks, and no proxy on it for somebody else.
+    /// Whether the request comes from this machine and not through a proxy on it.
     pub(super) fn is_here(peer: IpAddr, headers: &HeaderMap) -> bool {
         peer.to_canonical().is_loopback() && !headers.contains_key("x-forwarded-for") && !headers.contains_key(header::FORWARDED)
     }
 
-    /// Whether the request comes with a cookie that was given here.
+    /// Whether the request has a cookie issued here.
     pub(super) fn is_paired(&self, headers: &HeaderMap) -> bool {
         let cookies = headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok()).flat_map(|value| value.split(';'));
         let own = self.cookie();
@@ -189,11 +199,11 @@ impl Keys {
         let mut tokens =
             cookies.filter_map(|cookie| cookie.trim().split_once('=')).filter(|(name, _)| is_named(name)).map(|(_, token)| hash(token));
         let known = self.known();
-        // Of the hashes, so that the time which this takes tells nothing of the tokens.
+        // Compare hashes, so that timing reveals nothing about the tokens.
         tokens.any(|hash| known.kept.clients.iter().any(|client| client.hash == hash))
     }
 
-    /// The name of this daemon's cookie.
+    /// Returns the name of this daemon's cookie.
     fn cookie(&self) -> String {
         format!("{COOKIE}-{}", self.port)
     }
@@ -223,7 +233,7 @@ impl Keys {
         }
     }
 
-    /// Pairs a browser that knows the code: the cookie to set.
+    /// Pairs a browser that knows the code; returns the cookie to set.
     pub(super) fn pair(&self, code: &str, name: &str, peer: IpAddr, now: Instant) -> Result<String, Reply> {
         let (mut known, peer) = (self.known(), network_of(peer));
         known.tries.retain(|(tried, _)| now.duration_since(*tried) < TRIES_WITHIN);
@@ -249,13 +259,13 @@ impl Keys {
         Ok(format!("{}={token}; Path=/; Max-Age={COOKIE_LASTS_S}; HttpOnly; SameSite=Strict", self.cookie()))
     }
 
-    /// The paired browsers, without what proves them.
+    /// Returns the paired browsers, without their secrets.
     pub(super) fn clients(&self) -> serde_json::Value {
         let known = self.known();
         known.kept.clients.iter().map(|c| serde_json::json!({"id": c.id, "name": c.name, "since_unix_ms": c.since_unix_ms})).collect()
     }
 
-    /// Forgets one.
+    /// Removes a paired browser.
     pub(super) fn revoke(&self, id: &str) -> Result<(), Reply> {
         let mut known = self.known();
         let before = known.kept.clients.len();
@@ -274,7 +284,7 @@ impl Keys {
     }
 }
 
-/// Who asks for what; it can be judged again while the request is worked on.
+/// Who asks for what; it can be judged again while the request is processed.
 #[derive(Debug, Clone)]
 pub(super) struct Permission {
     pub keys: Arc<Keys>,
@@ -285,12 +295,12 @@ pub(super) struct Permission {
 }
 
 impl Permission {
-    /// Judges it as things are now.
+    /// Judges it by the current state.
     pub fn judge(&self) -> Result<(), Reply> {
         self.keys.judge(self.access, &self.method, &self.headers, self.peer)
     }
 
-    /// Whether this machine itself asks.
+    /// Whether the request comes from this machine.
     pub fn is_here(&self) -> bool {
         Keys::is_here(self.peer, &self.headers)
     }

@@ -2,7 +2,7 @@ use std::os::unix::fs::PermissionsExt;
 
 use super::*;
 
-/// Headers of a request.
+/// Returns a request's headers.
 fn headers(of: &[(&'static str, &str)]) -> HeaderMap {
     of.iter().map(|(name, value)| (header::HeaderName::from_static(name), value.parse().unwrap())).collect()
 }
@@ -32,7 +32,7 @@ fn a_code_pairs_once_and_the_token_itself_is_nowhere_kept() {
     assert!(!kept.contains(token.split_once('=').unwrap().1), "{kept}");
     drop(keys);
     assert!(!file.exists());
-    // It lasts over a restart, until it is revoked.
+    // The pairing survives a restart, until it is revoked.
     let keys = Keys::open(Some(folder.path()), 1).unwrap();
     assert_eq!(change(&keys, &given), 0);
     let client = &keys.clients()[0];
@@ -48,13 +48,13 @@ fn guesses_are_few_and_one_peer_s_guesses_do_not_keep_another_out() {
     let guess = |peer: &str, s: u64| keys.pair("x", "", peer.parse().unwrap(), begun + Duration::from_secs(s)).unwrap_err().status;
     let tried: Vec<u16> = (0..8).map(|s| guess("192.0.2.7", s)).collect();
     assert_eq!(tried, [401, 401, 401, 401, 401, 429, 429, 429]);
-    // An IPv6 host has any address of its network.
+    // An IPv6 host may use any address of its network.
     let tried: Vec<u16> = (0..7).map(|k| guess(&format!("2001:db8::{k}"), 8)).collect();
     assert_eq!(tried, [401, 401, 401, 401, 401, 429, 429]);
     assert_eq!(keys.pair(&keys.code(), "", elsewhere(), begun + Duration::from_secs(8)).unwrap_err().status, 429, "also for who knows it");
     assert!(keys.pair(&keys.code(), "", honest, begun + Duration::from_secs(8)).is_ok());
     assert!(keys.pair(&keys.code(), "", elsewhere(), begun + Duration::from_secs(70)).is_ok());
-    // Any number of peers together have few.
+    // All peers together have few tries.
     let let_in = (0..200).filter(|k| guess(&format!("198.51.100.{k}"), 140) == 401).count();
     assert_eq!(let_in, MOST_TRIES_OF_ALL);
 }
@@ -68,12 +68,12 @@ fn each_daemon_of_a_machine_has_its_own_cookie() {
     };
     let ((one, cookie), (other, another)) = (pair(8090), pair(8091));
     assert!(cookie.starts_with("stagepose-8090=") && another.starts_with("stagepose-8091="), "{cookie} {another}");
-    // A browser that is paired with both sends both.
+    // A browser paired with both sends both cookies.
     let both = headers(&[("cookie", &format!("{cookie}; {another}"))]);
     assert!(one.is_paired(&both) && other.is_paired(&both));
     let of_one = headers(&[("cookie", &cookie)]);
     assert!(one.is_paired(&of_one) && !other.is_paired(&of_one));
-    // Browsers that a former version has paired stay so.
+    // Browsers paired by an earlier version stay paired.
     assert!(one.is_paired(&headers(&[("cookie", &cookie.replace("stagepose-8090", "stagepose"))])));
 }
 

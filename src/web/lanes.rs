@@ -1,8 +1,10 @@
-//! Who waits for whom: requests that take time are worked on a few at a time, in lanes that do not wait for each other.
+//! Queues for requests that take time: a few are processed at once, in lanes that do not wait for
+//! each other.
 //!
-//! Health and session have a lane of their own, and so have changes, readings and large files. Within a lane a peer has at most its share,
-//! so that requests of one peer, however many and slow, leave room for another. A request waits without a thread and without its turn
-//! until its content is here.
+//! Health and session share a lane of their own, and so do changes, readings and large files. In a
+//! lane each peer has a limited share, so that one peer's requests, however many and slow, leave
+//! room for others. While it waits, a request holds no thread; it gets no turn before its content
+//! has arrived.
 
 use std::collections::HashMap;
 use std::net::IpAddr;
@@ -16,30 +18,32 @@ use super::connection::Connection;
 use super::places::network_of;
 use super::reply::Reply;
 
-/// Longest wait for a turn. Chosen: longer than any one answer takes. Raised, answers come that nobody waits for any more.
+/// Maximum wait for a turn. Chosen: longer than any single answer takes. Raised, answers come that
+/// nobody waits for any more.
 const WAITS_AT_MOST: Duration = Duration::from_secs(30);
-/// The same behind a large file, which takes minutes over a slow network: several models may be sent at once.
+/// Maximum wait behind a large file, which takes minutes over a slow network: several set models
+/// may be sent at once. Raised, uploads wait longer before they fail.
 const WAITS_FOR_FILES: Duration = Duration::from_secs(600);
 
 /// The lane of a route.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Lane {
-    /// How the daemon is, in a moment.
+    /// Quick status queries.
     Probe,
-    /// What changes something.
+    /// Changes.
     Change,
-    /// What reads, and may take seconds.
+    /// Reads, which may take seconds.
     Look,
-    /// A large file that comes while it is written to the disk.
+    /// A large file that is written to the disk as it arrives.
     File,
 }
 
 impl Lane {
-    /// All of them.
+    /// All lanes.
     const ALL: [Self; 4] = [Self::Probe, Self::Change, Self::Look, Self::File];
 
-    /// Requests at a time, and how many of these one peer may have. Chosen for the smallest machine: more take turns anyway. Raised, more
-    /// memory and threads at once.
+    /// Returns the number of concurrent requests, and how many of them one peer may have. Chosen
+    /// for the smallest machine: more would only compete. Raised, more memory and threads at once.
     fn limits(self) -> (usize, usize) {
         match self {
             Self::Probe | Self::Change => (2, 1),
@@ -49,7 +53,7 @@ impl Lane {
     }
 }
 
-/// Threads that all lanes together may need.
+/// Returns the number of threads that all lanes together may need.
 pub(super) fn most_threads() -> usize {
     Lane::ALL.iter().map(|lane| lane.limits().0).sum()
 }
@@ -69,7 +73,7 @@ struct Queue {
 /// A peer's share of a lane.
 #[derive(Debug)]
 struct Peer {
-    /// Its requests that wait or are worked on.
+    /// Number of its requests that wait or are being processed.
     requests: usize,
     share: Arc<Semaphore>,
 }
@@ -82,7 +86,7 @@ pub(super) struct Turn {
     _counted: Counted,
 }
 
-/// Keeps the peer's share known while it has requests.
+/// Keeps a peer's entry while it has requests.
 #[derive(Debug)]
 struct Counted {
     peer: IpAddr,
@@ -113,7 +117,7 @@ impl Lanes {
     /// Waits for this peer's turn in a lane.
     ///
     /// # Errors
-    /// Where it takes too long, or the client has gone meanwhile.
+    /// When it takes too long, or the client has gone meanwhile.
     pub async fn turn(&self, lane: Lane, peer: IpAddr, client: Option<&Connection>) -> Result<Turn, Reply> {
         let busy = || Reply::text(503, "the daemon is busy with other requests; ask again in a moment\n").with("retry-after", "5");
         let queue = self.0.iter().find(|(of, _)| *of == lane).map(|(_, queue)| queue).ok_or_else(busy)?;
@@ -126,14 +130,14 @@ impl Lanes {
         };
         tokio::select! {
             turn = timeout(patience, queue.turn(network_of(peer))) => turn.ok().flatten().ok_or_else(busy),
-            // Nobody hears this.
+            // The client is gone, so nobody sees this.
             () = gone => Err(busy()),
         }
     }
 }
 
 impl Queue {
-    /// The next turn of this peer; the semaphores are never closed.
+    /// Returns this peer's next turn; the semaphores are never closed.
     async fn turn(&self, peer: IpAddr) -> Option<Turn> {
         let (share, counted) = {
             let mut peers = self.peers.lock().unwrap_or_else(PoisonError::into_inner);
@@ -167,7 +171,7 @@ mod tests {
                 for _ in 0..share {
                     held.push(lanes.turn(lane, one, None).await.unwrap());
                 }
-                // It has its share and waits for more; the other one does not.
+                // It has its share and waits for more; the other peer does not wait.
                 let more = lanes.turn(lane, one, None);
                 tokio::select! {
                     biased;
@@ -194,7 +198,7 @@ mod tests {
                 _ = waiting => panic!("the client is there, and waits"),
                 () = sleep(Duration::from_millis(600)) => {}
             }
-            // A reset, as of a program that was ended with an answer on its way.
+            // A reset, as from a program that was killed while an answer was on its way.
             socket2::SockRef::from(&client).set_linger(Some(Duration::ZERO)).unwrap();
             drop(client);
             assert_eq!(lanes.turn(Lane::Look, peer, Some(&server)).await.unwrap_err().status, 503);

@@ -1,9 +1,20 @@
-//! The HTTP server (feature `http`): `GET /` is the page, `GET /ws` sends every record as a line of JSON (contract C3), `GET /ws/view` the
-//! picture with its record to whoever asks for a frame, `GET /ws/events` what happens, `GET /api/v1/pose` the last record, `GET /api/v1/state` what is known and since
-//! when, `GET /api/v1/scene` the camera and the surfaces, and whatever routes the caller adds. It has one thread for answers and one for
-//! pictures, listens on loopback unless the config says otherwise, answers only for this machine's hosts and to pages of its own, takes only
-//! small requests, and lets go of a client that does not read. What may take its time (`api`: recordings, the config, the set, health) is done on
-//! threads that stand back behind the tracker. Whoever changes something is on this machine, or paired (`keys`).
+//! The HTTP server (feature `http`).
+//!
+//! Routes:
+//! - `GET /` is the page;
+//! - `GET /ws` sends every record as a line of JSON (contract C3);
+//! - `GET /ws/view` sends the picture with its record to a client that asks for a frame;
+//! - `GET /ws/events` sends events;
+//! - `GET /api/v1/pose` is the last record;
+//! - `GET /api/v1/state` is the known state and its age;
+//! - `GET /api/v1/scene` is the camera and the surfaces;
+//! - and the routes that the caller adds.
+//!
+//! One thread answers requests; two assemble the messages with pictures. The server listens on
+//! loopback by default. It answers only for this machine's hosts and only to its own pages, takes
+//! only small requests, and drops a client that does not read. Work that takes time (`api`:
+//! recordings, the config, the set, health) runs on threads with lower priority than the tracker's.
+//! Only clients on this machine and paired browsers may make changes (`keys`).
 
 #[cfg(feature = "http")]
 mod answers;

@@ -1,4 +1,4 @@
-//! Answers packed by gzip, for whoever says that it unpacks them.
+//! Gzip compression of answers, for clients that accept it.
 
 use std::io::Write as _;
 
@@ -7,7 +7,7 @@ use axum::http::{Request, header};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
-/// These bytes, packed.
+/// Returns these bytes, compressed.
 pub(super) fn packed(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
     // Writing to memory does not fail.
@@ -15,7 +15,7 @@ pub(super) fn packed(bytes: &[u8]) -> Vec<u8> {
     whole.unwrap_or_default()
 }
 
-/// Whether the client says that it unpacks gzip (RFC 9110, 12.5.3).
+/// Whether the client accepts gzip (RFC 9110, 12.5.3).
 pub(super) fn unpacks(request: &Request<Body>) -> bool {
     let said = request.headers().get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
     said.flat_map(|value| value.split(',')).any(|one| {

@@ -1,8 +1,10 @@
-//! How many may be connected, and who makes room.
+//! Limits the number of connections.
 //!
-//! There are places for connections that last, and no peer may have more than its share of them. Whoever finds none left is still
-//! answered, in brief: one request within a moment, then it ends. Of these a newer one pushes out the oldest of the peer that has the
-//! most. So a health check is answered however many others are connected, whoever they are and whatever they do.
+//! There is a number of places for lasting connections, and each peer has a limited share of them.
+//! A client that finds no free place is still answered, briefly: one request within a moment, then
+//! the connection ends. If there are too many brief connections, a new one pushes out the oldest of
+//! the peer that has the most. So a health check is answered however many clients are connected,
+//! whatever they do.
 
 use std::collections::{HashMap, VecDeque};
 use std::net::{IpAddr, Ipv6Addr};
@@ -11,23 +13,23 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::AbortHandle;
 
-/// Connections that last, at a time. Each holds a file and some 50 kB. Chosen: more than the screens of a stage. Raised, more memory and
-/// files may be held.
+/// Maximum number of lasting connections. Each holds a file and about 50 kB. Chosen: more than the
+/// screens of a stage. Raised, more memory and files may be held.
 const MOST_CONNECTIONS: usize = 64;
-/// Of these, what one peer may have: half, so that another is let in.
+/// Maximum lasting connections of one peer: half, so that another gets in.
 const MOST_OF_A_PEER: usize = MOST_CONNECTIONS / 2;
-/// Connections beyond those, at a time. One is pushed out before its request arrives only by that many newer ones within that time; more
-/// hold more files.
+/// Maximum number of brief connections. One is pushed out before its request arrives only if that
+/// many newer ones come within that time. Raised, more files are held.
 const MOST_BRIEF: usize = 64;
 
-/// The places for connections that last.
+/// The places for lasting connections.
 #[derive(Debug)]
 pub(super) struct Places {
     free: Arc<Semaphore>,
     taken: Arc<Mutex<HashMap<IpAddr, usize>>>,
 }
 
-/// A place that is taken, until it is dropped.
+/// A taken place, until it is dropped.
 #[derive(Debug)]
 pub(super) struct Place {
     peer: IpAddr,
@@ -40,7 +42,7 @@ impl Places {
         Self { free: Arc::new(Semaphore::new(MOST_CONNECTIONS)), taken: Arc::default() }
     }
 
-    /// A place for this peer, where there is one.
+    /// Takes a place for this peer, if there is one.
     pub fn take(&self, peer: IpAddr) -> Option<Place> {
         let peer = network_of(peer);
         let mut taken = self.taken.lock().unwrap_or_else(PoisonError::into_inner);
@@ -52,9 +54,9 @@ impl Places {
         Some(Place { peer, taken: self.taken.clone(), _permit: permit })
     }
 
-    /// Waits until all have left.
+    /// Waits until all places are free.
     pub async fn empty(&self) {
-        // The semaphore is never closed, and 64 fit into any integer.
+        // The semaphore is never closed, and 64 fits into any integer.
         let _ = self.free.acquire_many(MOST_CONNECTIONS as u32).await;
     }
 }
@@ -71,7 +73,8 @@ impl Drop for Place {
     }
 }
 
-/// What counts as one peer: an IPv4 address, or the 64 bits of an IPv6 network, of which a host may have any address.
+/// Returns what counts as one peer: an IPv4 address, or a 64-bit IPv6 network, of which a host may
+/// use any address.
 pub(super) fn network_of(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(v6) => IpAddr::V6(Ipv6Addr::from_bits(v6.to_bits() >> 64 << 64)),
@@ -79,14 +82,14 @@ pub(super) fn network_of(address: IpAddr) -> IpAddr {
     }
 }
 
-/// The connections that found no place, oldest first.
+/// The connections without a place, oldest first.
 #[derive(Debug, Default)]
 pub(super) struct BriefOnes {
     running: VecDeque<(IpAddr, AbortHandle)>,
 }
 
 impl BriefOnes {
-    /// Adds one, and where they become too many ends the oldest of the peer that has the most.
+    /// Adds a connection. If there are too many, it ends the oldest of the peer that has the most.
     pub fn admit(&mut self, peer: IpAddr, newest: AbortHandle) {
         self.running.retain(|(_, task)| !task.is_finished());
         self.running.push_back((network_of(peer), newest));

@@ -1,11 +1,11 @@
-//! Replies as HTTP: the headers that each has, and what is refused on every path.
+//! Converts replies to HTTP: the headers common to all, and what every path refuses.
 
 use axum::body::{Body, HttpBody};
 use axum::http::{HeaderName, HeaderValue, Method, Request as HttpRequest, Response, StatusCode, header};
 
 use super::reply::Reply;
 
-/// Refuses what is more than a question.
+/// Refuses methods other than GET and HEAD, and content.
 pub(super) fn reads(request: &HttpRequest<Body>) -> Option<Response<Body>> {
     if !matches!(*request.method(), Method::GET | Method::HEAD) {
         return Some(response(Reply::text(405, "only GET is answered here\n").with("allow", "GET, HEAD")));
@@ -18,7 +18,8 @@ pub(super) fn refused_content(request: &HttpRequest<Body>) -> Option<Response<Bo
     (!request.body().is_end_stream()).then(|| response(Reply::text(413, "a request has no content here\n")))
 }
 
-/// The reply with what no page of another site may do with it. What was refused also ends its connection: it may hold more.
+/// Returns the reply with headers that keep other sites' pages from using it. A refused request
+/// also ends its connection, which may carry more.
 pub(super) fn response(reply: Reply) -> Response<Body> {
     let is_refused = matches!(reply.status, 400 | 401 | 403 | 405 | 408 | 413 | 421 | 423);
     let mut response = Response::new(Body::from(reply.body));
@@ -34,7 +35,7 @@ pub(super) fn response(reply: Reply) -> Response<Body> {
     for (name, value) in fixed {
         headers.insert(name, HeaderValue::from_static(value));
     }
-    // In place of those, not beside them: a browser holds a page to both of two policies.
+    // Replaces them, since a browser enforces both of two policies.
     for (name, value) in reply.headers {
         headers.insert(name, value);
     }

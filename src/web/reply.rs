@@ -1,4 +1,4 @@
-//! What a route answers.
+//! A route's answer.
 
 use axum::http::{HeaderName, HeaderValue};
 
@@ -13,34 +13,34 @@ pub struct Reply {
     pub content_type: &'static str,
     /// Content.
     pub body: Vec<u8>,
-    /// Further headers.
+    /// Additional headers.
     pub(super) headers: Vec<(HeaderName, HeaderValue)>,
-    /// Content that is made while it is sent, instead of `body`.
+    /// Content that is generated while it is sent, instead of `body`.
     pub(super) download: Option<Download>,
 }
 
 impl Reply {
-    /// Bytes of a MIME type.
+    /// Makes a reply of bytes with a MIME type.
     pub fn new(status: u16, content_type: &'static str, body: impl Into<Vec<u8>>) -> Self {
         Self { status, content_type, body: body.into(), headers: Vec::new(), download: None }
     }
 
-    /// Plain text.
+    /// Makes a plain text reply.
     pub fn text(status: u16, body: impl Into<String>) -> Self {
         Self::new(status, "text/plain; charset=utf-8", body.into())
     }
 
-    /// JSON.
+    /// Makes a JSON reply.
     pub fn json(status: u16, body: impl Into<String>) -> Self {
         Self::new(status, "application/json", body.into())
     }
 
-    /// Nothing but that it was done.
+    /// Makes an empty reply for success.
     pub fn done() -> Self {
         Self::text(204, "")
     }
 
-    /// With one more header; one that no header can hold is left out.
+    /// Adds a header; one that is not a valid header value is left out.
     pub fn with(mut self, name: &'static str, value: &str) -> Self {
         self.headers.extend(HeaderValue::from_str(value).ok().map(|value| (HeaderName::from_static(name), value)));
         self

@@ -1,5 +1,6 @@
-//! A route is a method and a path with a function that makes the reply. What changes something is answered a few times at once, then at a
-//! steady pace. The router is built from one list of them, which `GET /api/v1/routes` tells: what holds for each can be tried on each.
+//! A route is a method and a path with a handler that makes the reply. Changes are rate-limited: a
+//! few at once, then at a steady pace. The router is built from one list of routes, which
+//! `GET /api/v1/routes` shows, so that the rules can be tested on each.
 
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,12 +15,14 @@ pub use super::keys::Access;
 use super::lanes::Lane;
 use super::reply::Reply;
 
-/// A quick answer, which needs nothing of the request.
+/// A quick handler, which needs nothing of the request.
 type Quick = Arc<dyn Fn() -> Reply + Send + Sync>;
-/// An answer that may take its time: it may read, write and compute, and runs on a thread that stands back behind the tracker.
+/// A handler that may take its time: it may read, write and compute, and runs on a thread with
+/// lower priority than the tracker's.
 pub(super) type Aside = Arc<dyn Fn(&mut Call) -> Result<Reply, Reply> + Send + Sync>;
 
-/// What has the whole request and makes the whole response: a WebSocket, or a file of the page.
+/// A handler that gets the whole request and makes the whole response: a WebSocket, or a file of
+/// the page.
 type Whole = Arc<dyn Fn(Request<Body>) -> Pin<Box<dyn Future<Output = Response<Body>> + Send>> + Send + Sync>;
 
 /// What answers a path.
@@ -30,37 +33,38 @@ pub(super) enum Handler {
     Whole(Whole),
 }
 
-/// A method and a path with what answers them.
+/// A method and a path with their handler.
 #[derive(Clone)]
 pub struct Route {
     pub(super) method: Method,
     pub(super) path: &'static str,
     pub(super) access: Access,
-    /// Whom its requests wait for.
+    /// The lane in which its requests wait.
     pub(super) lane: Lane,
-    /// Bytes of content at most, which are here before the handler begins; none where it reads them as they come.
+    /// Maximum bytes of content, which arrive before the handler starts; `None` if the handler
+    /// reads them as they arrive.
     pub(super) content: Option<u64>,
-    /// How often it may be asked, where that is limited.
+    /// Its rate limit, if any.
     pub(super) pace: Option<Arc<Pace>>,
-    /// A query with which it changes nothing and may be asked at any pace.
+    /// A query with which it changes nothing and has no rate limit.
     pub(super) free_query: Option<&'static str>,
     pub(super) handler: Handler,
 }
 
 impl Route {
-    /// A route that changes nothing, for one path, which begins with `/` and has no fields. It is called on the server's thread: it must be
-    /// quick and wait for nothing.
+    /// Returns a route that changes nothing. Its path starts with `/` and has no fields. The
+    /// handler runs on the server's thread: it must be quick and must not wait.
     pub fn get(path: &'static str, handler: impl Fn() -> Reply + Send + Sync + 'static) -> Self {
         Self::new(Method::GET, path, Access::Anyone, Handler::Quick(Arc::new(handler)))
     }
 
-    /// A route that changes something; it is called a few times at once and then every few seconds at most. As [`get`](Self::get), it must be
-    /// quick.
+    /// Returns a route that changes something, a few times at once and then at most every few
+    /// seconds. As for [`get`](Self::get), the handler must be quick.
     pub fn post(path: &'static str, handler: impl Fn() -> Reply + Send + Sync + 'static) -> Self {
         Self::new(Method::POST, path, Access::Change, Handler::Quick(Arc::new(handler))).seldom()
     }
 
-    /// A route that may take its time, with fields such as `{id}` in its path.
+    /// Returns a route that may take its time, with fields such as `{id}` in its path.
     pub(super) fn aside(
         method: Method,
         path: &'static str,
@@ -70,7 +74,7 @@ impl Route {
         Self::new(method, path, access, Handler::Aside(Arc::new(handler)))
     }
 
-    /// A route that changes nothing and has the whole request.
+    /// Returns a route that changes nothing and gets the whole request.
     pub(super) fn whole<F>(path: &'static str, answer: impl Fn(Request<Body>) -> F + Send + Sync + 'static) -> Self
     where
         F: Future<Output = Response<Body>> + Send + 'static,
@@ -78,44 +82,45 @@ impl Route {
         Self::new(Method::GET, path, Access::Anyone, Handler::Whole(Arc::new(move |request| Box::pin(answer(request)))))
     }
 
-    /// A route without content and at any pace.
+    /// Returns a route without content and without a rate limit.
     fn new(method: Method, path: &'static str, access: Access, handler: Handler) -> Self {
         let lane = if method == Method::GET { Lane::Look } else { Lane::Change };
         Self { method, path, access, lane, content: Some(0), pace: None, free_query: None, handler }
     }
 
-    /// The same, which says in a moment how the daemon is, and waits for no other request.
+    /// Makes it a quick status query that waits for no other request.
     pub(super) fn probe(self) -> Self {
         Self { lane: Lane::Probe, ..self }
     }
 
-    /// The same, with content of at most so many bytes. They are kept in memory until the handler has its turn.
+    /// Allows content of at most this many bytes. It is kept in memory until it is the handler's
+    /// turn.
     pub(super) fn takes(self, most_bytes: u64) -> Self {
         Self { content: Some(most_bytes), ..self }
     }
 
-    /// The same, with a large file as its content, which the handler reads as it comes.
+    /// Allows a large file as content, which the handler reads as it arrives.
     pub(super) fn takes_a_file(self) -> Self {
         Self { lane: Lane::File, content: None, ..self }
     }
 
-    /// The same, but seldom: see [`post`](Self::post).
+    /// Limits the rate as for [`post`](Self::post).
     pub(super) fn seldom(self) -> Self {
         self.paced(AT_ONCE, ONE_EACH)
     }
 
-    /// The same, so often at once and then once each time this has passed.
+    /// Limits the rate: this many at once, then one per interval.
     pub(super) fn paced(self, at_once: u32, one_each: Duration) -> Self {
         Self { pace: Some(Arc::new(Pace::new(at_once, one_each))), ..self }
     }
 
-    /// The same, but where this is the query.
+    /// Limits the rate except with this query.
     pub(super) fn seldom_unless(self, query: &'static str) -> Self {
         Self { free_query: Some(query), ..self.seldom() }
     }
 }
 
-/// These routes, with one more that lists them all.
+/// Returns these routes and one more that lists them all.
 pub(super) fn listed(mut routes: Vec<Route>) -> Vec<Route> {
     let path = "/api/v1/routes";
     let entry = |method: &Method, path: &str, access: Access| json!({"method": method.as_str(), "path": path, "access": access.word()});
@@ -126,18 +131,20 @@ pub(super) fn listed(mut routes: Vec<Route>) -> Vec<Route> {
     routes
 }
 
-/// Changes that may come at once: a button that is pressed again and again. Raised, a program may fill the disk faster at first.
+/// Number of changes that may come at once: a button that is pressed repeatedly. Raised, a program
+/// may fill the disk faster at first.
 const AT_ONCE: u32 = 4;
-/// Afterwards one more each time this has passed. A saved ring is a clip of its own with a copy of the config: at this pace a
-/// program gone wild fills a disk in days instead of minutes.
+/// Minimum interval of changes after that. A saved ring is a separate clip with a copy of the
+/// config: at this pace a runaway program fills a disk in days, not minutes. Raised, honest changes
+/// are refused more often.
 const ONE_EACH: Duration = Duration::from_secs(5);
 
-/// The pace of one kind of change, whoever asks for it.
+/// The rate limit of one kind of change, for all clients together.
 #[derive(Debug)]
 pub(super) struct Pace {
     at_once: u32,
     one_each: Duration,
-    /// When all changes are allowed for again.
+    /// When the full number of changes is allowed again.
     full_at: Mutex<Option<Instant>>,
 }
 
@@ -155,7 +162,7 @@ impl Pace {
         })
     }
 
-    /// Counts a change, or says after what time it may come.
+    /// Counts a change, or returns how long to wait for it.
     pub fn take(&self, now: Instant) -> Result<(), Duration> {
         let mut full_at = self.full_at.lock().unwrap_or_else(PoisonError::into_inner);
         let next = full_at.unwrap_or(now).max(now) + self.one_each;

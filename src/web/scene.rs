@@ -1,5 +1,7 @@
-//! `GET /api/v1/scene`: the camera and the surfaces of the session, for whoever draws them, and `GET /api/v1/surfaces/N/picture`: what is on
-//! the stage's surfaces, as the tracker knows them. The pictures are made ready beside the session's start, which does not wait for them.
+//! `GET /api/v1/scene`: the session's camera and surfaces, for drawing them.
+//! `GET /api/v1/surfaces/N/picture`: the pictures of the stage's surfaces, as the tracker knows
+//! them. The pictures are prepared in parallel to the session's start, which does not wait for
+//! them.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -15,26 +17,29 @@ use crate::camera::{CameraModel, Pixel};
 use crate::track::{BodySpec, SurfaceShape, SurfaceSpec};
 use crate::tracker::TrackerSetup;
 
-/// Points along each edge of a surface: where it is bent or the lens bends it, its outline is. Chosen for looks: a wide lens shows no corners.
-/// Raised, a larger answer.
+/// Points along each edge of a surface's outline, which may be bent by the surface or the lens.
+/// Chosen for looks: a wide lens shows no corners. Raised, a larger answer.
 const PIECES: u32 = 16;
-/// Points along each side of a bent surface's mesh. Chosen: a fold of a tenth of the width has some. Raised, a larger answer.
+/// Points along each side of a bent surface's mesh. Chosen: a fold of a tenth of the width has
+/// several. Raised, a larger answer.
 const MESH: u32 = 33;
-/// Pixels along a picture's longer side at most. Chosen: what a camera sees of a surface has seldom more. Raised, pages load for longer.
+/// Maximum pixels along a picture's longer side. Chosen: a camera seldom sees more of a surface.
+/// Raised, pages load longer.
 const LONGEST_SIDE: u32 = 2048;
-/// JPEG quality of the pictures, of 100. Chosen: its blocks are far below what moves an alignment. Raised, larger files.
+/// JPEG quality of the pictures, 1 to 100. Chosen: its blocks are far below what affects an
+/// alignment. Raised, larger files.
 const QUALITY: u8 = 92;
 
-/// What is known of the session's scene; nothing before its camera is there.
+/// The session's scene; empty before its camera is there.
 #[derive(Debug, Default)]
 pub(super) struct Scene(Mutex<Known>);
 
 #[derive(Debug, Default)]
 struct Known {
     described: Option<Described>,
-    /// The stage's pictures as JPEG, in the config's order; none where they are not ready.
+    /// The stage's pictures as JPEG, in the config's order; `None` until they are ready.
     pictures: Vec<Option<Vec<u8>>>,
-    /// Counts sessions: pictures of an earlier one are not wanted any more.
+    /// Counts sessions, to discard pictures of an earlier one.
     session: u64,
 }
 
@@ -42,7 +47,8 @@ struct Known {
 #[derive(Debug)]
 struct Described {
     json: String,
-    /// The same by gzip: it is mostly the outlines' digits, 7 kB unpacked, which would be a tenth of the first view.
+    /// The same compressed by gzip: 7 kB of mostly digits of the outlines, which would be a tenth
+    /// of the first view.
     packed: Vec<u8>,
 }
 
@@ -58,7 +64,7 @@ impl Scene {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// From now on it is this one.
+    /// Sets the scene of a new session.
     pub fn set(self: &Arc<Self>, setup: &TrackerSetup) {
         let artworks: Vec<GrayImage> = setup.stage.surfaces.iter().map(|surface| surface.artwork.clone()).collect();
         let session = {
@@ -82,7 +88,7 @@ impl Scene {
         }
     }
 
-    /// `GET /api/v1/scene`, packed by gzip for whoever unpacks it.
+    /// `GET /api/v1/scene`, compressed by gzip for clients that accept it.
     pub fn reply(&self, is_packed: bool) -> Reply {
         match &self.known().described {
             Some(scene) if is_packed => {
@@ -109,7 +115,7 @@ impl Scene {
     }
 }
 
-/// A picture as JPEG, not larger than a page needs it; none for what no JPEG can hold.
+/// Returns a picture as JPEG, not larger than a page needs; `None` if it does not fit a JPEG.
 fn jpeg(artwork: GrayImage) -> Option<Vec<u8>> {
     let (w, h) = artwork.dimensions();
     let longest = w.max(h);
@@ -134,22 +140,24 @@ fn described(setup: &TrackerSetup) -> Value {
     })
 }
 
-/// The lens as a calibration file has it, and how far out its formula may be used.
+/// Returns the lens as in a calibration file, and the valid radius of its formula.
 fn camera(camera: &CameraModel) -> Value {
     let i = camera.intrinsics();
     json!({
         "width": i.width, "height": i.height, "fx": i.fx, "fy": i.fy, "cx": i.cx, "cy": i.cy, "skew": i.skew, "distortion": i.distortion,
-        // Infinite without distortion, which JSON has no number for.
+        // Infinite without distortion; JSON has no number for that.
         "valid_radius": Some(camera.valid_radius()).filter(|radius| radius.is_finite()),
     })
 }
 
-/// Places along each side of the frame whose rays are looked at. Chosen, not tuned: a lens bends the border smoothly.
-/// Raised, sessions begin a little later; lowered, the border's farthest point may be missed.
+/// Points along each side of the frame whose rays are computed. Chosen, not tuned: a lens bends the
+/// border smoothly. Raised, sessions start a little later; lowered, the border's farthest point may
+/// be missed.
 const ALONG_BORDER: u32 = 64;
 
-/// What a pinhole must see so that all of the frame is in it: the bounds of the frame's undistorted border as x / z and y / z, and the pixels
-/// that this takes at the lens's own focal length.
+/// Returns what a pinhole camera must see to cover the whole frame: the bounds of the frame's
+/// undistorted border as x / z and y / z, and the pixels that this takes at the lens's own focal
+/// length.
 fn overscan(camera: &CameraModel) -> Value {
     let (w, h) = (camera.width(), camera.height());
     let (right, bottom) = (f64::from(w) - 0.5, f64::from(h) - 0.5);
@@ -183,7 +191,8 @@ fn surface(surface: &SurfaceSpec) -> Value {
     described
 }
 
-/// A bent surface's points in its body's frame, metres: rows from the picture's top, each from its left, evenly spread over the picture.
+/// Returns a bent surface's points in its body's frame, metres: rows from the picture's top, each
+/// from the left, evenly spread over the picture.
 fn mesh(surface: &SurfaceSpec) -> Vec<Vec<[f64; 3]>> {
     let share = |k: u32| f64::from(k) / f64::from(MESH - 1) - 0.5;
     let [width, height] = surface.size_m;
@@ -191,12 +200,13 @@ fn mesh(surface: &SurfaceSpec) -> Vec<Vec<[f64; 3]>> {
     (0..MESH).map(row).collect()
 }
 
-/// Where a point of a surface's plane hangs, in its body's frame.
+/// Returns where a point of a surface's plane hangs, in its body's frame.
 fn hanging(surface: &SurfaceSpec, point: [f64; 2]) -> [f64; 3] {
     surface.pose.transform(&Point3::from(surface.shape.at(point).place)).coords.into()
 }
 
-/// Around the surface from its top left corner, in its body's frame, metres; the last point is before the first.
+/// Returns points around the surface from its top left corner, in its body's frame, metres; the
+/// outline is not closed.
 fn outline(surface: &SurfaceSpec) -> Vec<[f64; 3]> {
     let [w, h] = surface.size_m.map(|m| m / 2.0);
     let corners = [[-w, h], [w, h], [w, -h], [-w, -h]];
@@ -242,13 +252,13 @@ mod tests {
         assert_eq!(unpacked, whole);
         let told: Value = serde_json::from_slice(&whole).unwrap();
         assert_eq!((&told["camera"]["fy"], &told["camera"]["valid_radius"]), (&61.0.into(), &Value::Null));
-        // The border of a pinhole's frame, half a pixel around it.
+        // The border of a pinhole's frame, half a pixel outside the outer pixel centres.
         let left = told["overscan"]["left"].as_f64().unwrap();
         assert!((left - (-0.5 - 31.5) / 60.0).abs() < 1e-9, "{left}");
         let surface = &told["stage"]["surfaces"][0];
         let outline: Vec<[f64; 3]> = serde_json::from_value(surface["outline_m"].clone()).unwrap();
         assert_eq!((outline.len(), &surface["name"]), (64, &"backdrop.png".into()));
-        // Upright before the origin: x right, z up.
+        // Upright at the origin: x right, z up.
         for (k, [x, z]) in [(0, [-2.0, 3.0]), (16, [2.0, 3.0]), (24, [2.0, 1.5]), (32, [2.0, 0.0]), (48, [-2.0, 0.0])] {
             let off = Vector3::from(outline[k]) - Vector3::new(x, 0.0, z);
             assert!(off.norm() < 1e-12, "{k}: {:?}", outline[k]);

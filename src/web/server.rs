@@ -54,31 +54,36 @@ use crate::telemetry::Statistics;
 use crate::track::UsedPixels;
 use crate::tracker::TrackerSetup;
 
-/// A request's head must come within this time, also where a connection waits for its next one. Chosen, not tuned. Raised, silent clients
-/// hold their places for longer.
+/// Maximum time for a request's head, also while a connection waits for its next request. Chosen,
+/// not tuned. Raised, silent clients hold their places longer.
 const HEAD_WITHIN: Duration = Duration::from_secs(5);
-/// Bytes and header lines of a request's head at most. Chosen: more than browsers send. Raised, a client may take more memory.
+/// Maximum bytes and header lines of a request's head. Chosen: more than browsers send. Raised, a
+/// client may take more memory.
 const LONGEST_HEAD: usize = 16 * 1024;
 const MOST_HEADERS: usize = 64;
-/// A connection that is no WebSocket ends after this time and is made anew: who takes one byte a second shall not keep it. Raised, such
-/// clients hold places for longer; lowered, large answers to slow clients are cut.
+/// Lifetime of a connection that is not a WebSocket; clients then reconnect. A client that reads
+/// one byte a second must not keep it. Raised, such clients hold places longer; lowered, large
+/// answers to slow clients are cut.
 const LASTS: Duration = Duration::from_secs(60);
-/// Connections that may wait to be accepted. Where there is no room, the system passes the next one over, and it tries again only after a
-/// second. A round figure, which Linux cuts to net.core.somaxconn.
+/// Maximum connections waiting to be accepted. If the queue is full, the system ignores the next
+/// one, which retries only after a second. A round figure, which Linux limits to
+/// net.core.somaxconn.
 const MOST_WAITING: i32 = 1024;
-/// Connections accepted in a row; far fewer than may be answered in brief. Raised to those, a flood pushes them out before they are heard.
+/// Maximum connections accepted in a row; far fewer than the number of brief connections. Raised to
+/// that, a flood pushes them out before they are heard.
 const AT_ONCE: u32 = 16;
-/// A connection without a place of its own ends after this time, answered or not. Chosen: enough for one page. Raised, a flood keeps others
-/// out for longer.
+/// Lifetime of a connection without a place, answered or not. Chosen: enough for one page. Raised,
+/// a flood keeps others out longer.
 const BRIEFLY: Duration = Duration::from_secs(2);
-/// What a connection may take to end in form. Chosen, not tuned. Raised, the daemon's end waits longer for clients that do not listen.
+/// Maximum time for a connection to end properly. Chosen, not tuned. Raised, the daemon's end waits
+/// longer for clients that do not listen.
 const ENDS_WITHIN: Duration = Duration::from_millis(250);
 
-/// Threads for what takes time beside those of the lanes: for the page's folder. Raised, more memory.
+/// Threads for slow work in addition to the lanes': for the page's folder. Raised, more memory.
 const MOST_ASIDE: usize = 2;
 
-/// How often the newest frame's age and the events are looked at; clients hear when a frame has become too old. Chosen: below what a person notices. Raised,
-/// they hear later.
+/// Interval of checks of the newest frame's age and of the events; clients learn when a frame has
+/// become too old. Chosen: shorter than a person notices. Raised, they learn later.
 const WATCH_EVERY: Duration = Duration::from_millis(100);
 
 /// Why the server cannot run.
@@ -87,33 +92,33 @@ pub enum WebError {
     /// The port is taken, or the address is not this machine's.
     #[error("[http]: cannot listen on {address} ({source}); give a free port on an address of this machine")]
     Listen {
-        /// Where.
+        /// The address.
         address: SocketAddr,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
-    /// The system gave no thread or no event queue.
+    /// The system provided no thread or no event queue.
     #[error("[http]: cannot start the server ({0}); close other programs or raise the limits of processes and files")]
     Start(io::Error),
-    /// Pairings cannot be kept.
+    /// Pairings cannot be stored.
     #[error("[http]: pairings cannot be kept ({0}); make room in the state folder, or let it be written")]
     State(io::Error),
 }
 
-/// What a server has beside its routes.
+/// Optional parts of a server besides its routes.
 #[derive(Default)]
 pub struct Site {
-    /// Where pairings are kept; without it they end with the server.
+    /// The folder for pairings; without it they end with the server.
     pub state: Option<PathBuf>,
-    /// The page's files, for who works on it; else those in the program.
+    /// The page's files, for developing it; by default those built into the program.
     pub page_dir: Option<PathBuf>,
-    /// What the caller says in /api/v1/session.
+    /// The caller's description in /api/v1/session.
     pub about: Option<About>,
-    /// Where frames are counted that are copied for those who watch.
+    /// Where frames copied for viewers are counted.
     pub statistics: Arc<Statistics>,
 }
 
-/// The running server; dropped, it ends.
+/// The running server; it ends when dropped.
 #[derive(Debug)]
 pub struct Server {
     feed: Arc<Feed>,
@@ -126,24 +131,25 @@ pub struct Server {
 }
 
 impl Server {
-    /// Listens, and answers from now on: the page, /ws, /ws/events, /ws/view, /api/v1/pose, /api/v1/state, /api/v1/scene,
-    /// the stage's pictures and the given routes.
+    /// Starts a server with the page, /ws, /ws/events, /ws/view, /api/v1/pose, /api/v1/state,
+    /// /api/v1/scene, the stage's pictures and the given routes.
     ///
     /// # Errors
-    /// Where the address cannot be had or the thread cannot be started.
+    /// When the address is not available or the thread cannot be started.
     pub fn start(settings: &HttpSettings, routes: Vec<Route>) -> Result<Self, WebError> {
         Self::start_site(settings, routes, Site::default())
     }
 
-    /// The same, with more of a site.
+    /// As [`start`](Self::start), with optional parts.
     ///
     /// # Errors
-    /// Where the address cannot be had, the thread cannot be started, or the state folder cannot be written.
+    /// When the address is not available, the thread cannot be started, or the state folder cannot
+    /// be written.
     pub fn start_site(settings: &HttpSettings, mut routes: Vec<Route>, site: Site) -> Result<Self, WebError> {
         let listen = |source| WebError::Listen { address: settings.listen, source };
         let listener = bound(settings.listen).map_err(listen)?;
         let address = listener.local_addr().map_err(listen)?;
-        // Its thread answers; what takes time is done on others, which stand back.
+        // This thread answers; slow work runs on others, at low priority.
         let mut runtime = tokio::runtime::Builder::new_current_thread();
         let runtime = runtime
             .enable_all()
@@ -152,7 +158,8 @@ impl Server {
             .build()
             .map_err(WebError::Start)?;
         let keys = Keys::open(site.state.as_deref(), address.port()).or_else(|e| {
-            // Whoever has no folder for them still tracks, and this machine's own page needs none.
+            // Without a folder for pairings tracking still works, and this machine's own page needs
+            // none.
             tracing::warn!("[http]: pairings end with the program, for they cannot be kept ({e}); let the state folder be written");
             Keys::open(None, address.port())
         });
@@ -188,39 +195,41 @@ impl Server {
         Ok(Self { feed, hub, events, scene, address, stop, thread: Some(thread) })
     }
 
-    /// Where it listens.
+    /// Returns the address on which it listens.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// From now on a frame older than `most` is sent as stale, by this clock. Without it every record is given as it came.
+    /// Sends frames older than `most` by this clock as stale from now on. Without it every record
+    /// is sent as it comes.
     pub fn judge_ages(&self, clock: Arc<FrameClock>, most: Duration) {
         self.feed.judge_ages(clock, most);
     }
 
-    /// Gives a sample to everybody who listens; never waits.
+    /// Sends a sample to all listeners; never waits.
     pub fn publish(&self, sample: &PoseSample) {
         self.feed.publish(sample);
     }
 
-    /// From now on clients hear of these events.
+    /// Sends these events to clients from now on.
     pub fn follow_events(&self, events: EventListener) {
         self.events.follow(events);
     }
 
-    /// From now on the scene is this session's.
+    /// Shows this session's scene from now on.
     pub fn show_scene(&self, setup: &TrackerSetup) {
         self.scene.set(setup);
     }
 
-    /// What a session's pose stage calls with every row and its sample, for those who watch; it waits for nothing, and copies nothing
-    /// while nobody waits for a frame. Each call begins another session, whose rows are numbered anew.
-    /// `pixels` are its tracker's, for the frames where [`wants_pixels`](Self::wants_pixels) is true.
+    /// Returns what a session's pose stage calls with every row and its sample, for viewers. It
+    /// never waits, and copies nothing while no viewer waits for a frame. Each call starts another
+    /// session, whose rows are numbered anew. `pixels` are its tracker's, for the frames for which
+    /// [`wants_pixels`](Self::wants_pixels) is true.
     pub fn observer(&self, pixels: Option<Receiver<UsedPixels>>) -> impl FnMut(&ClipEntry, &PoseSample) + Send + 'static {
         self.hub.observer(pixels)
     }
 
-    /// True while somebody who watches asks for the pixels that poses rest on.
+    /// Returns a flag that is true while a viewer requests the pixels behind the poses.
     pub fn wants_pixels(&self) -> Arc<AtomicBool> {
         self.hub.wants_pixels()
     }
@@ -240,7 +249,7 @@ impl Drop for Server {
     }
 }
 
-/// As the standard library binds, with room for more that wait.
+/// Binds as the standard library does, with a longer queue.
 fn bound(address: SocketAddr) -> io::Result<TcpListener> {
     let socket = Socket::new(Domain::for_address(address), Type::STREAM, Some(Protocol::TCP))?;
     socket.set_reuse_address(true)?;
@@ -275,29 +284,30 @@ async fn serve(listener: TcpListener, site: Arc<Answering>, mut stopped: watch::
         if is_brief {
             brief.admit(peer.ip(), task.abort_handle());
         }
-        // Those who are in are looked at before more come, or the newest would push them out unheard.
+        // Let accepted connections run before more come, or the newest would push them out unheard.
         since_a_look += 1;
         if since_a_look == AT_ONCE {
             since_a_look = 0;
             yield_now().await;
         }
     }
-    // Clients get a last message; who does not listen is cut off.
+    // Clients get a last message; those that do not listen are cut off.
     let _ = timeout(ENDS_WITHIN + Duration::from_millis(50), places.empty()).await;
 }
 
-/// The next connection.
+/// Returns the next connection.
 async fn accept(listener: &tokio::net::TcpListener) -> (TcpStream, SocketAddr) {
     loop {
         match listener.accept().await {
             Ok(accepted) => return accepted,
-            // Out of files: others will be closed.
+            // Out of files: other connections will be closed.
             Err(_) => sleep(Duration::from_millis(50)).await,
         }
     }
 }
 
-/// Answers one connection until it ends, or has lasted long enough. A WebSocket goes its own way, with the place.
+/// Serves one connection until it ends or its time is over. A WebSocket continues on its own, with
+/// the place.
 async fn converse(
     (stream, peer): (TcpStream, IpAddr),
     place: Option<Arc<Place>>,
@@ -317,7 +327,7 @@ async fn converse(
             routes.call(request)
         });
         async move {
-            // One request a turn: whoever sends hundreds in one piece waits for the others between them.
+            // One request per turn: a client that pipelines hundreds lets others run in between.
             yield_now().await;
             match judged {
                 Ok(answer) => answer.await,
@@ -329,7 +339,7 @@ async fn converse(
         .timer(TokioTimer::new())
         .header_read_timeout(if is_brief { BRIEFLY } else { HEAD_WITHIN })
         .keep_alive(!is_brief)
-        // Who has asked may close its side and wait for the answer.
+        // A client may close its sending side and wait for the answer.
         .half_close(true)
         .max_buf_size(LONGEST_HEAD)
         .max_headers(MOST_HEADERS)
@@ -337,7 +347,7 @@ async fn converse(
         .with_upgrades();
     let mut connection = pin!(connection);
     tokio::select! {
-        // A client that breaks off or talks nonsense is its own trouble.
+        // A client's broken or malformed connection is not our error.
         _ = connection.as_mut() => return,
         () = grown_old(if is_brief { BRIEFLY } else { LASTS }, &caller.transfers) => {}
         () = ended(&mut stopped) => {}
@@ -346,7 +356,8 @@ async fn converse(
     let _ = timeout(ENDS_WITHIN, connection).await;
 }
 
-/// Waits for the end of a connection's time: a file that is on its way is not cut off, for its reader takes it or is let go by itself.
+/// Waits for the end of a connection's time. A transfer in progress is not cut off: its reader
+/// finishes or times out on its own.
 async fn grown_old(time: Duration, transfers: &Transfers) {
     sleep(time).await;
     while transfers.any() {

@@ -34,7 +34,7 @@ fn connect(server: &Server) -> TcpStream {
     stream
 }
 
-/// Everything that comes until the server closes.
+/// Returns everything that comes until the server closes.
 fn exchange(server: &Server, request: &[u8]) -> String {
     let mut stream = connect(server);
     // The server may close before it has read everything.
@@ -126,7 +126,7 @@ fn malformed_and_oversized_requests_are_refused() {
     assert!(get(&server, "/api/v1/state").starts_with("HTTP/1.1 200"), "it still serves");
 }
 
-/// The status of a request with these header lines.
+/// Returns the status for a request with these header lines.
 fn status(server: &Server, line: &str, headers: &str) -> u16 {
     let answer = exchange(server, format!("{line}\r\n{headers}Connection: close\r\n\r\n").as_bytes());
     answer.split(' ').nth(1).and_then(|status| status.parse().ok()).unwrap_or(0)
@@ -149,7 +149,7 @@ fn every_path_is_guarded_and_the_web_socket_too() {
     let upgrade = |origin: &str| exchange(&server, UPGRADE.replace("Host: localhost", origin).as_bytes());
     assert!(upgrade("Host: localhost:1\r\nOrigin: http://evil.example").starts_with("HTTP/1.1 403"));
     assert!(upgrade("Host: evil.example:1\r\nOrigin: http://evil.example:1").starts_with("HTTP/1.1 421"));
-    // Its own page may; the exchange ends with the server.
+    // The server's own page may; the exchange ends with the server.
     let mut stream = connect(&server);
     stream.write_all(UPGRADE.replace("Host: localhost", "Host: localhost:1\r\nOrigin: http://localhost:1").as_bytes()).unwrap();
     let mut start = [0; 12];
@@ -181,7 +181,7 @@ fn a_change_is_posted_and_not_too_often() {
     let refused: Vec<&String> = answers.iter().filter(|answer| answer.starts_with("HTTP/1.1 429")).collect();
     assert!((1..20).contains(&done) && done + refused.len() == 20, "{answers:?}");
     assert!(refused.iter().all(|answer| answer.to_lowercase().contains("\r\nretry-after: ")), "{refused:?}");
-    // A stranger's attempts do not count.
+    // A foreign page's attempts do not count.
     assert_eq!(status(&server, "POST /save HTTP/1.1", "Host: localhost\r\nOrigin: http://evil.example\r\n"), 403);
 }
 
@@ -190,7 +190,7 @@ fn who_pipelines_and_never_reads_is_let_go() {
     let server = server();
     let mut stuck = connect(&server);
     let request = b"GET /api/v1/state HTTP/1.1\r\nHost: localhost\r\n\r\n".repeat(2000);
-    // Until nothing more is taken, and then until the server has had enough of it.
+    // Write until nothing more is taken, and then until the server has had enough.
     stuck.set_write_timeout(Some(Duration::from_millis(500))).unwrap();
     let begun = Instant::now();
     while !matches!(stuck.write(&request), Err(e) if e.kind() != std::io::ErrorKind::WouldBlock) {
@@ -201,7 +201,8 @@ fn who_pipelines_and_never_reads_is_let_go() {
 #[test]
 fn with_all_places_taken_a_request_is_answered_and_a_web_socket_refused() {
     let server = server();
-    // Silent ones, from one peer, which has half of the places; they go after some seconds, which is not waited for.
+    // Silent connections from one peer, which may have half of the places. They end after some
+    // seconds, which the test does not wait for.
     let silent: Vec<TcpStream> = (0..200).map(|_| connect(&server)).collect();
     assert!(get(&server, "/healthz").starts_with("HTTP/1.1 503 "));
     let refused = exchange(&server, UPGRADE.as_bytes());
@@ -210,7 +211,7 @@ fn with_all_places_taken_a_request_is_answered_and_a_web_socket_refused() {
     wait_until(|| exchange_start(&server, UPGRADE.as_bytes()).starts_with("HTTP/1.1 101"));
 }
 
-/// The first bytes of the answer.
+/// Returns the first bytes of the answer.
 fn exchange_start(server: &Server, request: &[u8]) -> String {
     let mut stream = connect(server);
     let mut start = [0; 12];
@@ -221,7 +222,7 @@ fn exchange_start(server: &Server, request: &[u8]) -> String {
 const UPGRADE: &str = "GET /ws HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
     Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n";
 
-/// A WebSocket that the server has subscribed to the feed.
+/// Returns a WebSocket that the server has subscribed to the feed.
 fn web_socket(server: &Server) -> TcpStream {
     let clients = server.feed.clients();
     let stream = upgraded(server, UPGRADE);
@@ -229,7 +230,7 @@ fn web_socket(server: &Server) -> TcpStream {
     stream
 }
 
-/// A viewer that has heard how things stand, and has asked for nothing.
+/// Returns a viewer that has received the state and has asked for nothing.
 fn viewer(server: &Server) -> TcpStream {
     let mut stream = upgraded(server, &UPGRADE.replace("/ws", "/ws/view"));
     assert!(next_text(&mut stream).contains("\"state\":"));
@@ -257,14 +258,14 @@ fn wait_until(mut done: impl FnMut() -> bool) {
     }
 }
 
-/// The text of the next frame.
+/// Returns the text of the next frame.
 fn next_text(stream: &mut TcpStream) -> String {
     let (kind, content) = next_message(stream);
     assert_eq!(kind, 0x81);
     String::from_utf8(content).unwrap()
 }
 
-/// The first byte and the content of the next frame, which is not masked.
+/// Returns the first byte and the content of the next frame, which is not masked.
 fn next_message(stream: &mut TcpStream) -> (u8, Vec<u8>) {
     let mut head = [0; 2];
     stream.read_exact(&mut head).unwrap();
@@ -286,7 +287,8 @@ fn next_message(stream: &mut TcpStream) -> (u8, Vec<u8>) {
 /// Asks for a frame: `n`, masked with zeros.
 const NEXT: [u8; 7] = [0x81, 0x81, 0, 0, 0, 0, b'n'];
 
-/// The number of the next frame, and the length of its picture; what is said between frames is passed over.
+/// Returns the number of the next frame and the length of its picture, skipping messages between
+/// frames.
 fn next_frame(stream: &mut TcpStream) -> (u64, usize) {
     loop {
         let (kind, content) = next_message(stream);
@@ -300,7 +302,7 @@ fn next_frame(stream: &mut TcpStream) -> (u64, usize) {
     }
 }
 
-/// A row with a JPEG of this length, as far as the server knows.
+/// Returns a row with a JPEG of this length, as far as the server knows.
 fn row(sequence: u64, bytes: usize) -> ClipEntry {
     let frame = crate::frame::Frame::new(image::GrayImage::new(4, 3), Timestamp::from_ns(40), sequence);
     let received = Some(crate::capture::Received::Jpeg(vec![7; bytes].into()));
@@ -371,11 +373,11 @@ fn a_viewer_gets_the_frame_that_it_asks_for_and_nothing_is_copied_for_who_does_n
         wait_until(|| server.hub.waiting() == 1);
         seen(k);
         assert_eq!(next_frame(&mut viewer), (k, 1000));
-        // It has what it asked for.
+        // It has the frame it asked for.
         seen(1000 + k);
     }
     assert_eq!(server.hub.copied(), 10);
-    // Whoever asks again and again has two frames on their way at most.
+    // However often it asks, a client has at most two frames on their way.
     (0..20).for_each(|_| viewer.write_all(&NEXT).unwrap());
     for k in 60..62 {
         wait_until(|| server.hub.waiting() == 1);
@@ -393,7 +395,7 @@ fn of_eight_viewers_one_that_stalls_harms_no_other() {
     let mut observer = server.observer(None);
     let mut stalled = viewer(&server);
     let mut others: Vec<(TcpStream, Option<u64>)> = (0..7).map(|_| (viewer(&server), None)).collect();
-    // Frames go on: who asks a little late for one gets the next.
+    // Frames go on: a client that asks a little late gets the next one.
     let (end, has_ended) = crossbeam_channel::bounded::<()>(0);
     let camera = std::thread::spawn(move || {
         for k in 0.. {
@@ -404,7 +406,7 @@ fn of_eight_viewers_one_that_stalls_harms_no_other() {
         }
     });
     let mut rounds = 0;
-    // Until it is let go: by then the system's buffers are full, and a message has waited for its time.
+    // Until it is dropped: by then the system's buffers are full, and a message has timed out.
     wait_until(|| {
         let _ = stalled.write_all(&NEXT);
         others.iter_mut().for_each(|(viewer, _)| viewer.write_all(&NEXT).unwrap());

@@ -1,7 +1,8 @@
-//! `/ws/view`: the picture with its record, to whoever asks for a frame.
+//! `/ws/view`: the picture with its record, for clients that ask for a frame.
 //!
-//! A client says `n` for each frame that it can take and gets the next one, or `u` and gets one with the pixels that its poses rest on; so it never falls behind, however slow it is. Between frames it
-//! hears a few times a second how things stand, so that silence means that the daemon is gone.
+//! A client sends `n` for each frame that it can take and gets the next one, or `u` to get one with
+//! the pixels behind its poses. So it never falls behind, however slow it is. Between frames it
+//! gets the state a few times a second, so that silence means that the daemon is gone.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,14 +17,16 @@ use super::feed::Feed;
 use super::hub::{Asking, Hub, Waiting};
 use super::lifetime::{TAKES_WITHIN, close, ended};
 
-/// Frames that a client may have asked for and not got. Two keep a picture on its way while one is drawn. Raised, a slow client sees older
-/// pictures.
+/// Maximum frames that a client may have asked for and not received. Two keep a picture on its way
+/// while one is drawn. Raised, a slow client sees older pictures.
 const MOST_ASKED: u32 = 2;
-/// A client hears something at least this often. Chosen: a loss of contact can be said within a second, one message late included. Raised,
-/// it is said later; lowered, hidden pages cost more.
+/// Maximum interval between messages to a client. Chosen: a loss of contact is noticed within a
+/// second, even if one message is late. Raised, it is noticed later; lowered, hidden pages cost
+/// more.
 const SPEAKS_EVERY: Duration = Duration::from_millis(250);
-/// Who has asked for nothing for so long is shown no used pixels until asking again. Chosen: longer than the slowest page draws. Raised, the tracker notes
-/// pixels for nobody.
+/// A client that has asked for nothing for this long gets no used pixels until it asks again.
+/// Chosen: longer than the slowest page takes to draw. Raised, the tracker records pixels for
+/// nobody.
 const LETS_GO_AFTER: Duration = Duration::from_secs(10);
 
 /// Serves one client until it goes.
@@ -54,7 +57,7 @@ pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, 
                         _ => {}
                     }
                     if asked == 0 {
-                        // A frame from before is old: the next one is near.
+                        // Skip an older frame: the next one is near.
                         messages.mark_unchanged();
                         waiting = Some(hub.wait());
                     }
@@ -72,7 +75,7 @@ pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, 
                 Some(Ok(Message::Close(_)) | Err(_)) | None => return,
             },
             () = sleep_until(speaks_at) => {
-                // A page that is hidden or stands still shows no pixels.
+                // A hidden or stopped page shows no pixels.
                 if asked == 0 && asked_at.elapsed() > LETS_GO_AFTER {
                     asking = None;
                 }
