@@ -60,7 +60,6 @@ struct KnownPair {
     homography: Homography,
 }
 
-/// A row of the table.
 struct Row {
     pair: String,
     settings: FeatureSettings,

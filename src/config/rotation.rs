@@ -32,7 +32,6 @@ pub(super) enum Turned {
 }
 
 impl Turned {
-    /// Returns the default rotation.
     fn default(self) -> UnitQuaternion<f64> {
         match self {
             Self::Surface => UnitQuaternion::from_quaternion(Quaternion::new(FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0, 0.0)),

@@ -60,7 +60,6 @@ impl Progress {
         !self.cancelled.load(Ordering::Relaxed)
     }
 
-    /// Reports the outcome.
     fn end(&self, outcome: Result<String, String>) {
         let told = held(&self.board).job(self.job).map(|job| {
             (job.state, job.text) = match outcome {

@@ -2,7 +2,6 @@ use std::os::unix::fs::PermissionsExt;
 
 use super::*;
 
-/// Returns a request's headers.
 fn headers(of: &[(&'static str, &str)]) -> HeaderMap {
     of.iter().map(|(name, value)| (header::HeaderName::from_static(name), value.parse().unwrap())).collect()
 }

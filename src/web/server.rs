@@ -295,7 +295,6 @@ async fn serve(listener: TcpListener, site: Arc<Answering>, mut stopped: watch::
     let _ = timeout(ENDS_WITHIN + Duration::from_millis(50), places.empty()).await;
 }
 
-/// Returns the next connection.
 async fn accept(listener: &tokio::net::TcpListener) -> (TcpStream, SocketAddr) {
     loop {
         match listener.accept().await {

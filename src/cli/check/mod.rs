@@ -122,7 +122,6 @@ fn of_camera(named: &Option<String>, tried: Result<String, String>) -> (String, 
     }
 }
 
-/// The result of a check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Verdict {
     Good,
@@ -188,7 +187,6 @@ fn hidden_share(mask: &GrayImage) -> f64 {
     mask.as_raw().iter().filter(|&&level| level == 0).count() as f64 / mask.as_raw().len().max(1) as f64
 }
 
-/// Returns the whole text.
 fn report(
     settings: &Settings,
     camera: &CameraModel,

@@ -76,7 +76,6 @@ pub(super) struct LiveArguments {
 }
 
 impl LiveArguments {
-    /// Loads the current config.
     fn load(&self) -> Result<Settings, ConfigError> {
         self.loader()()
     }

@@ -241,7 +241,6 @@ struct Serving {
 }
 
 impl Serving {
-    /// Returns this config's server.
     fn serve(
         &mut self,
         http: Option<&HttpSettings>,

@@ -62,7 +62,6 @@ fn row(sequence: u64) -> (ClipEntry, PoseSample) {
     (ClipEntry { sequence, timestamp, content, decode: Duration::ZERO, repeats: false, received: Some(Received::Raw) }, sample)
 }
 
-/// Records rows and finishes.
 fn record(plan: RecorderPlan, disk: Box<dyn Disk>, rows: std::ops::Range<u64>) -> LiveLink {
     let link = LiveLink::default();
     let recorder = Recorder::start(plan, &link, disk).unwrap();

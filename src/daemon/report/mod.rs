@@ -76,7 +76,6 @@ impl Report<'_> {
     }
 }
 
-/// Describes program, time and machine.
 fn about() -> String {
     let features = [("live", cfg!(feature = "live")), ("http", cfg!(feature = "http"))];
     let features: Vec<&str> = features.into_iter().filter_map(|(name, is_on)| is_on.then_some(name)).collect();
