@@ -95,7 +95,7 @@ impl LiveSource {
         self.next_sequence += 1;
         let (content, received) = decoded.content(mode.size, timestamp, sequence);
         let repeats = match &received {
-            // The decoder's input buffer may have other stale bytes after the same picture.
+            // The capture buffer may have other stale bytes after the same picture.
             Received::Jpeg(jpeg) => self.repeats.is_repeat(jpeg.to_vec()),
             // Grey pictures may come from a played clip, whose video repeats them while nothing
             // moves.
