@@ -1,33 +1,34 @@
-//! How long a piece of work kept its thread busy. The core reads no clock of its own: whoever builds a tracker hands one in.
+//! Measures how long work kept its thread busy. The core reads no clock itself: whoever builds a
+//! tracker passes one in.
 
 use std::time::Duration;
 
-/// A clock that is read before and after a piece of work, in the thread that does it.
+/// A clock that is read before and after a piece of work, on the thread that does it.
 #[derive(Debug, Clone, Copy)]
 pub struct ComputeClock {
     now: fn() -> Duration,
 }
 
 impl ComputeClock {
-    /// Reads `now`: best the processor time of the calling thread, so that waiting, and what else the machine does, do not count.
+    /// Reads `now`, preferably the CPU time of the calling thread, so that waiting and other
+    /// processes do not count.
     pub fn new(now: fn() -> Duration) -> Self {
         Self { now }
     }
 
-    /// Starts to measure.
     pub(crate) fn start(self) -> Stopwatch {
         Stopwatch { clock: self, start: (self.now)() }
     }
 }
 
 impl Default for ComputeClock {
-    /// A clock that stands still: every piece of work takes no time.
+    /// A clock that never advances: all work takes no time.
     fn default() -> Self {
         Self { now: || Duration::ZERO }
     }
 }
 
-/// A measurement under way.
+/// A running measurement.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Stopwatch {
     clock: ComputeClock,
@@ -40,7 +41,7 @@ impl Stopwatch {
         (self.clock.now)().saturating_sub(self.start)
     }
 
-    /// The same in milliseconds.
+    /// Time since the start, milliseconds.
     pub fn elapsed_ms(&self) -> f64 {
         self.elapsed().as_secs_f64() * 1e3
     }
@@ -60,7 +61,7 @@ mod tests {
         let watch = clock.start();
         MILLISECONDS.store(142, Ordering::Relaxed);
         assert_eq!(watch.elapsed_ms(), 42.0);
-        // A clock that is set back takes nothing away.
+        // Setting the clock back does not give negative times.
         MILLISECONDS.store(7, Ordering::Relaxed);
         assert_eq!(watch.elapsed_ms(), 0.0);
         assert_eq!(ComputeClock::default().start().elapsed(), Duration::ZERO);

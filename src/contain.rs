@@ -1,7 +1,8 @@
-//! Holding a panic of other people's code where it happens.
+//! Contains panics in third-party code.
 //!
-//! Decoders and drivers are fed with whatever a cable or a stranger's file delivers. A panic in one of them is a damaged
-//! picture or a lost camera, not the end of the program, and no news for the terminal: who calls has a sentence for it.
+//! Decoders and drivers process whatever a cable or an unknown file delivers. A panic in one of
+//! them means a damaged picture or a lost camera, not the end of the program. Nothing is printed:
+//! the caller reports it in its own words.
 
 use std::any::Any;
 use std::cell::Cell;
@@ -9,14 +10,14 @@ use std::panic::{AssertUnwindSafe, catch_unwind, set_hook, take_hook};
 use std::sync::Once;
 
 thread_local! {
-    /// How many calls of [`contained`] this thread is in.
+    /// How many nested calls of [`contained`] this thread is in.
     static DEPTH: Cell<u32> = const { Cell::new(0) };
 }
 
-/// Runs `work`; a panic in it becomes its message, and nothing is printed.
+/// Runs `work`. A panic in it is returned as its message, and nothing is printed.
 ///
 /// # Errors
-/// What the panic said.
+/// The panic's message.
 pub fn contained<T>(work: impl FnOnce() -> T) -> Result<T, String> {
     quieten();
     DEPTH.set(DEPTH.get() + 1);
@@ -25,14 +26,14 @@ pub fn contained<T>(work: impl FnOnce() -> T) -> Result<T, String> {
     outcome.map_err(|panic| message(&*panic))
 }
 
-/// Makes the process' panic hook silent where a panic is contained; every other panic goes to the hook that was there.
+/// Silences the process's panic hook for contained panics; all others go to the previous hook.
 fn quieten() {
-    /// The hook is set once for the process.
+    /// Guards the hook, which is installed once per process.
     static QUIET: Once = Once::new();
     QUIET.call_once(|| {
         let before = take_hook();
         set_hook(Box::new(move |panic| {
-            // A thread that ends has no depth any more.
+            // The thread-local is gone while a thread shuts down.
             if DEPTH.try_with(Cell::get).unwrap_or(0) == 0 {
                 before(panic);
             }
@@ -40,7 +41,7 @@ fn quieten() {
     });
 }
 
-/// From now on panics that nobody contains go to `report` instead of stderr; contained ones stay silent.
+/// Sends uncontained panics to `report` instead of stderr from now on; contained ones stay silent.
 pub fn report_others(report: impl Fn(String) + Send + Sync + 'static) {
     quieten();
     set_hook(Box::new(move |panic| {

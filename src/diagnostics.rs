@@ -1,6 +1,7 @@
-//! For studies, benches, tests and overlays: what is inside, by room. No promise of stability: anything here may change with any version.
+//! Internals for studies, benches, tests and overlays, grouped by module. Nothing here is stable:
+//! any version may change it.
 
-/// Solvers of the geometry beside those of [`two_views`](crate::two_views).
+/// Geometry solvers beyond those of [`two_views`](crate::two_views).
 pub mod geometry {
     pub use crate::geometry::FilmingCamera;
     pub use crate::geometry::bspline::BicubicSpline;
@@ -18,18 +19,18 @@ pub mod features {
     pub use crate::matching::{MatchBuffers, ReferenceIndex};
 }
 
-/// The matcher of a tracker, the hot loops of alignment, and the shapes of surfaces.
+/// The tracker's matcher, the hot loops of alignment, and surface shapes.
 pub mod track {
     pub use crate::track::{AlignKernels, Alignment, BentShape, Matcher, ShapeWay, SurfaceShape, UsedPixel, UsedPixels};
 }
 
-/// The virtual stage: pictures on the cloth and paths through the hall.
+/// The virtual stage: pictures on the cloth and camera paths through the hall.
 #[cfg(feature = "simulate")]
 pub mod simulate {
     pub use crate::simulate::{artwork_surface, grey, look_at, paint, upright};
 }
 
-/// Readers of single formats, and cameras that tests make.
+/// Readers of single formats, and virtual cameras for tests.
 #[cfg(feature = "capture")]
 pub mod capture {
     pub use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener, CapturedPicture, OpenFault, PixelLayout};
@@ -39,7 +40,7 @@ pub mod capture {
     };
 }
 
-/// Boards: painted, found and calibrated with.
+/// Calibration boards: painting them, finding them, and calibrating from them.
 #[cfg(feature = "calibrate")]
 pub mod calibrate {
     pub use crate::calibrate::board::Board;
@@ -49,7 +50,7 @@ pub mod calibrate {
     pub use crate::targets::poster::paint as paint_poster;
 }
 
-/// Outputs with clocks that are handed in.
+/// Outputs, with clocks that the caller passes in.
 #[cfg(feature = "publish")]
 pub mod publish {
     pub use crate::publish::freed::{FreedSettings, Spare};
@@ -62,7 +63,7 @@ pub mod publish {
     };
 }
 
-/// Cameras that fail, what is done about them, and the recorder.
+/// Camera failures and recovery, and the recorder.
 #[cfg(feature = "daemon")]
 pub mod live {
     pub use crate::config::ConfigSource;
@@ -77,7 +78,7 @@ pub mod web {
     pub use crate::web::{Server, judge_model};
 }
 
-/// Text from outside, as a terminal may show it.
+/// Escaping of external text for terminals.
 #[cfg(feature = "daemon")]
 pub mod printable {
     pub use crate::printable::stands_for_itself;

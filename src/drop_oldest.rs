@@ -1,8 +1,9 @@
 //! A bounded channel that, when full, drops its oldest entry instead of refusing the newest.
 //!
-//! A live camera does not wait: whoever is late must get the newest frame, and the count of what was dropped.
-//! Bare crossbeam channels block or refuse; the sender here also holds a receiver and makes room with it. The
-//! stream ends for the receiver when the sender is dropped and what is left has been read.
+//! A live camera does not wait: a slow receiver must get the newest frame and the number of dropped
+//! ones. Plain crossbeam channels block or refuse. The sender here also holds a receiver and uses
+//! it to make room. The stream ends for the receiver once the sender is dropped and the remaining
+//! entries have been read.
 
 use crossbeam_channel::{Receiver, TrySendError, bounded};
 
@@ -10,30 +11,30 @@ use crossbeam_channel::{Receiver, TrySendError, bounded};
 #[derive(Debug)]
 pub struct DropOldestSender<T> {
     sender: crossbeam_channel::Sender<T>,
-    /// Used only to take out the oldest.
+    /// Used only to remove the oldest entry.
     drain: Receiver<T>,
 }
 
-/// A channel that holds at most `capacity` entries (at least 1).
+/// Creates a channel that holds at most `capacity` entries (at least 1).
 pub fn drop_oldest<T>(capacity: usize) -> (DropOldestSender<T>, Receiver<T>) {
     let (sender, receiver) = bounded(capacity.max(1));
     (DropOldestSender { sender, drain: receiver.clone() }, receiver)
 }
 
 impl<T> DropOldestSender<T> {
-    /// Sends without ever waiting; gives the number of oldest entries that were dropped to make room.
+    /// Sends without ever waiting; returns the number of oldest entries dropped to make room.
     pub fn send(&self, entry: T) -> usize {
         self.send_dropping(entry, |_| {})
     }
 
-    /// As [`send`](Self::send); `on_drop` gets what is dropped.
+    /// Like [`send`](Self::send), passing each dropped entry to `on_drop`.
     pub fn send_dropping(&self, entry: T, mut on_drop: impl FnMut(T)) -> usize {
         let mut entry = entry;
         let mut dropped = 0;
         loop {
             match self.sender.try_send(entry) {
                 Ok(()) => return dropped,
-                // `drain` keeps the channel connected, so this is the only other answer.
+                // `drain` keeps the channel connected, so in practice this is always `Full`.
                 Err(TrySendError::Full(back) | TrySendError::Disconnected(back)) => entry = back,
             }
             if let Ok(oldest) = self.drain.try_recv() {

@@ -1,4 +1,4 @@
-//! A frame: one grey picture from a camera, with its stamp and its number.
+//! A frame: one grey picture from a camera, with its time stamp and its sequence number.
 
 use std::fmt;
 use std::time::Duration;
@@ -6,7 +6,7 @@ use std::time::Duration;
 use image::GrayImage;
 use serde::{Deserialize, Serialize};
 
-/// One picture to be tracked.
+/// One picture to track.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Frame {
@@ -19,91 +19,92 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// A picture with its stamp and its number.
+    /// Creates a frame from a picture, its stamp and its number.
     pub fn new(image: GrayImage, timestamp: Timestamp, sequence: u64) -> Self {
         Self { image, timestamp, sequence }
     }
 }
 
-/// An instant in whole nanoseconds on some clock: a camera's, a clip's, or one of the machine's. Only instants on one clock can be
-/// compared. A stamp comes from outside and may be any number, so all arithmetic saturates.
+/// An instant in whole nanoseconds on some clock: a camera's, a clip's, or one of the machine's.
+/// Only instants of the same clock are comparable. Stamps come from outside and may be any number,
+/// so all arithmetic saturates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Timestamp(i64);
 
 impl Timestamp {
-    /// The earliest instant that there is.
+    /// The earliest representable instant.
     pub const MIN: Self = Self(i64::MIN);
 
-    /// `ns` nanoseconds after the clock's zero.
+    /// Creates the instant `ns` nanoseconds after the clock's zero.
     pub const fn from_ns(ns: i64) -> Self {
         Self(ns)
     }
 
-    /// `seconds` after the clock's zero, to the nearest nanosecond.
+    /// Creates the instant `seconds` after the clock's zero, rounded to the nearest nanosecond.
     pub fn from_seconds(seconds: f64) -> Self {
         Self::default().after_s(seconds)
     }
 
-    /// Nanoseconds after the clock's zero.
+    /// Returns nanoseconds since the clock's zero.
     pub const fn ns(self) -> i64 {
         self.0
     }
 
-    /// Seconds after the clock's zero.
+    /// Returns seconds since the clock's zero.
     pub fn seconds(self) -> f64 {
         self.0 as f64 * 1e-9
     }
 
-    /// Seconds with nine digits behind the point, as TUM trajectories have them. Integer arithmetic, so that a late stamp keeps its
-    /// nanoseconds.
+    /// Formats seconds with nine decimals, as in TUM trajectories. Uses integer arithmetic, so that
+    /// large stamps keep their nanoseconds.
     pub fn decimal_seconds(self) -> String {
         let ns = self.0.unsigned_abs();
         format!("{}{}.{:09}", if self.0 < 0 { "-" } else { "" }, ns / 1_000_000_000, ns % 1_000_000_000)
     }
 
-    /// Nanoseconds from an earlier instant to this one; below 0 if that is the later one.
+    /// Returns nanoseconds from an earlier instant to this one; negative if `earlier` is later.
     pub const fn ns_since(self, earlier: Self) -> i64 {
         self.0.saturating_sub(earlier.0)
     }
 
-    /// Seconds from an earlier instant to this one; below 0 if that is the later one.
+    /// Returns seconds from an earlier instant to this one; negative if `earlier` is later.
     pub fn seconds_since(self, earlier: Self) -> f64 {
         self.ns_since(earlier) as f64 * 1e-9
     }
 
-    /// Milliseconds from an earlier instant to this one; below 0 if that is the later one.
+    /// Returns milliseconds from an earlier instant to this one; negative if `earlier` is later.
     pub fn ms_since(self, earlier: Self) -> f64 {
         self.ns_since(earlier) as f64 * 1e-6
     }
 
-    /// Time from an earlier instant to this one; zero if that is the later one.
+    /// Returns the time from an earlier instant to this one; zero if `earlier` is later.
     pub fn duration_since(self, earlier: Self) -> Duration {
         Duration::from_nanos(self.ns_since(earlier).max(0).unsigned_abs())
     }
 
-    /// The instant `ns` nanoseconds later.
+    /// Returns the instant `ns` nanoseconds later.
     pub const fn after_ns(self, ns: i64) -> Self {
         Self(self.0.saturating_add(ns))
     }
 
-    /// The instant that follows after `duration`.
+    /// Returns the instant `duration` later.
     pub fn after(self, duration: Duration) -> Self {
         self.after_ns(i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX))
     }
 
-    /// The instant that precedes by `duration`.
+    /// Returns the instant `duration` earlier.
     pub fn before(self, duration: Duration) -> Self {
         self.after_ns(-i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX))
     }
 
-    /// The instant `seconds` later, to the nearest nanosecond.
+    /// Returns the instant `seconds` later, rounded to the nearest nanosecond.
     pub fn after_s(self, seconds: f64) -> Self {
         self.after_ns((seconds * 1e9).round() as i64)
     }
 }
 
-/// Whole nanoseconds.
+/// Writes whole nanoseconds.
 impl fmt::Display for Timestamp {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0.fmt(f)

@@ -1,5 +1,5 @@
-//! stagepose tells where a stage camera is: it compares every frame with a picture of the stage and
-//! gives the camera's metric 6-DoF pose in the stage frame, with its uncertainty.
+//! stagepose tells where a stage camera is. It compares every frame with a picture of the stage and
+//! returns the camera's metric 6-DoF pose in the stage frame, with its uncertainty.
 //!
 //! ```text
 //!  clip on disk ┐
@@ -9,62 +9,73 @@
 //! ```
 //!
 //! # What is public
-//! The types at the root are what a program needs that builds a [`TrackerSetup`], feeds frames and reads samples; with features come
-//! clips (`capture`), the config and the `Daemon` (`daemon`), calibration files (`calibration-files`), the virtual
-//! stage (`simulate`) and the shutter from a clip (`survey`). The module `protocols` (`protocols`) has the codecs of FreeD, OpenTrackIO and
-//! PosiStageNet. [`two_views`] has features, matching and geometry of two pictures. [`diagnostics`] shows what is inside to studies, benches and tests, without a promise. The crates whose types are in
-//! signatures are re-exported: [`nalgebra`], [`image`], [`crossbeam_channel`], and with `protocols` `serde_json`.
+//! The types at the root are what a program needs to build a [`TrackerSetup`], feed frames and read
+//! samples. Features add clips (`capture`), the config and the `Daemon` (`daemon`), calibration
+//! files (`calibration-files`), the virtual stage (`simulate`) and shutter estimation from a clip
+//! (`survey`). The module `protocols` (`protocols`) has the codecs of FreeD, OpenTrackIO and
+//! PosiStageNet. [`two_views`] has features, matching and geometry of two pictures. [`diagnostics`]
+//! exposes internals to studies, benches and tests, without any stability promise. The crates whose
+//! types appear in signatures are re-exported: [`nalgebra`], [`image`], [`crossbeam_channel`], and
+//! with `protocols` also `serde_json`.
 //!
-//! # The map
-//! Data moves one way, and a room (a private module, a folder or file of `src/`) uses only rooms above it in this list. The core, which is
-//! always there:
+//! # Map of the modules
+//! Data flows one way. A module (a folder or file of `src/`) uses only modules above it in this
+//! list. The core is always compiled:
 //!
-//! - `compute_clock`: how long work kept its thread busy, by a clock that is handed in
-//! - `simd`: kernels compiled for wider registers too
-//! - `geometry`: SE(3), homography, essential matrix, planar pose, resection, robust estimation: pure functions
-//! - `camera`: the camera model with distortion and its exact inverse; calibration files (feature `calibration-files`)
+//! - `compute_clock`: how long work kept its thread busy, by a clock the caller passes in
+//! - `simd`: kernels also compiled for wider registers
+//! - `geometry`: SE(3), homography, essential matrix, planar pose, resection, robust estimation;
+//!   pure functions
+//! - `camera`: the camera model with distortion and its exact inverse; calibration files (feature
+//!   `calibration-files`)
 //! - `frame`: a grey picture with its stamp
 //! - `features`: pyramid, corners, binary descriptors
-//! - `matching`: which feature is which
-//! - `motion`: the one motion model: following, coasting, prediction, resampling
-//! - `track`: surfaces and bodies; acquire, register, verify, align: a frame becomes a sighting
-//! - `pose`: a sighting becomes poses in the stage frame, with covariance, or a prediction
-//! - `record`: [`PoseSample`] and the line it becomes (contract C3)
+//! - `matching`: which features correspond
+//! - `motion`: the motion model: following, coasting, prediction, resampling
+//! - `track`: surfaces and bodies; acquire, register, verify, align: turns a frame into a sighting
+//! - `pose`: turns a sighting into poses in the stage frame, with covariance, or into a prediction
+//! - `record`: [`PoseSample`] and its JSON line (contract C3)
 //! - `tracker`: [`Tracker`]: a frame in, a sample out
 //!
-//! Around it, each with the feature that brings it:
+//! Around it, each with the feature that enables it:
 //!
-//! - `simulate` (`simulate`): the virtual stage with exact truth
-//! - `survey` (`survey`): what a clip of a known stage says of the camera: its shutter
-//! - `printable` (`daemon`): text from outside, as a terminal may show it
-//! - `safe_file`, `contain` (`capture`): reading files and running decoders that strangers have a hand in
+//! - `simulate` (`simulate`): the virtual stage with exact ground truth
+//! - `survey` (`survey`): shutter estimation from a clip of a known stage
+//! - `printable` (`daemon`): escaping of external text for terminals
+//! - `safe_file`, `contain` (`capture`): reading untrusted files and running decoders on them
 //! - `drop_oldest` (`publish`): the bounded channel that drops its oldest entry
 //! - `utc` (`daemon`): dates and times of day
-//! - `html_page` (`capture`): what the reports share: the page and the shapes of its figures
-//! - `capture` (`capture`, V4L2 cameras `live`): `FrameSource`: clips of every form, the virtual camera, cameras
-//! - `calibrate` (`calibrate`): a chessboard's corners, Zhang's method, bundle adjustment, judgement and report
-//! - `targets` (`calibrate`): what to print: the poster and the board, as PDF and SVG
+//! - `html_page` (`capture`): the page and figures shared by the reports
+//! - `capture` (`capture`, V4L2 cameras `live`): `FrameSource`: clips of all formats, the virtual
+//!   camera, cameras
+//! - `calibrate` (`calibrate`): chessboard corners, Zhang's method, bundle adjustment, assessment
+//!   and report
+//! - `targets` (`calibrate`): printable targets: the poster and the board, as PDF and SVG
 //! - `mount` (`calibrate`): where the filming camera sits on the rig, from views of both cameras
-//! - `compare` (`compare`): two pictures: how points of the one lie in the other, and how the camera moved between them
-//! - `diagnose` (`daemon`): why a clip is not followed: what may be wrong is tried, and what fits is named
-//! - `protocols` (`protocols`): FreeD, OpenTrackIO and PosiStageNet, encoded and decoded
-//! - `publish` (`publish`): one file a protocol, one thread an output: FreeD, OpenTrackIO, PosiStageNet, OSC, JSON
-//! - `telemetry` (`daemon`): what a running daemon counts, its health and metrics
-//! - `config` (`daemon`): as typed, then resolved
-//! - `daemon` (`daemon`): the tracker on threads of its own: `Daemon`
+//! - `compare` (`compare`): two pictures: how points of one map to the other, and how the camera
+//!   moved between them
+//! - `diagnose` (`daemon`): why a clip is not tracked: tries likely mistakes and names what fits
+//! - `protocols` (`protocols`): encoding and decoding of FreeD, OpenTrackIO and PosiStageNet
+//! - `publish` (`publish`): one file per protocol, one thread per output: FreeD, OpenTrackIO,
+//!   PosiStageNet, OSC, JSON
+//! - `telemetry` (`daemon`): counters, health and metrics of a running daemon
+//! - `config` (`daemon`): the config as typed, then resolved
+//! - `daemon` (`daemon`): the tracker on its own threads: `Daemon`
 //! - `web` (`daemon`, the server `http`): WebSocket, pose and state over HTTP
-//! - `cli` (`cli`): one file a command
+//! - `cli` (`cli`): one file per command
 //! - [`two_views`]: what relates two pictures, for programs that use the crate as a library
-//! - [`diagnostics`]: a view of all of it
+//! - [`diagnostics`]: a view of all internals
 //!
 //! # Two ways to use it
-//! [`Tracker::track`] takes a frame and gives a sample, in the calling thread. `Daemon` runs capture, matcher and pose on a
-//! thread each, and `Daemon::subscribe` gives every subscriber a channel of its own. `examples/` shows both.
+//! [`Tracker::track`] takes a frame and returns a sample, on the calling thread. `Daemon` runs
+//! capture, matcher and pose on one thread each, and `Daemon::subscribe` gives every subscriber its
+//! own channel. `examples/` shows both.
 //!
-//! Conventions (metres, radians, pixel centres at integers, `T_to_from`) are said where the types are:
-//! [`Stage`], [`Camera`], [`Pixel`].
+//! Conventions (metres, radians, pixel centres at integers, `T_to_from`) are documented with the
+//! types: [`Stage`], [`Camera`], [`Pixel`].
 #![warn(missing_docs)]
-// A build with fewer features leaves unused what the others need; what nothing uses shows in a build of everything.
+// Builds with fewer features leave some code unused. Code that nothing uses still shows up in a
+// full build.
 #![cfg_attr(not(all(feature = "cli", feature = "http", feature = "live")), allow(dead_code, unused_imports))]
 
 // The core.
@@ -128,7 +139,7 @@ mod web;
 pub mod diagnostics;
 pub mod two_views;
 
-// What unit tests and the tests of the program share names the library as both can.
+// Unit tests share modules with the program's tests, which name the library `stagepose`.
 #[cfg(test)]
 extern crate self as stagepose;
 
@@ -163,12 +174,12 @@ pub use simulate::{
 #[cfg(feature = "survey")]
 pub use survey::shutter::{ShutterEstimate, ShutterTime, estimate_shutter};
 
-// Crates whose types are in the signatures above.
+// Crates whose types appear in the signatures above.
 #[cfg(feature = "protocols")]
 pub use serde_json;
 pub use {crossbeam_channel, image, nalgebra};
 
-/// The README's code, which is compiled with the documentation's.
+/// The README's code, compiled with the doctests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

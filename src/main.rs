@@ -1,4 +1,4 @@
-//! Arguments to command to exit code, nothing else.
+//! Runs the command line; its exit code is the command's.
 
 use std::process::ExitCode;
 use std::time::Instant;

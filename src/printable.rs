@@ -1,23 +1,25 @@
-//! Text from outside, as a terminal may show it.
+//! Escapes external text for display in a terminal.
 //!
-//! Names of cameras and files, and whatever a network sends, may hold control characters: a terminal that is given them raw
-//! obeys them. It sets its title, moves its cursor, or shows a line that was never written. Characters that turn the direction of
-//! writing, or that nobody sees, make a name look like another one. All of them are written as JSON escapes them (`\u001b`), so
-//! that a line of JSON stays what it is.
+//! Names of cameras and files, and anything from a network, may hold control characters. A terminal
+//! obeys them: it sets its title, moves its cursor, or shows a line that was never written.
+//! Bidirectional controls and invisible characters make one name look like another. All of these
+//! are written as JSON escapes (`\u001b`), so that a line of JSON keeps its meaning.
 
 use std::borrow::Cow;
 
-/// The text with every character escaped that does not stand for itself, line ends too: it stays on its line.
+/// Escapes every character that is not plainly visible, including line ends, so that the text stays
+/// on one line.
 pub fn printable(text: &str) -> Cow<'_, str> {
     escaped(text, |c| !stands_for_itself(c))
 }
 
-/// The same for a text of several lines, whose own line ends stay.
+/// Like [`printable`], but keeps the line ends of a multi-line text.
 pub fn printable_lines(text: &str) -> Cow<'_, str> {
     escaped(text, |c| c != '\n' && !stands_for_itself(c))
 }
 
-/// False for control characters (C0, DEL, C1), what ends a line or turns the direction of writing, and what is invisible.
+/// Whether a character is shown as itself: false for control characters (C0, DEL, C1), line
+/// separators, bidirectional controls and invisible characters.
 pub fn stands_for_itself(c: char) -> bool {
     !(c.is_control()
         || matches!(c, '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}')
@@ -35,7 +37,7 @@ fn escaped(text: &str, must_be_escaped: impl Fn(char) -> bool) -> Cow<'_, str> {
             '\n' => plain.push_str("\\n"),
             '\r' => plain.push_str("\\r"),
             '\t' => plain.push_str("\\t"),
-            // Beyond 16 bits JSON writes two halves.
+            // JSON writes characters beyond 16 bits as a surrogate pair.
             c => plain.extend(c.encode_utf16(&mut [0; 2]).iter().map(|unit| format!("\\u{unit:04x}"))),
         }
     }

@@ -1,4 +1,4 @@
-//! The pose record: what the tracker says of one frame, and the line that it becomes (contract C3).
+//! The pose record: the tracker's result for one frame, and its JSON line (contract C3).
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 use serde::Serialize;
@@ -19,7 +19,7 @@ pub enum TwoViewModel {
     Essential,
 }
 
-/// The essential matrix as motion: `x_frame ∝ R x_ref + t`.
+/// The essential matrix as a motion: `x_frame ∝ R x_ref + t`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct EssentialMotion {
@@ -27,11 +27,11 @@ pub struct EssentialMotion {
     pub rotation: UnitQuaternion<f64>,
     /// t / |t| in the frame's camera axes.
     pub translation_direction: Vector3<f64>,
-    /// Correspondences that agree with it.
+    /// Number of inlier correspondences.
     pub inliers: usize,
 }
 
-/// What was measured in one frame; only `tracking` has it.
+/// What was measured in one frame; present only in state `tracking`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Measurement {
@@ -39,15 +39,15 @@ pub struct Measurement {
     pub pose: Pose<Stage, Camera>,
     /// Covariance of [δp, δθ] in stage axes, m and rad: p_true = p + δp, R_true = Exp(δθ) R.
     pub covariance: Matrix6<f64>,
-    /// Which model explains the correspondences better.
+    /// The better two-view model.
     pub model: TwoViewModel,
-    /// Reference pixels of the first stage surface to undistorted frame pixels, h33 = 1.
+    /// Maps reference pixels of the first stage surface to undistorted frame pixels, h33 = 1.
     pub homography: Option<Matrix3<f64>>,
     /// Motion from the reference camera.
     pub essential: Option<EssentialMotion>,
-    /// Correspondences used.
+    /// Number of correspondences used.
     pub inliers: usize,
-    /// Their residual in pixels.
+    /// Their RMS residual, pixels.
     pub rms_px: f64,
 }
 
@@ -57,56 +57,58 @@ pub struct Measurement {
 pub struct ObjectSample {
     /// Its name in the config.
     pub name: String,
-    /// What is known of it.
+    /// Its tracking state.
     pub state: State,
     /// `T_stage_object`; present while tracking or coasting.
     pub pose: Option<Pose<Stage, Body>>,
-    /// As the camera's, of the object's pose; present while tracking.
+    /// Covariance of the object's pose, as in [`Measurement::covariance`]; present while tracking.
     pub covariance: Option<Matrix6<f64>>,
 }
 
 impl ObjectSample {
-    /// An object without a pose.
+    /// Creates a sample without a pose.
     pub fn new(name: impl Into<String>, state: State) -> Self {
         Self { name: name.into(), state, pose: None, covariance: None }
     }
 }
 
-/// Compute spent on a frame, milliseconds; never part of the record.
+/// Compute time spent on a frame, milliseconds; never part of the record.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct StageTimes {
     /// Decoding the picture.
     pub decode_ms: f64,
-    /// Finding the bodies from scratch.
+    /// Acquiring bodies from scratch.
     pub acquire_ms: f64,
-    /// Aligning with the reference pictures, verification included.
+    /// Aligning with the reference pictures, including verification.
     pub align_ms: f64,
     /// States, prediction, record.
     pub pose_ms: f64,
-    /// Live only: how old the frame was when tracking it began; of a stale sample, the age of the last frame there was.
+    /// Live only: the frame's age when tracking began. In a stale sample, the age of the last
+    /// frame.
     pub age_ms: Option<f64>,
 }
 
-/// The tracker's answer for one row of a clip or one frame of a camera.
+/// The tracker's result for one row of a clip or one frame of a camera.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct PoseSample {
     /// Row number from 0.
     pub sequence: u64,
-    /// Mid-exposure of the middle row.
+    /// Mid-exposure time of the middle row.
     pub timestamp: Timestamp,
-    /// What is known of the camera.
+    /// The camera's tracking state.
     pub state: State,
-    /// `T_stage_camera` for use: filtered, or predicted while coasting.
+    /// `T_stage_camera` to use: filtered, or predicted while coasting.
     pub pose: Option<Pose<Stage, Camera>>,
-    /// What this frame measured; present while tracking.
+    /// This frame's measurement; present while tracking.
     pub measurement: Option<Measurement>,
-    /// The tracked objects, in the order of the config.
+    /// The tracked objects, in config order.
     pub objects: Vec<ObjectSample>,
-    /// Why the camera is not tracked in this frame; not written. `None` while it is, and in a stale message.
+    /// Why the camera is not tracked in this frame; not written. `None` while tracking and in stale
+    /// samples.
     pub reason: Option<Reason>,
-    /// What was known of the camera before this frame, by its pictures; not written.
+    /// What the tracker had learnt about the camera before this frame; not written.
     pub learnt: LearntCamera,
     /// Compute times; not written.
     pub times: StageTimes,
@@ -189,7 +191,7 @@ impl Serialize for PoseSample {
 }
 
 impl PoseSample {
-    /// A sample without a pose.
+    /// Creates a sample without a pose.
     pub fn new(sequence: u64, timestamp: Timestamp, state: State) -> Self {
         let times = StageTimes::default();
         Self {
@@ -205,19 +207,21 @@ impl PoseSample {
         }
     }
 
-    /// The message that the camera has given no picture for `age_ms` since its last one, which had this number and stamp.
+    /// Creates the sample that says that the camera has delivered no picture for `age_ms` since its
+    /// last one, which had this number and stamp.
     pub fn stale(sequence: u64, timestamp: Timestamp, age_ms: f64) -> Self {
         let times = StageTimes { age_ms: Some(age_ms), ..StageTimes::default() };
         Self { times, ..Self::new(sequence, timestamp, State::Stale) }
     }
 
-    /// The record as one line of JSON, without the line end.
+    /// Returns the record as one line of JSON, without the line end.
     pub fn to_json_line(&self) -> String {
-        // Serialising to a string fails only for non-string map keys, of which there are none.
+        // Serialising to a string fails only for non-string map keys, and there are none.
         serde_json::to_string(self).expect("a pose record has only string keys")
     }
 
-    /// The line of a TUM trajectory (seconds, position, quaternion), for `tracking` frames only.
+    /// Returns the line of a TUM trajectory (seconds, position, quaternion); only for `tracking`
+    /// frames.
     pub fn to_tum_line(&self) -> Option<String> {
         let pose = self.pose.filter(|_| self.state == State::Tracking)?;
         let (p, q) = (pose.translation, pose.orientation_xyzw());

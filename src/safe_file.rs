@@ -1,7 +1,7 @@
-//! Opening files that others name, without ever waiting for them.
+//! Opens files that others name, without ever blocking on them.
 //!
-//! A named pipe that nobody writes to holds up whoever opens it, a device may have no end, and a large file may not fit
-//! into memory. So the kind of a file is looked at before a byte of it is read or written.
+//! Opening a named pipe that nobody writes to blocks, a device may be endless, and a large file may
+//! not fit into memory. So the file's type is checked before any byte is read or written.
 
 use std::fs::{File, FileType, OpenOptions};
 use std::io::{self, Read, Write as _};
@@ -16,17 +16,18 @@ use nix::libc;
 use nix::sys::stat::{Mode, SFlag, fstatat};
 use nix::unistd::{AccessFlags, access};
 
-/// Opens a plain file for reading; never waits.
+/// Opens a regular file for reading; never blocks.
 ///
 /// # Errors
-/// What the system says, or that the path names something else than a plain file.
+/// I/O errors, or the path is not a regular file.
 pub fn open(path: &Path) -> io::Result<File> {
     looked_at(path, OpenOptions::new().read(true), refuse_others)
 }
 
-/// Opens without waiting what `refuse` lets pass.
+/// Opens a file without blocking unless `refuse` rejects its type.
 fn looked_at(path: &Path, options: &mut OpenOptions, refuse: impl Fn(FileType) -> io::Result<()>) -> io::Result<File> {
-    // Looked at twice: opening some devices does something, and what the path names may change in between.
+    // Checked twice: opening some devices has side effects, and the path may change between check
+    // and opening.
     if let Ok(there) = std::fs::metadata(path) {
         refuse(there.file_type())?;
     }
@@ -35,18 +36,19 @@ fn looked_at(path: &Path, options: &mut OpenOptions, refuse: impl Fn(FileType) -
     Ok(file)
 }
 
-/// Reads a plain file of at most `most_bytes`.
+/// Reads a regular file of at most `most_bytes`.
 ///
 /// # Errors
-/// As [`open`], or that the file is larger.
+/// As [`open`], or the file is larger.
 pub fn read(path: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
     whole(open(path)?, most_bytes)
 }
 
-/// As [`open`], for a name below a folder: no link below the folder is followed, so nothing outside of it is opened.
+/// Like [`open`], for a name below a folder. Follows no link below the folder, so it never opens
+/// anything outside.
 ///
 /// # Errors
-/// As [`open`], or that the name is or leads through a link, or leads out of the folder.
+/// As [`open`], or the name is or passes through a link, or leaves the folder.
 pub fn open_below(folder: &Path, name: &Path) -> io::Result<File> {
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let mut at: OwnedFd = OpenOptions::new().read(true).custom_flags(libc::O_PATH | libc::O_DIRECTORY).open(folder)?.into();
@@ -60,7 +62,7 @@ pub fn open_below(folder: &Path, name: &Path) -> io::Result<File> {
         let flags = if parts.peek().is_some() {
             OFlag::O_PATH | OFlag::O_DIRECTORY
         } else {
-            // Looked at before: opening some devices does something.
+            // Checked first: opening some devices has side effects.
             let mode = fstatat(&at, part, AtFlags::AT_SYMLINK_NOFOLLOW).map_err(linked)?.st_mode;
             let kind = match SFlag::from_bits_truncate(mode & SFlag::S_IFMT.bits()) {
                 SFlag::S_IFREG => None,
@@ -81,15 +83,15 @@ pub fn open_below(folder: &Path, name: &Path) -> io::Result<File> {
     Ok(file)
 }
 
-/// As [`read`], for a name below a folder; see [`open_below`].
+/// Like [`read`], for a name below a folder; see [`open_below`].
 ///
 /// # Errors
-/// As [`open_below`], or that the file is larger.
+/// As [`open_below`], or the file is larger.
 pub fn read_below(folder: &Path, name: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
     whole(open_below(folder, name)?, most_bytes)
 }
 
-/// All of a file of at most `most_bytes`.
+/// Reads all of a file of at most `most_bytes`.
 fn whole(file: File, most_bytes: u64) -> io::Result<Vec<u8>> {
     let too_large = || io::Error::other(format!("it has more than {} MB", most_bytes >> 20));
     let length = file.metadata()?.len();
@@ -98,41 +100,43 @@ fn whole(file: File, most_bytes: u64) -> io::Result<Vec<u8>> {
     }
     let mut bytes = Vec::with_capacity(usize::try_from(length).unwrap_or(0));
     file.take(most_bytes + 1).read_to_end(&mut bytes)?;
-    // A file may grow while it is read, and some of /proc's have no length at all.
+    // A file may grow while it is read, and files in /proc report length 0.
     if bytes.len() as u64 > most_bytes { Err(too_large()) } else { Ok(bytes) }
 }
 
-/// Makes a plain file for writing, empties the one that is there; never waits for the reader of a named pipe.
+/// Creates or truncates a regular file for writing; never blocks on a named pipe.
 ///
 /// # Errors
-/// What the system says, or that the path names something else than a plain file.
+/// I/O errors, or the path is not a regular file.
 pub fn replace(path: &Path) -> io::Result<File> {
     looked_at(path, OpenOptions::new().write(true).create(true).truncate(true), refuse_others)
 }
 
-/// Files that were begun beside their places so far.
+/// Number of temporary files created so far; makes their names unique.
 static WRITTEN: AtomicU64 = AtomicU64::new(0);
 
-/// Writes a whole file, or none: beside its place, from where it is moved there. Who reads the old one goes on reading it; a full disk and a
-/// killed process leave it as it was.
+/// Writes a whole file or nothing: writes a temporary file next to it and renames it. Readers of
+/// the old file keep reading it. A full disk or a killed process leaves the old file intact.
 ///
 /// # Errors
-/// What the system says.
+/// I/O errors.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     write_beside(path, bytes, false)
 }
 
-/// The same, and waits until it is on the disk: a power cut leaves the old file or the new one.
+/// Like [`write_whole`], but syncs to disk first: after a power cut, the file is the old one or the
+/// new one.
 ///
 /// # Errors
-/// What the system says.
+/// I/O errors.
 pub fn write_lasting(path: &Path, bytes: &[u8]) -> io::Result<()> {
     write_beside(path, bytes, true)
 }
 
 fn write_beside(path: &Path, bytes: &[u8], lasting: bool) -> io::Result<()> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    // Several threads may write one file at the same time: the last one counts, and none gets another's bytes.
+    // Several threads may write the same file at once: the last one wins, and their bytes do not
+    // mix.
     let number = WRITTEN.fetch_add(1, Ordering::Relaxed);
     let beside = path.with_file_name(format!(".{name}.{}.{number}", std::process::id()));
     let write = |mut file: File| file.write_all(bytes).and_then(|()| if lasting { file.sync_all() } else { Ok(()) });
@@ -143,13 +147,15 @@ fn write_beside(path: &Path, bytes: &[u8], lasting: bool) -> io::Result<()> {
     written
 }
 
-/// Opens or makes a file for output; what is in it stays. Devices such as /dev/null and named pipes with a reader will do.
-/// The file does not wait: where a pipe is full, writing fails with `WouldBlock`.
+/// Opens or creates a file for output, keeping its content. Devices such as /dev/null and named
+/// pipes with a reader are allowed. The file is non-blocking: when a pipe is full, writing fails
+/// with `WouldBlock`.
 ///
 /// # Errors
-/// What the system says, that nobody reads a named pipe, or that no output belongs there: folders, disks, sockets.
+/// I/O errors, a named pipe without a reader, or a type that no output belongs in: folders, disks,
+/// sockets.
 pub fn open_output(path: &Path) -> io::Result<File> {
-    // A disk is a file too, and what is on it is worth more than any output.
+    // A disk is a file too, and its content is worth more than any output.
     let refuse_wrong = |found: FileType| {
         let is_wrong = found.is_block_device() || found.is_socket() || found.is_dir();
         if is_wrong { Err(io::Error::other(format!("it is {}", kind(found)))) } else { Ok(()) }
@@ -161,10 +167,10 @@ pub fn open_output(path: &Path) -> io::Result<File> {
     })
 }
 
-/// Whether a file may be written, or made where it is not there yet; nothing is opened or made.
+/// Checks whether a file can be written, or created if missing; opens and creates nothing.
 ///
 /// # Errors
-/// What the system says of the file, or of the folder that it would be made in.
+/// I/O errors of the file, or of the folder it would be created in.
 pub fn may_write(path: &Path) -> io::Result<()> {
     let is_there = path.symlink_metadata().is_ok();
     if is_there {
@@ -178,12 +184,13 @@ pub fn may_write(path: &Path) -> io::Result<()> {
     access(folder, AccessFlags::W_OK | AccessFlags::X_OK).map_err(|e| in_folder(e.into()))
 }
 
-/// The first of these names that a folder holds already: whoever writes them all would write over it. Links that lead nowhere count.
+/// Returns the first of these names that already exists in the folder and so would be overwritten.
+/// Dangling links count.
 pub fn first_taken<N: AsRef<Path>>(folder: &Path, names: impl IntoIterator<Item = N>) -> Option<PathBuf> {
     names.into_iter().map(|name| folder.join(name)).find(|path| path.symlink_metadata().is_ok())
 }
 
-/// What a path names, in words, where it is no plain file.
+/// Describes, in words, a file type that is not a regular file.
 pub fn kind(of: FileType) -> &'static str {
     if of.is_dir() {
         "a folder"
@@ -211,9 +218,9 @@ mod tests {
         write_whole(&file, b"first").unwrap();
         std::fs::hard_link(&file, &old).unwrap();
         write_whole(&file, b"second, and longer").unwrap();
-        // The old file itself was never touched.
+        // The old file itself was not touched.
         assert_eq!((std::fs::read(&old).unwrap(), std::fs::read(&file).unwrap()), (b"first".to_vec(), b"second, and longer".to_vec()));
-        // Where it cannot be moved there, nothing is left beside it.
+        // If the rename fails, no temporary file remains.
         std::fs::create_dir(folder.path().join("taken")).unwrap();
         assert!(write_whole(&folder.path().join("taken"), b"x").is_err());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3);
@@ -246,7 +253,7 @@ mod tests {
         for name in ["link", "out/secret", "inner", "../secret", "frames", "none", "/etc/passwd", ""] {
             assert!(read_below(&at("clip"), Path::new(name), 100).is_err(), "{name}");
         }
-        // The folder itself may be reached by a link: whoever runs the program chose it.
+        // The folder itself may be reached through a link: whoever runs the program chose it.
         std::os::unix::fs::symlink(at("clip"), at("recordings")).unwrap();
         assert_eq!(read_below(&at("recordings"), Path::new("a"), 100).unwrap(), b"a");
     }

@@ -1,7 +1,9 @@
-//! Kernels compiled twice: for the registers that every processor has, and for wider ones, taken where the processor says it has them.
+//! Compiles kernels twice: for the baseline registers, and for wider ones that are used if the
+//! processor has them.
 
-/// Defines a function whose calls go to `$wide`, compiled for the named features of x86-64, where the processor has them all, and to `$plain`
-/// elsewhere. Both must be `#[inline(always)]` to be compiled into the one or the other.
+/// Defines a function that calls `$wide`, compiled for the named x86-64 features, if the processor
+/// has them all, and `$plain` otherwise. Both must be `#[inline(always)]` so that they are compiled
+/// into the respective variant.
 macro_rules! multiversion {
     ($(#[$doc:meta])* $vis:vis fn $name:ident($($arg:ident: $ty:ty),*) $(-> $ret:ty)?; [$($feature:tt)+] => $wide:expr, else $plain:expr) => {
         $(#[$doc])*

@@ -1,4 +1,4 @@
-//! The tracker without threads: matcher and pose stage, one call a frame.
+//! The tracker without threads: matcher and pose stage, one call per frame.
 
 use std::sync::Arc;
 
@@ -13,35 +13,35 @@ use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
 use crate::track::{BodySpec, LearntCamera, Matcher, Sighting, SurfaceError, TrackerSettings, UsedPixels, ViewStore};
 
-/// Everything a tracker is made from.
+/// Everything needed to build a tracker.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct TrackerSetup {
     /// The camera, at the size of the frames to come.
     pub camera: CameraModel,
-    /// What is known of its shutter; the rest is learnt.
+    /// What is known of its shutter; the rest is estimated while tracking.
     pub shutter: KnownShutter,
-    /// Pixels to leave out (0); the frames' size.
+    /// Mask with 0 at pixels to ignore; as large as the frames.
     pub mask: Option<GrayImage>,
     /// The stage.
     pub stage: BodySpec,
     /// Tracked objects.
     pub objects: Vec<BodySpec>,
-    /// Tunables.
+    /// Tuning parameters.
     pub settings: TrackerSettings,
-    /// What the times of a sample are measured with; the default stands still.
+    /// The clock that measures a sample's compute times; the default never advances.
     pub clock: ComputeClock,
-    /// What an earlier session learnt of this camera in this mode; the default knows nothing.
+    /// What an earlier session learnt about this camera in this mode; empty by default.
     pub learnt: LearntCamera,
-    /// Where what is computed of the pictures at the start is kept for the next one; the default keeps nothing.
+    /// Cache for data computed from the reference pictures at start-up; none by default.
     pub store: Option<Arc<dyn ViewStore>>,
 }
 
-/// Why no tracker can be made of a setup.
+/// Why a setup cannot become a tracker.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum SetupError {
-    /// The mask is not of the camera's size.
+    /// The mask's size is not the camera's.
     #[error("the mask is {}x{} pixels, the camera's frames {}x{}; scale the mask to the frames", size.0, size.1, wanted.0, wanted.1)]
     MaskSize {
         /// Width and height of the mask, pixels.
@@ -49,18 +49,18 @@ pub enum SetupError {
         /// Width and height of the camera, pixels.
         wanted: (u32, u32),
     },
-    /// A time of the shutter that no camera has.
+    /// An impossible shutter time.
     #[error("{name} is {seconds} s; give a number{}", if *name == "exposure_s" { " of 0 or more" } else { "" })]
     Shutter {
-        /// Which.
+        /// Name of the setting.
         name: &'static str,
-        /// As given.
+        /// The value, as configured.
         seconds: f64,
     },
-    /// Nothing to be seen of a body.
+    /// A body without surfaces.
     #[error("the body `{body}` has no surface; give it one, or leave it out")]
     NoSurface {
-        /// Its name.
+        /// Name of the body.
         body: String,
     },
     /// A surface without a picture or a size.
@@ -70,13 +70,14 @@ pub enum SetupError {
         body: String,
         /// Name of the surface.
         surface: String,
-        /// What is wrong with it.
+        /// What is wrong with the surface.
         problem: SurfaceError,
     },
 }
 
 impl TrackerSetup {
-    /// A camera that looks at a stage. No mask, no objects, an unknown shutter and default settings; change the fields to say more.
+    /// A camera that looks at a stage. No mask, no objects, an unknown shutter and default
+    /// settings; set the fields to change that.
     pub fn new(camera: CameraModel, stage: BodySpec) -> Self {
         Self {
             camera,
@@ -91,7 +92,7 @@ impl TrackerSetup {
         }
     }
 
-    /// The same for frames that are only tried: what they say of the lens is not logged.
+    /// Marks the setup as a trial: lens findings from its frames are not logged.
     pub fn as_trial(mut self) -> Self {
         self.settings.is_trial = true;
         self
@@ -122,7 +123,7 @@ impl TrackerSetup {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum FrameError {
-    /// It is not of the camera's size.
+    /// Its size is not the camera's.
     #[error("the frame is {}x{} pixels, but the camera is calibrated for {}x{}; scale the calibration to the frames", size.0, size.1, wanted.0, wanted.1)]
     Size {
         /// Width and height of the frame, pixels.
@@ -130,17 +131,17 @@ pub enum FrameError {
         /// Width and height of the camera, pixels.
         wanted: (u32, u32),
     },
-    /// Its stamp does not follow that of the frame before.
+    /// Its stamp is not later than the previous frame's.
     #[error("the frame's time stamp {timestamp} does not follow {last}; give frames in the order they were taken")]
     Stamp {
-        /// Of the frame.
+        /// Stamp of the frame.
         timestamp: Timestamp,
-        /// Of the frame before.
+        /// Stamp of the previous frame.
         last: Timestamp,
     },
 }
 
-/// Tracks frame by frame in the calling thread (plus its workers inside a frame).
+/// Tracks frame by frame on the calling thread (plus worker threads within a frame).
 ///
 /// ```no_run
 /// # fn example(setup: stagepose::TrackerSetup, frames: Vec<stagepose::Frame>) -> Result<(), Box<dyn std::error::Error>> {
@@ -159,7 +160,7 @@ pub struct Tracker {
     last: Option<Timestamp>,
 }
 
-/// The pose stage with the names that records carry.
+/// The pose stage, with the object names for the records.
 pub(crate) struct PoseRecorder {
     stage: PoseStage,
     names: Vec<String>,
@@ -167,10 +168,11 @@ pub(crate) struct PoseRecorder {
 }
 
 impl Tracker {
-    /// Prepares the reference pictures; takes a fraction of a second per surface, less where the setup's store has seen it before.
+    /// Prepares the reference pictures. Takes a fraction of a second per surface, less if the
+    /// setup's store has them cached.
     ///
     /// # Errors
-    /// When parts of the setup do not fit together.
+    /// When parts of the setup contradict each other.
     pub fn new(setup: TrackerSetup) -> Result<Self, SetupError> {
         setup.checked()?;
         let names = setup.objects.iter().map(|o| o.name.clone()).collect();
@@ -180,23 +182,25 @@ impl Tracker {
         Ok(Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names, clock: setup.clock }, last: None })
     }
 
-    /// With a filter between the measured pose and the one for use; from the next frame on.
+    /// Adds a filter between the measured pose and the reported one, from the next frame on.
     pub fn with_filter(mut self, filter: FilterSettings) -> Self {
         self.poses.stage = PoseStage::with_filter(filter);
         self
     }
 
-    /// What is known of the camera by its pictures, now.
+    /// Returns what has been learnt about the camera so far.
     pub fn learnt(&self) -> LearntCamera {
         self.matcher.learnt()
     }
 
-    /// The pixels that poses rest on, frame by frame from now on; each frame's are there before its sample.
+    /// Reports the pixels that poses are based on, frame by frame from now on; each frame's arrive
+    /// before its sample.
     pub fn watch_pixels(&mut self) -> Receiver<UsedPixels> {
         self.matcher.watch_pixels()
     }
 
-    /// The same for the frames that come while `wanted` is true; the others cost nothing.
+    /// Like [`watch_pixels`](Self::watch_pixels), only for frames that arrive while `wanted` is
+    /// true; other frames cost nothing.
     #[cfg(feature = "daemon")]
     pub(crate) fn watch_pixels_while(&mut self, wanted: std::sync::Arc<std::sync::atomic::AtomicBool>) -> Receiver<UsedPixels> {
         self.matcher.watch_pixels_while(wanted)
@@ -205,7 +209,8 @@ impl Tracker {
     /// Tracks one frame.
     ///
     /// # Errors
-    /// When the frame's size is not the camera's, or its stamp is not after the last one's. The frame then counts as never seen.
+    /// When the frame's size is not the camera's, or its stamp is not later than the last one. Such
+    /// a frame is ignored.
     pub fn track(&mut self, frame: &Frame) -> Result<PoseSample, FrameError> {
         let (size, wanted) = (frame.image.dimensions(), (self.matcher.camera().width(), self.matcher.camera().height()));
         if size != wanted {
@@ -221,7 +226,7 @@ impl Tracker {
 }
 
 impl PoseRecorder {
-    /// The sample of a sighting.
+    /// Turns a sighting into a sample.
     pub(crate) fn sample(&mut self, sighting: &Sighting, decode_ms: f64) -> PoseSample {
         let _span = tracing::debug_span!("pose", sequence = sighting.sequence).entered();
         let start = self.clock.start();

@@ -1,13 +1,17 @@
-//! Two pictures of one thing, as a library: features, their matching, the solvers of two views, and with the feature `compare` all of it in one call,
-//! `compare`, which is what `stagepose compare` runs.
+//! Two-view vision as a library: features, matching, two-view solvers, and with the feature
+//! `compare` all of it in one call, `compare`, which `stagepose compare` runs.
 //!
-//! Data moves one way: a grey picture becomes [`features::Features`]; two of them become matches; the places of the matches, as
-//! [`geometry::PointPair`] in pixels or [`geometry::RayPair`] of calibrated cameras, become a homography, a fundamental or an essential matrix;
-//! and those become the camera's move. Each step stands alone. The random ones take a seed and give the same for the same.
+//! Data flows one way. A grey picture becomes [`features::Features`]; two of them become matches.
+//! The matched positions, as [`geometry::PointPair`] in pixels or [`geometry::RayPair`] of
+//! calibrated cameras, become a homography, a fundamental or an essential matrix, and these become
+//! the camera's motion. Each step can be used alone. The randomised steps take a seed and are
+//! reproducible.
 
-/// Relations of two views: one solver a function, each with its source. docs/solvers.md compares them.
+/// Two-view relations: one solver per function, each with its source. docs/solvers.md compares
+/// them.
 ///
-/// H maps points of the first picture to the second, `x2 ∝ H x1`; F and E bind them, `x2ᵀ F x1 = 0`; a motion is `x2 ∝ R x1 + t`.
+/// H maps points of the first picture to the second, `x2 ∝ H x1`. F and E constrain them,
+/// `x2ᵀ F x1 = 0`. A motion is `x2 ∝ R x1 + t`.
 pub mod geometry {
     pub use crate::geometry::correspondence::Correspondence;
     pub use crate::geometry::distances::{
@@ -36,9 +40,10 @@ pub mod geometry {
     pub use crate::geometry::{Homography, PointPair};
 }
 
-/// Detectors and descriptors: every one goes with every other.
+/// Detectors and descriptors; any can be combined with any other.
 ///
-/// [`extract`](features::extract) chooses them by name; the detectors' and describers' own types have all their options.
+/// [`extract`](features::extract) selects them by name. The detectors' and describers' own types
+/// expose all their options.
 pub mod features {
     pub use crate::features::descriptors::{
         Basis, BinaryComparisons, Describer, GlohDescriber, PatchDescriber, SiftDescriber, StructureTensorDescriber, SurfDescriber,
@@ -53,7 +58,7 @@ pub mod features {
     };
 }
 
-/// Which feature of the first picture is which of the second.
+/// Matching features of the first picture with those of the second.
 pub mod matching {
     pub use crate::matching::{ExactMatch, ExactOptions, match_exactly, match_watched};
 }

@@ -1,26 +1,26 @@
-//! Dates and times of day, UTC: the proleptic Gregorian calendar from seconds since 1970 (Howard Hinnant's
-//! `civil_from_days`: years begin in March, leap days end them).
+//! UTC dates and times of day: the proleptic Gregorian calendar from seconds since 1970 (Howard
+//! Hinnant's `civil_from_days`: years start in March, so leap days come last).
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// Whole seconds since 1970 by the system's clock; 0 where it stands before.
+/// Returns whole seconds since 1970 by the system clock; 0 if it is set before that.
 pub fn now_s() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())
 }
 
-/// "2026-11-21".
+/// Formats a date as "2026-11-21".
 pub fn date(seconds: u64) -> String {
     let (year, month, day) = civil(seconds / 86_400);
     format!("{year:04}-{month:02}-{day:02}")
 }
 
-/// "2026-11-21T07:45:00Z".
+/// Formats date and time as "2026-11-21T07:45:00Z".
 pub fn date_and_time(seconds: u64) -> String {
     let of_day = seconds % 86_400;
     format!("{}T{:02}:{:02}:{:02}Z", date(seconds), of_day / 3600, of_day / 60 % 60, of_day % 60)
 }
 
-/// Year, month and day of a day counted from 1970-01-01.
+/// Converts days since 1970-01-01 to year, month and day.
 fn civil(days: u64) -> (u64, u64, u64) {
     let shifted = days + 719_468;
     let (era, day_of_era) = (shifted / 146_097, shifted % 146_097);

@@ -1,9 +1,11 @@
-//! How far the numbers of a lens may be off.
+//! Uncertainty of the lens parameters.
 //!
-//! A calibration file tells the uncertainty of each number by itself, a guessed lens one of its focal length and centre.
-//! Neither tells how the errors hang together, so each number's error counts alone; only of the two focal lengths it is known that they mostly err together (pixels are square).
+//! A calibration file states the uncertainty of each parameter separately; a guessed lens has one
+//! for its focal length and centre. Neither states correlations, so errors count as independent.
+//! The exception is the two focal lengths: they mostly err together (square pixels).
 
-/// 3 sigma of the numbers of [`Intrinsics`](super::Intrinsics), in the same units; 0 for a number that was held fixed.
+/// 3 sigma of the parameters of [`Intrinsics`](super::Intrinsics), in the same units; 0 for a
+/// parameter that was held fixed.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct IntrinsicsUncertainty {
     /// Of fx and fy.
@@ -16,27 +18,28 @@ pub struct IntrinsicsUncertainty {
     pub distortion: [f64; 5],
 }
 
-/// How far the numbers of a lens may be off.
+/// Uncertainty of the lens parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct LensDoubt {
-    /// 3 sigma of each number.
+    /// 3 sigma of each parameter.
     pub uncertainty: IntrinsicsUncertainty,
-    /// True where fx and fy are known to be equal, so that they can only err together.
+    /// Whether fx and fy are known to be equal, so that they can only err together.
     pub has_square_pixels: bool,
 }
 
-/// Ways in which a lens may be off: both focal lengths together, one against the other, and the eight other numbers.
+/// Number of independent lens error modes: both focal lengths together, their difference, and the
+/// eight other parameters.
 pub const LENS_WAYS: usize = 10;
 
 impl LensDoubt {
-    /// Of a calibration that tells its uncertainty; none where it claims to have none.
+    /// Takes the uncertainty a calibration states; `None` if it states none or only zeros.
     pub fn of_calibration(uncertainty: Option<IntrinsicsUncertainty>) -> Option<Self> {
         let doubt = uncertainty.map(|uncertainty| Self { uncertainty, has_square_pixels: false });
         doubt.filter(|doubt| doubt.uncertainty != IntrinsicsUncertainty::default())
     }
 
-    /// The doubt about the same lens at another picture size.
+    /// Scales the doubt to another picture size.
     pub(super) fn scaled(self, sx: f64, sy: f64) -> Self {
         let u = self.uncertainty;
         let scaled = |[x, y]: [f64; 2]| [x * sx, y * sy];

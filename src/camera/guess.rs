@@ -1,6 +1,7 @@
-//! A lens that nobody has calibrated: from its field of view, or from the focal length that phones tell.
+//! A lens without calibration: from its field of view, or from the film-equivalent focal length
+//! that phones state.
 //!
-//! Good enough for a first look, and no more: its doubt goes into every covariance.
+//! Good enough for a first try only: its uncertainty enters every covariance.
 
 use super::doubt::{IntrinsicsUncertainty, LensDoubt};
 use super::model::{CameraError, CameraModel};
@@ -9,28 +10,32 @@ use super::model::{CameraError, CameraModel};
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum LensGuess {
-    /// The angle across the picture's width, degrees.
+    /// The horizontal field of view, degrees.
     FieldOfView(f64),
-    /// The focal length in millimetres that has the same angle across the diagonal of 36 x 24 mm film.
+    /// The 35 mm film equivalent focal length, millimetres: the same angle across the diagonal of
+    /// 36 x 24 mm film.
     FilmFocalLength(f64),
 }
 
-/// One sigma of a focal length that follows from a field of view: makers round it, and some mean the diagonal of another format.
-/// Chosen, not measured. Raised, covariances of a guessed lens grow; lowered, they promise more than is known.
+/// One sigma of a focal length derived from a field of view, as a fraction: makers round it, and
+/// some mean the diagonal or another format. Chosen, not measured. Raised, covariances of a guessed
+/// lens grow; lowered, they are overconfident.
 const FIELD_OF_VIEW_SHARE: f64 = 0.03;
-/// The same of one that follows from a phone's, and more: films are cropped from its pictures, and steadied ones once more.
+/// The same for a phone's film equivalent; larger, because video is cropped from its pictures, and
+/// stabilised video once more.
 const FILM_SHARE: f64 = 0.05;
-/// One sigma of the principal point, as a share of the picture's width: what webcams and phones
-/// are found off by. Raised, covariances of a guessed lens grow.
+/// One sigma of the principal point, as a fraction of the picture's width: typical of webcams and
+/// phones. Raised, covariances of a guessed lens grow.
 const CENTRE_SHARE: f64 = 0.02;
-/// One sigma of k1, k2, p1 and p2: what webcams are found to have, as nothing is known of this one. A number that is left out would
-/// count as known to be 0, and the pose would seem too sure. Raised, covariances of a guessed lens grow.
+/// One sigma of k1, k2, p1 and p2: typical values of webcams, since nothing is known of this one. A
+/// parameter left out would count as known to be 0, and the pose would be overconfident. Raised,
+/// covariances of a guessed lens grow.
 const DISTORTION: [f64; 4] = [0.1, 0.1, 0.003, 0.003];
 /// Half the diagonal of 36 x 24 mm film, millimetres: sqrt(18² + 12²).
 const FILM_HALF_DIAGONAL_MM: f64 = 21.633_307_652_783_937;
 
 impl LensGuess {
-    /// The focal length in pixels of pictures of a size.
+    /// Returns the focal length in pixels for a picture size.
     pub fn focal_px(self, width: u32, height: u32) -> f64 {
         let (width, height) = (f64::from(width), f64::from(height));
         match self {
@@ -39,7 +44,8 @@ impl LensGuess {
         }
     }
 
-    /// One sigma of the focal length, as a share of it: so uncertain are all distances.
+    /// Returns one sigma of the focal length, as a fraction of it. All distances are uncertain by
+    /// the same fraction.
     pub fn focal_share(self) -> f64 {
         match self {
             Self::FieldOfView(_) => FIELD_OF_VIEW_SHARE,
@@ -47,7 +53,8 @@ impl LensGuess {
         }
     }
 
-    /// The camera of pictures of a size: square pixels, the centre in the middle, no distortion, and the doubt about all that.
+    /// Builds the camera for a picture size: square pixels, centred principal point, no distortion,
+    /// and the matching doubt.
     ///
     /// # Errors
     /// As [`CameraModel::new`].
@@ -78,7 +85,7 @@ mod tests {
 
     #[test]
     fn a_phones_26_mm_is_what_its_pictures_show() {
-        // 79.5 degrees across the diagonal, as makers tell it.
+        // 79.5 degrees across the diagonal, as makers state it.
         let camera = LensGuess::FilmFocalLength(26.0).camera(4032, 3024).unwrap();
         let f = camera.intrinsics().fx;
         let diagonal = 2.0 * (0.5 * f64::from(4032).hypot(3024.0) / f).atan().to_degrees();

@@ -1,4 +1,4 @@
-//! The camera: how a ray becomes a pixel and back, and the files that calibrations come in.
+//! The camera: projection of rays to pixels and back, and calibration files.
 
 mod doubt;
 #[cfg(feature = "calibration-files")]

@@ -1,17 +1,18 @@
-//! Brown's distortion with skew, exactly as the source thesis writes it (equations 5 to 10), and its
-//! exact inverse.
+//! Brown's distortion with skew, exactly as in the source thesis (equations 5 to 10), and its exact
+//! inverse.
 //!
 //! A point in the camera frame is divided by its depth (eq. 5), bent by the radial and tangential
 //! terms (eq. 6, 7), and scaled, sheared and shifted into pixels (eq. 8-10). The radial polynomial
-//! folds back on itself beyond some radius; [`CameraModel`] finds that radius once and refuses to
-//! undistort anything that lies outside of it, instead of returning a ray that does not exist.
+//! folds back on itself beyond some radius. [`CameraModel`] computes that radius once and refuses
+//! to undistort anything outside it, rather than return a ray that does not exist.
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2};
 use thiserror::Error;
 
 use super::doubt::LensDoubt;
 
-/// A raw pixel position: distorted, pixel centres at integers, origin the centre of the top-left pixel.
+/// A raw pixel position: distorted, pixel centres at integers, origin at the centre of the top-left
+/// pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pixel(pub Vector2<f64>);
 
@@ -19,7 +20,7 @@ pub struct Pixel(pub Vector2<f64>);
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Normalized(pub Vector2<f64>);
 
-/// The numbers of a calibration, as a file holds them.
+/// The parameters of a calibration, as a file holds them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Intrinsics {
     /// Picture width in pixels.
@@ -40,16 +41,16 @@ pub struct Intrinsics {
     pub distortion: [f64; 5],
 }
 
-/// Why a set of intrinsics is no camera.
+/// Why a set of intrinsics is not a camera.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum CameraError {
     /// A number is NaN or infinite.
     #[error("{name} is {value}, not a finite number")]
     NotFinite {
-        /// Which entry.
+        /// Its name.
         name: &'static str,
-        /// What it holds.
+        /// Its value.
         value: f64,
     },
     /// A focal length is zero or negative.
@@ -57,7 +58,7 @@ pub enum CameraError {
     FocalLength {
         /// `fx` or `fy`.
         name: &'static str,
-        /// What it holds.
+        /// Its value.
         value: f64,
     },
     /// The picture has no pixels.
@@ -68,25 +69,25 @@ pub enum CameraError {
         /// Height in pixels.
         height: u32,
     },
-    /// A number that no camera has.
+    /// A value that no camera has.
     #[error("{name} is {}, which no camera has: it can be {possible}", Plain(*value))]
     Implausible {
-        /// Which entry.
+        /// Its name.
         name: &'static str,
-        /// What it holds.
+        /// Its value.
         value: f64,
-        /// What it could hold.
+        /// The possible values.
         possible: String,
     },
-    /// Distortion that folds the picture, or bends it as no lens does.
+    /// Distortion that folds the picture, or bends it more than any lens.
     #[error("distortion is {distortion:?}, which has no inverse, or bends the picture beyond any lens, over {percent:.0} % of the picture")]
     NotInvertible {
         /// k1, k2, p1, p2, k3.
         distortion: [f64; 5],
-        /// How much of the picture is lost.
+        /// Percentage of the picture that is lost.
         percent: f64,
     },
-    /// The pictures are of another shape than the calibration's.
+    /// The pictures have another aspect ratio than the calibration.
     #[error(
         "the calibration is for {from_width} x {from_height} pixels, the pictures are {width} x {height}: another aspect ratio; calibrate at this size"
     )]
@@ -95,14 +96,14 @@ pub enum CameraError {
         from_width: u32,
         /// Calibrated height.
         from_height: u32,
-        /// Wanted width.
+        /// Requested width.
         width: u32,
-        /// Wanted height.
+        /// Requested height.
         height: u32,
     },
 }
 
-/// A number as a person would write it.
+/// Formats a number as a person would write it.
 struct Plain(f64);
 
 impl std::fmt::Display for Plain {
@@ -111,23 +112,24 @@ impl std::fmt::Display for Plain {
     }
 }
 
-/// A calibrated camera: pinhole with skew and Brown distortion, and the radius up to which it can be inverted.
+/// A calibrated camera: pinhole with skew and Brown distortion, and the radius up to which it can
+/// be inverted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CameraModel {
     intrinsics: Intrinsics,
     /// Largest undistorted radius (normalised) at which the radial map still grows.
     valid_radius: f64,
-    /// How far the numbers may be off, where that is known.
+    /// Uncertainty of the parameters, if known.
     doubt: Option<LensDoubt>,
 }
 
 impl Intrinsics {
-    /// Equations 5 to 10: the raw pixel of a normalised point.
+    /// Equations 5 to 10: projects a normalised point to its raw pixel.
     pub(crate) fn project(&self, n: Vector2<f64>) -> Vector2<f64> {
         self.affine(self.distort(n).0)
     }
 
-    /// Equations 6 and 7: the distorted point and its derivative by the undistorted one.
+    /// Equations 6 and 7: returns the distorted point and its derivative by the undistorted one.
     pub(crate) fn distort(&self, n: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
         let [k1, k2, p1, p2, k3] = self.distortion;
         let (x, y) = (n.x, n.y);
@@ -146,17 +148,18 @@ impl Intrinsics {
         (point, jacobian)
     }
 
-    /// Equations 5 and 10: the pixel of a distorted point.
+    /// Equations 5 and 10: converts a distorted point to its pixel.
     pub(crate) fn affine(&self, d: Vector2<f64>) -> Vector2<f64> {
         Vector2::new(self.fx * (d.x + self.skew * d.y) + self.cx, self.fy * d.y + self.cy)
     }
 
-    /// How far a pixel moves with the distorted point.
+    /// Converts a shift of the distorted point to a shift of the pixel.
     pub(crate) fn shift_px(&self, shift: Vector2<f64>) -> Vector2<f64> {
         Vector2::new(self.fx * (shift.x + self.skew * shift.y), self.fy * shift.y)
     }
 
-    /// The pixel's derivatives by fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, where `d` is the normalised point `n` distorted.
+    /// Returns the pixel's derivatives by fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, one per column;
+    /// `d` is the normalised point `n` distorted.
     pub(crate) fn by_numbers(&self, n: Vector2<f64>, d: Vector2<f64>) -> SMatrix<f64, 2, 10> {
         let r2 = n.norm_squared();
         SMatrix::from_columns(&[
@@ -175,7 +178,7 @@ impl Intrinsics {
 }
 
 impl CameraModel {
-    /// Checks the numbers and finds the valid radius.
+    /// Checks the parameters and computes the valid radius.
     pub fn new(intrinsics: Intrinsics) -> Result<Self, CameraError> {
         let i = &intrinsics;
         if i.width == 0 || i.height == 0 {
@@ -203,53 +206,54 @@ impl CameraModel {
         Ok(Self { intrinsics, valid_radius: radial_limit(i.distortion), doubt: None })
     }
 
-    /// A camera without distortion or skew.
+    /// Creates a camera without distortion or skew.
     pub fn pinhole(width: u32, height: u32, fx: f64, fy: f64, cx: f64, cy: f64) -> Result<Self, CameraError> {
         Self::new(Intrinsics { width, height, fx, fy, cx, cy, skew: 0.0, distortion: [0.0; 5] })
     }
 
-    /// The numbers behind the model.
+    /// Returns the model's parameters.
     pub fn intrinsics(&self) -> &Intrinsics {
         &self.intrinsics
     }
 
-    /// The same camera, with how far its numbers may be off: poses tell it in their covariance.
+    /// Adds the uncertainty of the parameters, which enters the covariance of poses.
     pub fn with_doubt(self, doubt: Option<LensDoubt>) -> Self {
         Self { doubt, ..self }
     }
 
-    /// How far the numbers may be off, where that is known.
+    /// Returns the uncertainty of the parameters, if known.
     pub fn doubt(&self) -> Option<LensDoubt> {
         self.doubt
     }
 
-    /// Picture width in pixels.
+    /// Returns the picture width in pixels.
     pub fn width(&self) -> u32 {
         self.intrinsics.width
     }
 
-    /// Picture height in pixels.
+    /// Returns the picture height in pixels.
     pub fn height(&self) -> u32 {
         self.intrinsics.height
     }
 
-    /// Largest normalised radius that the distortion maps one to one (infinite without distortion).
+    /// Returns the largest normalised radius that the distortion maps one to one (infinite without
+    /// distortion).
     pub fn valid_radius(&self) -> f64 {
         self.valid_radius
     }
 
-    /// KK of equation 10: undistorted pixels from normalised coordinates.
+    /// Returns KK of equation 10, which maps normalised coordinates to undistorted pixels.
     pub fn k_matrix(&self) -> Matrix3<f64> {
         let i = &self.intrinsics;
         Matrix3::new(i.fx, i.fx * i.skew, i.cx, 0.0, i.fy, i.cy, 0.0, 0.0, 1.0)
     }
 
-    /// Equations 5 to 10: the raw pixel of a normalised point.
+    /// Equations 5 to 10: projects a normalised point to its raw pixel.
     pub fn project(&self, n: Normalized) -> Pixel {
         Pixel(self.intrinsics.project(n.0))
     }
 
-    /// The raw pixel of a normalised point and the 2x2 derivative of the one by the other.
+    /// Projects a normalised point to its raw pixel, with the 2x2 derivative.
     pub fn project_with_jacobian(&self, n: Normalized) -> (Pixel, Matrix2<f64>) {
         let i = &self.intrinsics;
         let (d, j) = i.distort(n.0);
@@ -257,20 +261,21 @@ impl CameraModel {
         (Pixel(i.affine(d)), affine * j)
     }
 
-    /// The pixel that a camera with the same K and no distortion would see: "undistorted pixels".
+    /// Returns the pixel that a camera with the same K and no distortion would see: the
+    /// "undistorted pixel".
     pub fn undistorted_pixel(&self, n: Normalized) -> Vector2<f64> {
         self.intrinsics.affine(n.0)
     }
 
-    /// The normalised point of an undistorted pixel (K alone).
+    /// Converts an undistorted pixel to its normalised point (K alone).
     pub fn from_undistorted_pixel(&self, p: Vector2<f64>) -> Normalized {
         let i = &self.intrinsics;
         let y = (p.y - i.cy) / i.fy;
         Normalized(Vector2::new((p.x - i.cx) / i.fx - i.skew * y, y))
     }
 
-    /// The ray of a raw pixel: the exact inverse of [`project`](Self::project) by Newton's method, or `None` where the
-    /// distortion has no inverse (beyond the valid radius).
+    /// Returns the ray of a raw pixel: the exact inverse of [`project`](Self::project) by Newton's
+    /// method. `None` where the distortion has no inverse (beyond the valid radius).
     pub fn unproject(&self, pixel: Pixel) -> Option<Normalized> {
         let target = self.from_undistorted_pixel(pixel.0).0;
         if self.intrinsics.distortion == [0.0; 5] {
@@ -294,7 +299,8 @@ impl CameraModel {
         converged.then_some(Normalized(n))
     }
 
-    /// Solves the radial part alone on the growing branch, by Newton's method between bounds; the tangential part is left to the caller.
+    /// Solves the radial part alone on the growing branch, by bracketed Newton steps; the caller
+    /// handles the tangential part.
     fn radial_start(&self, target: Vector2<f64>) -> Option<Vector2<f64>> {
         let [k1, k2, _, _, k3] = self.intrinsics.distortion;
         let wanted = target.norm();
@@ -313,7 +319,7 @@ impl CameraModel {
             }
         }
         if grown(high) < wanted {
-            // Tangential terms may still bring it inside; start at the rim and let Newton decide.
+            // Tangential terms may still bring it inside: start at the rim and let Newton decide.
             return Some(target * (high / wanted));
         }
         let mut radius = wanted.min(high);
@@ -325,7 +331,8 @@ impl CameraModel {
                 high = radius;
             }
             let next = radius - over / radial_slope(&self.intrinsics.distortion, radius * radius);
-            // Near the rim the slope vanishes, and a step leads anywhere: halving the bounds is sure.
+            // Near the rim the slope vanishes and Newton steps are unreliable; bisection always
+            // works.
             let next = if (low..=high).contains(&next) { next } else { 0.5 * (low + high) };
             let step = next - radius;
             radius = next;
@@ -336,9 +343,14 @@ impl CameraModel {
         Some(target * (radius / wanted))
     }
 
-    /// The same camera at another picture size of the same aspect ratio (binned or scaled pictures).
+    /// Converts the camera to another picture size of the same aspect ratio (binned or scaled
+    /// pictures).
     ///
-    /// A pixel moves to (c + 0.5) s - 0.5. Aspect ratios may differ by half a pixel of rounding.
+    /// A pixel c moves to (c + 0.5) s - 0.5. The scaled height may differ by up to 1 pixel due to
+    /// rounding.
+    ///
+    /// # Errors
+    /// [`CameraError::Aspect`] when the aspect ratios differ.
     pub fn scaled_to(&self, width: u32, height: u32) -> Result<Self, CameraError> {
         let i = self.intrinsics;
         let (sx, sy) = (f64::from(width) / f64::from(i.width), f64::from(height) / f64::from(i.height));
@@ -359,18 +371,18 @@ impl CameraModel {
     }
 }
 
-/// No lens shows rays beyond this normalised radius (89.99994 degrees off the axis). It ends the search for a radius at which
-/// the distortion folds; raised, its powers in the polynomial lose their meaning before anything is gained.
+/// Maximum normalised radius at which folds are searched (89.99994 degrees off the axis, beyond any
+/// lens). Raised, the powers in the polynomial lose precision with no benefit.
 const LARGEST_RADIUS: f64 = 1e6;
 
-/// d(r radial(r))/dr = 1 + 3 k1 s + 5 k2 s² + 7 k3 s³, of the squared radius s.
+/// d(r radial(r))/dr = 1 + 3 k1 s + 5 k2 s² + 7 k3 s³, with s the squared radius.
 fn radial_slope([k1, k2, _, _, k3]: &[f64; 5], s: f64) -> f64 {
     1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * 7.0 * k3))
 }
 
-/// The first radius at which [`radial_slope`] is no longer positive.
+/// Returns the first radius at which [`radial_slope`] is no longer positive.
 ///
-/// Between the turning points of this cubic in r² it runs one way only, so a change of sign cannot hide.
+/// Between its turning points this cubic in r² is monotonic, so no change of sign is missed.
 fn radial_limit(distortion: [f64; 5]) -> f64 {
     let [k1, k2, _, _, k3] = distortion;
     let slope = |s: f64| radial_slope(&distortion, s);
@@ -392,7 +404,7 @@ fn radial_limit(distortion: [f64; 5]) -> f64 {
     f64::INFINITY
 }
 
-/// The real roots of a + b s + c s², ascending; NaN where there is none.
+/// Returns the real roots of a + b s + c s², ascending; NaN if there are none.
 fn turning_points(a: f64, b: f64, c: f64) -> [f64; 2] {
     let q = -0.5 * (b + b.signum() * (b * b - 4.0 * a * c).sqrt());
     let (one, two) = (q / c, a / q);

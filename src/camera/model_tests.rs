@@ -1,11 +1,11 @@
-//! The camera model against hand calculation, differences and its own inverse.
+//! Tests of the camera model against hand calculation, finite differences and its own inverse.
 
 use nalgebra::{Matrix2, Vector2};
 use proptest::prelude::*;
 
 use super::*;
 
-/// The source thesis's own camera (its results of chapter 4.3), on a picture of 4288 x 2848 pixels.
+/// The source thesis's camera (its results in chapter 4.3), with a 4288 x 2848 picture.
 fn thesis_camera(skew: f64, k3: f64) -> CameraModel {
     CameraModel::new(Intrinsics {
         width: 4288,
@@ -24,7 +24,7 @@ fn webcam(skew: f64, distortion: [f64; 5]) -> CameraModel {
     CameraModel::new(Intrinsics { width: 1280, height: 720, fx: 900.0, fy: 910.0, cx: 650.0, cy: 350.0, skew, distortion }).unwrap()
 }
 
-/// Equations 5 to 10 worked out with decimal arithmetic, outside of this program.
+/// Equations 5 to 10 computed in decimal arithmetic, independently of this program.
 #[test]
 fn equations_5_to_10_give_the_golden_numbers() {
     let near = |p: Pixel, x: f64, y: f64| assert!((p.0 - Vector2::new(x, y)).norm() < 1e-8, "{p:?} is not ({x}, {y})");
@@ -67,7 +67,7 @@ fn a_fold_far_outside_of_any_picture_is_found() {
 
 #[test]
 fn a_fold_that_grows_again_counts() {
-    // 1 - 3 s + 2 s²: negative between s = 0.5 and s = 1 only.
+    // 1 - 3 s + 2 s² is negative between s = 0.5 and s = 1 only.
     let camera = webcam(0.0, [-1.0, 0.4, 0.0, 0.0, 0.0]);
     assert!((camera.valid_radius() - 0.5f64.sqrt()).abs() < 1e-12);
 }
@@ -93,7 +93,8 @@ fn another_aspect_ratio_is_refused() {
     assert!(webcam(0.0, [0.0; 5]).scaled_to(0, 0).is_err());
 }
 
-/// Distortions from none to strong wide-angle barrel and pincushion, with skew and tangential terms.
+/// Distortions from none to strong wide-angle barrel and pincushion, with skew and tangential
+/// terms.
 fn cameras() -> impl Strategy<Value = CameraModel> {
     (-0.02..0.02, -0.5..0.5, -0.3..0.3, -0.005..0.005, -0.005..0.005, -0.1..0.1)
         .prop_map(|(skew, k1, k2, p1, p2, k3)| webcam(skew, [k1, k2, p1, p2, k3]))

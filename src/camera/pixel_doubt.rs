@@ -1,4 +1,4 @@
-//! What the doubt about a lens does to a pixel: one column of shifts for each way in which the lens may be off.
+//! Effect of lens uncertainty on a pixel: one column of shifts for each error mode of the lens.
 
 use nalgebra::SMatrix;
 
@@ -6,7 +6,8 @@ use super::doubt::{LENS_WAYS, LensDoubt};
 use super::model::{CameraModel, Normalized};
 
 impl CameraModel {
-    /// How a pixel moves by one sigma of each way in which the lens may be off, a column each; none where the lens is not in doubt.
+    /// Returns the pixel's shift for one sigma of each lens error mode, one per column; `None`
+    /// without lens uncertainty.
     pub fn pixel_doubt(&self, normalized: Normalized) -> Option<SMatrix<f64, 2, LENS_WAYS>> {
         let LensDoubt { uncertainty: u, has_square_pixels } = self.doubt()?;
         let (i, n) = (self.intrinsics(), normalized.0);
@@ -14,7 +15,7 @@ impl CameraModel {
         let three_sigma = [u.focal_px[0], u.focal_px[1], u.centre_px[0], u.centre_px[1], u.skew, k1, k2, p1, p2, k3];
         let mut ways = i.by_numbers(n, i.distort(n).0);
         ways.column_iter_mut().zip(three_sigma).for_each(|(mut by_number, uncertainty)| by_number *= uncertainty / 3.0);
-        // An aspect ratio that is not known to be 1 errs as two independent focal lengths would.
+        // If the aspect ratio is not known to be 1, this equals two independent focal lengths.
         let against = if has_square_pixels { 0.0 } else { std::f64::consts::FRAC_1_SQRT_2 };
         let [by_fx, by_fy] = [0, 1].map(|k| ways.column(k).into_owned());
         ways.set_column(0, &(by_fx + by_fy));

@@ -1,8 +1,9 @@
-//! Whether the numbers of a calibration can be those of a camera.
+//! Plausibility checks of a calibration's parameters.
 //!
-//! Numbers that are finite may still be nonsense: a slipped point, a line of another file, another picture size. A tracker
-//! with such a camera finds nothing, or something wrong, and never says why. What no camera can have is an error; what is
-//! only rare is said. The bounds are wide: they shall catch slips, not judge lenses.
+//! Finite numbers may still be nonsense: a misplaced decimal point, a line from another file,
+//! another picture size. A tracker with such a camera finds nothing, or something wrong, and never
+//! says why. Impossible values are errors; unusual ones are remarks. The bounds are wide: they
+//! should catch mistakes, not judge lenses.
 
 use std::ops::RangeInclusive;
 
@@ -10,42 +11,51 @@ use nalgebra::Vector2;
 
 use super::model::{CameraError, CameraModel, Intrinsics, Pixel};
 
-/// Focal lengths, in longer sides of the picture. A tenth is 157 degrees across, which Brown's model cannot bend; a hundred is half a
-/// degree, the longest broadcast lenses. Wider, slipped points pass; narrower, real lenses are refused.
+/// Possible focal lengths, in units of the picture's longer side. 0.1 is 157 degrees across, too
+/// wide for Brown's model; 100 is half a degree, the longest broadcast lenses. Wider, misplaced
+/// decimal points pass; narrower, real lenses are refused.
 const FOCAL_SIDES: RangeInclusive<f64> = 0.1..=100.0;
-/// Beyond these (122 degrees, 3 degrees) a focal length is worth a word. Narrower, calibrations of good lenses get remarks.
+/// Focal lengths outside this range (122 to 3 degrees) get a remark. Narrower, calibrations of good
+/// lenses get remarks.
 const USUAL_FOCAL_SIDES: RangeInclusive<f64> = 0.28..=20.0;
-/// fx / fy. Anamorphic lenses and halved lines reach 2, so this is twice as wide. Wider, a line of another file passes for fy.
+/// Possible fx / fy. Anamorphic lenses and halved lines reach 2; this allows twice that. Wider, a
+/// line from another file passes for fy.
 const PIXEL_SHAPE: RangeInclusive<f64> = 0.25..=4.0;
-/// Beyond these pixels that are not square are worth a word: square ones come out equal to a
-/// percent or so. Narrower, calibrations from few views get remarks too.
+/// Pixel aspect ratios outside this range get a remark; square pixels come out equal to about one
+/// percent. Narrower, calibrations from few views get remarks too.
 const USUAL_PIXEL_SHAPE: RangeInclusive<f64> = 0.9..=1.1;
-/// Principal point as a share of the picture. Cut pictures may have it outside, by no more than
-/// half of themselves. Wider, the centre of another picture size passes.
+/// Possible principal points, as a fraction of the picture. Cropped pictures may have it outside,
+/// by at most half their size. Wider, the centre of another picture size passes.
 const CENTRE: RangeInclusive<f64> = -0.5..=1.5;
-/// Beyond these it is worth a word: whole pictures have it within a few hundredths of the
-/// middle. Narrower, slightly cropped pictures get remarks.
+/// Principal points outside this range get a remark; full pictures have it within a few hundredths
+/// of the middle. Narrower, slightly cropped pictures get remarks.
 const USUAL_CENTRE: RangeInclusive<f64> = 0.25..=0.75;
-/// alpha_c of a sensor that leans by 45 degrees: far beyond any camera. Raised, a number of another line passes.
+/// Maximum alpha_c: a sensor skewed by 45 degrees, far beyond any camera. Raised, a number from
+/// another line passes.
 const LARGEST_SKEW: f64 = 1.0;
-/// Beyond this, 3 degrees, it is worth a word: sensors have none that can be measured. Raised, slipped numbers go unmentioned.
+/// Skew (3 degrees) above which there is a remark; real sensors have no measurable skew. Raised,
+/// wrong numbers go unmentioned.
 const USUAL_SKEW: f64 = 0.05;
-/// How many times as far from the axis a ray may be as the lens shows it. Barrel distortion of the widest lenses reaches 4, pincushion
-/// distortion 0.7. Wider, coefficients in a wrong order pass; narrower, fisheyes that the model just fits are refused.
+/// Possible ratio of the undistorted to the distorted radius. Barrel distortion of the widest
+/// lenses reaches 4, pincushion 0.7. Wider, coefficients in a wrong order pass; narrower, fisheyes
+/// that the model just fits are refused.
 const BENT: RangeInclusive<f64> = 0.5..=8.0;
-/// Share of the picture that must have rays that a lens could bend. Fitted polynomials fold in the corners of good calibrations
-/// too. Raised, those are refused; lowered, a camera passes of which half the picture serves for nothing.
+/// Minimum fraction of the picture whose pixels have plausible rays. Fitted polynomials fold in the
+/// corners of good calibrations too. Raised, those are refused; lowered, cameras pass for which
+/// half the picture is unusable.
 const LEAST_INVERTIBLE: f64 = 0.75;
-/// Sides of a picture, pixels: what JPEG's 16 bits hold, and far beyond any sensor. Raised, slipped numbers pass.
+/// Maximum side of a picture, pixels: the limit of JPEG's 16 bits and far beyond any sensor.
+/// Raised, wrong numbers pass.
 pub const LONGEST_SIDE: u32 = 65_535;
-/// Places along each side of the picture at which it is tested, edges included: a fold is a ring around
-/// the axis, so a coarse grid sees it. Raised, reading a calibration takes longer.
+/// Number of test points along each side of the picture, edges included. A fold is a ring around
+/// the axis, so a coarse grid finds it. Raised, reading a calibration takes longer.
 const ASKED: u32 = 17;
 
-/// Refuses what no camera has; gives what is rare, a sentence each.
+/// Refuses impossible calibrations; returns remarks on unusual ones, one sentence each.
 ///
 /// # Errors
-/// [`CameraError::Implausible`] with what is wrong and what is possible, or [`CameraError::NotInvertible`].
+/// [`CameraError::Implausible`] with what is wrong and what is possible, or
+/// [`CameraError::NotInvertible`].
 pub fn judge(model: &CameraModel) -> Result<Vec<String>, CameraError> {
     let i = model.intrinsics();
     let longer = f64::from(i.width.max(i.height));
@@ -96,7 +106,7 @@ fn unusual(i: &Intrinsics) -> Vec<String> {
     odd
 }
 
-/// Looks whether the pixels of the picture have rays, and such as a lens could bend.
+/// Checks that enough of the picture's pixels have rays that a lens could produce.
 fn judge_distortion(model: &CameraModel) -> Result<Option<String>, CameraError> {
     let i = model.intrinsics();
     if i.distortion == [0.0; 5] {
@@ -109,7 +119,7 @@ fn judge_distortion(model: &CameraModel) -> Result<Option<String>, CameraError> 
         let Some(ray) = model.unproject(Pixel(pixel)) else { continue };
         rays += 1;
         let straight = model.from_undistorted_pixel(pixel).0.norm();
-        // Near the axis the tangential terms alone decide, and 0 / 0 says nothing.
+        // Near the axis the tangential terms dominate, and the ratio is meaningless.
         sound += u32::from(straight < 0.05 || BENT.contains(&(ray.0.norm() / straight)));
     }
     let share = f64::from(sound) / f64::from(ASKED * ASKED);
@@ -179,7 +189,7 @@ mod tests {
 
     #[test]
     fn real_wide_lenses_are_good() {
-        // The webcams and action cameras of OpenCV's and ROS's samples, and the thesis' camera.
+        // Webcams and action cameras from OpenCV's and ROS's samples, and the thesis' camera.
         let lens = |width, height, f, c: [f64; 2], distortion| {
             let [cx, cy] = c;
             judge(&CameraModel::new(Intrinsics { width, height, fx: f, fy: f, cx, cy, skew: 0.0, distortion }).unwrap())

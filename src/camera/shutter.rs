@@ -1,48 +1,53 @@
-//! The shutter: how long a row is exposed, and when.
+//! The shutter: when and for how long each row is exposed.
 
-/// The times of a camera's shutter. The default: a global shutter, or an unknown one, open for an unknown time.
+/// The times of a camera's shutter. The default is a global or unknown shutter with unknown
+/// exposure.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Shutter {
-    /// How long each row is exposed, seconds. 0: unknown; the tracker learns it while the camera moves.
+    /// Exposure time of each row, seconds. 0: unknown; the tracker estimates it while the camera
+    /// moves.
     pub exposure_s: f64,
-    /// From the first row to the last, seconds. 0: global or unknown. An estimate may be below 0: rows read from the bottom up.
+    /// Readout time from the first row to the last, seconds. 0: global shutter or unknown.
+    /// Estimates may be negative: rows are read from the bottom up.
     pub readout_s: f64,
 }
 
-/// What is known of a camera's shutter beforehand. What is `None` is learnt from the frames, while the camera moves.
+/// What is known of a camera's shutter beforehand. `None` values are estimated from frames while
+/// the camera moves.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct KnownShutter {
-    /// How long each row is exposed, seconds, above 0.
+    /// Exposure time of each row, seconds, above 0.
     pub exposure_s: Option<f64>,
-    /// From the first row to the last, seconds. `Some(0.0)`: a global shutter, all rows are exposed together.
+    /// Readout time from the first row to the last, seconds. `Some(0.0)`: a global shutter, which
+    /// exposes all rows together.
     pub readout_s: Option<f64>,
 }
 
 impl KnownShutter {
-    /// The times, with 0 for what is not known.
+    /// Returns the times, with 0 for unknown ones.
     pub fn or_zero(&self) -> Shutter {
         Shutter { exposure_s: self.exposure_s.unwrap_or(0.0), readout_s: self.readout_s.unwrap_or(0.0) }
     }
 }
 
 impl From<Shutter> for KnownShutter {
-    /// Of a shutter whose readout is known, 0 included. An exposure of 0 is none that a camera has: it is unknown.
+    /// Treats the readout as known, even if 0. An exposure of 0 is impossible, so it means unknown.
     fn from(shutter: Shutter) -> Self {
         Self { exposure_s: Some(shutter.exposure_s).filter(|s| *s != 0.0), readout_s: Some(shutter.readout_s) }
     }
 }
 
 impl Shutter {
-    /// Longest times that a config may give, seconds. Cameras of 1 frame a second have them; longer
-    /// ones are mostly milliseconds. Raised, such a slip of a thousand passes.
+    /// Maximum time that a config may state, seconds. Cameras at 1 frame per second reach it;
+    /// longer values are mostly milliseconds. Raised, such a mistake by a factor of 1000 passes.
     pub const LONGEST_S: f64 = 1.0;
 
-    /// Whether all rows are exposed together, or no readout is known.
+    /// Whether all rows are exposed together, or the readout is unknown.
     pub(crate) fn is_global(&self) -> bool {
         self.readout_s == 0.0
     }
 
-    /// The name and the value of a time that no shutter has.
+    /// Returns the name and value of a time that no shutter can have.
     pub fn impossible_time(&self) -> Option<(&'static str, f64)> {
         if !(self.exposure_s.is_finite() && self.exposure_s >= 0.0) {
             return Some(("exposure_s", self.exposure_s));
@@ -50,8 +55,9 @@ impl Shutter {
         (!self.readout_s.is_finite()).then_some(("readout_s", self.readout_s))
     }
 
-    /// Seconds from the frame's stamp to the middle of the exposure at `y` pixels below the upper edge of a frame of this height. Rows
-    /// begin `readout_s` / height apart; the middle of row r is at r + 0.5.
+    /// Returns seconds from the frame's stamp to mid-exposure at `y` pixels below the upper edge of
+    /// a frame of this height. Rows start `readout_s` / height apart; the middle of row r is at r +
+    /// 0.5.
     pub fn delay_s(&self, y: f64, height: u32) -> f64 {
         self.readout_s * (y / f64::from(height) - 0.5)
     }

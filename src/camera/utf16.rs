@@ -1,10 +1,12 @@
-//! Texts that some programs write as UTF-16 (Notepad, PowerShell's redirection), read as if they were UTF-8.
+//! Converts UTF-16 texts, as written by Notepad or PowerShell redirection, to UTF-8.
 
 use std::borrow::Cow;
 
-/// The text's bytes in UTF-8 where they are UTF-16, with a byte order mark or without; all others as they are.
+/// Converts UTF-16 bytes, with or without a byte order mark, to UTF-8; returns all others
+/// unchanged.
 ///
-/// Without a mark, UTF-16 is known by a zero byte in every other place: texts here are mostly ASCII, and UTF-8 has no zero bytes.
+/// Without a mark, UTF-16 shows by a zero byte in every other position: texts here are mostly
+/// ASCII, and UTF-8 text has no zero bytes.
 pub fn as_utf8(bytes: &[u8]) -> Cow<'_, [u8]> {
     let (read, body): (fn([u8; 2]) -> u16, _) = match bytes {
         [0xFF, 0xFE, rest @ ..] => (u16::from_le_bytes, rest),
@@ -18,10 +20,11 @@ pub fn as_utf8(bytes: &[u8]) -> Cow<'_, [u8]> {
     Cow::Owned(text.into_bytes())
 }
 
-/// Bytes from the start that are looked at: the first line says enough. Raised, a long text without a mark takes longer.
+/// Number of leading bytes to inspect; the first line suffices. Raised, checking a long text
+/// without a mark takes longer.
 const LOOKED_AT: usize = 64;
 
-/// Whether the places from `first` on, every other one, hold mostly zeros, and those between hold none.
+/// Whether every other byte from `first` on is mostly zero and none in between is.
 fn has_zeros(bytes: &[u8], first: usize) -> bool {
     let start = &bytes[..bytes.len().min(LOOKED_AT)];
     let zeros = |from: usize| start.iter().skip(from).step_by(2).filter(|b| **b == 0).count();

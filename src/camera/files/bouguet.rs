@@ -1,7 +1,8 @@
 //! Calib_Results.m of Bouguet's calibration toolbox.
 //!
-//! A list of assignments: `fc = [ 657.46 ; 657.94 ];`. Only the intrinsic ones are read; the poses of the
-//! boards (`omc_1`, `Tc_1` ...) are passed over. `%` starts a comment. Its pixels count from 0, as ours do.
+//! A list of assignments: `fc = [ 657.46 ; 657.94 ];`. Only the intrinsic ones are read; board
+//! poses (`omc_1`, `Tc_1` ...) are skipped. `%` starts a comment. Its pixels count from 0, like
+//! stagepose's.
 
 use std::collections::HashMap;
 
@@ -9,7 +10,8 @@ use super::problem::{CalibrationProblem, Fault, missing};
 use super::{Calibration, CalibrationForm, IntrinsicsUncertainty, POSSIBLE_ERRORS, model};
 use crate::camera::Intrinsics;
 
-/// Every assignment that is read, how many numbers it must have, and how that is said in messages; the names are the toolbox's.
+/// Every assignment that is read, its possible number of values, and that number in words for
+/// messages. Names are the toolbox's.
 const KEYS: [(&str, std::ops::RangeInclusive<usize>, &str); 11] = [
     ("fc", 2..=2, "2 numbers"),
     ("cc", 2..=2, "2 numbers"),
@@ -24,10 +26,9 @@ const KEYS: [(&str, std::ops::RangeInclusive<usize>, &str); 11] = [
     ("kc_error", 4..=5, "4 or 5 numbers"),
 ];
 
-/// Numbers of an assignment and its line.
+/// The values of each assignment and its line.
 type Assigned = HashMap<&'static str, (Vec<f64>, usize)>;
 
-/// Reads Calib_Results.m.
 pub(super) fn parse(text: &str) -> Result<Calibration, Fault> {
     let assigned = assignments(text)?;
     let get = |key: &str| assigned.get(key).map(|(v, _)| v.as_slice());
@@ -84,7 +85,7 @@ fn uncertainty(assigned: &Assigned) -> Result<Option<IntrinsicsUncertainty>, Fau
     }))
 }
 
-/// Old files have four coefficients; the fifth is zero.
+/// Old files have four coefficients; the fifth is then zero.
 fn five(kc: &[f64]) -> [f64; 5] {
     std::array::from_fn(|i| kc.get(i).copied().unwrap_or(0.0))
 }
@@ -99,7 +100,7 @@ fn whole(assigned: &Assigned, key: &str) -> Result<Option<u32>, Fault> {
     Err(Fault { line: Some(*line), problem })
 }
 
-/// All assignments of [`KEYS`], lengths checked, so that indexing them is safe.
+/// Collects all assignments of [`KEYS`] with their lengths checked, so that indexing them is safe.
 fn assignments(text: &str) -> Result<Assigned, Fault> {
     let mut assigned = Assigned::new();
     for (line, statement) in statements(text) {
@@ -122,7 +123,8 @@ fn assignments(text: &str) -> Result<Assigned, Fault> {
     Ok(assigned)
 }
 
-/// The statements of an m-file with the line each starts on: comments gone, ended by `;` or the line's end outside of brackets.
+/// Splits an m-file into statements with the line each starts on. Removes comments; a statement
+/// ends at `;` or a line end outside brackets.
 fn statements(text: &str) -> Vec<(usize, String)> {
     let mut found = Vec::new();
     let (mut current, mut start, mut depth) = (String::new(), 1, 0u32);
@@ -146,7 +148,7 @@ fn statements(text: &str) -> Vec<(usize, String)> {
             }
         }
     }
-    // A bracket that is never closed: the rest is one statement, and its numbers are judged like any others.
+    // A bracket that is never closed: the rest is one statement, checked like any other.
     found.push((start, current));
     found
 }

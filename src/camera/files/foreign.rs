@@ -1,9 +1,11 @@
-//! Words by which files of other programs say that their lens is not Brown's, or that they are of a form that is not read.
+//! Recognises files of other programs whose lens model is not Brown's or whose format is not
+//! supported.
 
 use super::problem::{CalibrationProblem, Fault};
 use super::yaml::{Content, Node};
 
-/// Keys that name the model of a lens in files of OpenCV, ROS, Kalibr, Camodocal, ORB-SLAM and their kin.
+/// Keys that name the lens model in files of OpenCV, ROS, Kalibr, Camodocal, ORB-SLAM and similar
+/// programs.
 const MODEL_KEYS: [&str; 14] = [
     "distortion_model",
     "camera_model",
@@ -20,9 +22,9 @@ const MODEL_KEYS: [&str; 14] = [
     "Camera.type",
     "type",
 ];
-/// Of these, what is not known is refused too: nothing but a model stands there.
+/// Keys that hold nothing but a lens model, so unknown values are refused too.
 const STRICT_KEYS: [&str; 2] = ["distortion_model", "camera_model"];
-/// Brown's model, and the pinhole that it bends, as programs call them.
+/// Names programs use for Brown's model and for the plain pinhole.
 const BROWN: [&str; 14] = [
     "plumbbob",
     "rationalpolynomial",
@@ -39,7 +41,7 @@ const BROWN: [&str; 14] = [
     "none",
     "",
 ];
-/// Parts of the names of other models.
+/// Parts of names of other models.
 const OTHERS: [&str; 17] = [
     "fisheye",
     "equidist",
@@ -59,15 +61,15 @@ const OTHERS: [&str; 17] = [
     "divis",
     "fov",
 ];
-/// Short names of other models, which are parts of too many words.
+/// Short names of other models; they must match whole, since they are parts of many words.
 const OTHER_WORDS: [&str; 4] = ["ds", "equi", "atan", "unified"];
-/// Keys that say yes or no.
+/// Boolean keys that mark a fisheye lens.
 const FLAGS: [&str; 3] = ["fisheye_model", "fisheye", "is_fisheye"];
-/// Numbers that only other models have.
+/// Parameters that only other models have.
 const NUMBERS: [(&str, &str); 3] =
     [("xi", "omnidirectional (xi)"), ("mirror_parameters", "omnidirectional (mirror_parameters)"), ("mu", "Kannala's (mu, mv)")];
 
-/// Refuses a file whose lens is of another kind, at the line that says so.
+/// Refuses a file with another lens model, at the line that states it.
 pub(super) fn refuse_other_lenses(root: &Node) -> Result<(), Fault> {
     let unsupported = |node: &Node, model: &str| {
         let problem = CalibrationProblem::UnsupportedModel { model: model.to_owned() };
@@ -84,7 +86,7 @@ pub(super) fn refuse_other_lenses(root: &Node) -> Result<(), Fault> {
         let name = node.text().unwrap_or("no word");
         let is_other = OTHERS.iter().any(|part| plain(name).contains(part)) || OTHER_WORDS.contains(&plain(name).as_str());
         let is_known = BROWN.contains(&plain(name).as_str());
-        // A `type` or `model` may be that of the camera's maker.
+        // `type` or `model` may name the camera's product instead.
         if is_other || (STRICT_KEYS.contains(&key) && !is_known) {
             return unsupported(node, name);
         }
@@ -98,7 +100,7 @@ pub(super) fn refuse_other_lenses(root: &Node) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Refuses files of programs whose form is not read, with what to do.
+/// Refuses files in unsupported formats of other programs, with what to do.
 pub(super) fn refuse_other_programs(root: &Node) -> Result<(), Fault> {
     let refused = |line: usize, program: &'static str, mend: &'static str| {
         Err(Fault { line: Some(line), problem: CalibrationProblem::OtherProgram { program, mend } })
@@ -120,7 +122,7 @@ pub(super) fn refuse_other_programs(root: &Node) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Whether the file names Brown's model, so that four coefficients can be no others.
+/// Whether the file names Brown's model, so that four coefficients are unambiguous.
 pub(super) fn names_brown(root: &Node) -> bool {
     let says = |key: &str| root.find(&[key]).and_then(|(_, node)| node.text().map(plain));
     ["distortion_model", "distortion_type", "model_type"]
@@ -129,7 +131,7 @@ pub(super) fn names_brown(root: &Node) -> bool {
         .any(|name| !name.is_empty() && name != "none" && name != "pinhole" && BROWN.contains(&name.as_str()))
 }
 
-/// A word without what programs write in different ways.
+/// Normalises case, underscores, hyphens and spaces, which vary between programs.
 fn plain(word: &str) -> String {
     word.trim().to_ascii_lowercase().replace(['_', '-', ' '], "")
 }

@@ -1,7 +1,8 @@
-//! Calibration files: stagepose's own TOML, OpenCV and ROS YAML, EuRoC sensor YAML and Bouguet's Calib_Results.m.
+//! Calibration files: stagepose's own TOML, OpenCV and ROS YAML, EuRoC sensor YAML and Bouguet's
+//! Calib_Results.m.
 //!
-//! Each form has one file here that turns text into a [`Calibration`]; this one decides which form a text is
-//! in and puts the path and the line number in front of whatever is wrong with it.
+//! Each format has one file here that turns text into a [`Calibration`]. This file recognises the
+//! format and adds the path and the line number to errors.
 
 mod bouguet;
 mod foreign;
@@ -21,27 +22,27 @@ use super::{plausible, utf16};
 pub use problem::{CalibrationFileError, CalibrationProblem};
 use problem::{Fault, fault};
 
-/// What a calibration file holds.
+/// The content of a calibration file.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Calibration {
     /// The camera.
     pub model: CameraModel,
-    /// How well each number is known, where the file says so.
+    /// Uncertainty of each parameter, if the file states it.
     pub uncertainty: Option<IntrinsicsUncertainty>,
     /// Reprojection error per point, sqrt(mean(dx² + dy²)), pixels.
     pub rms_px: Option<f64>,
-    /// How many pictures the calibration was made from.
+    /// Number of pictures used for the calibration.
     pub images: Option<u32>,
-    /// When it was made, as the file writes it.
+    /// When it was made, as written in the file.
     pub date: Option<String>,
-    /// The form it was read from.
+    /// The format it was read from.
     pub form: CalibrationForm,
-    /// What is to be said of how the file was read, a sentence each.
+    /// Remarks on how the file was read, one sentence each.
     pub notes: Vec<String>,
 }
 
-/// The forms that are read.
+/// The supported formats.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum CalibrationForm {
@@ -58,38 +59,40 @@ pub enum CalibrationForm {
 }
 
 impl Calibration {
-    /// A calibration of which nothing but the camera is known.
+    /// Creates a calibration of which only the camera is known.
     pub fn new(model: CameraModel) -> Self {
         Self { model, uncertainty: None, rms_px: None, images: None, date: None, form: CalibrationForm::Stagepose, notes: Vec::new() }
     }
 
-    /// The file's text in stagepose's own form; reading it again gives the same numbers to the last bit.
+    /// Writes stagepose's own format; reading it back returns bit-identical numbers.
     pub fn to_toml(&self) -> String {
         stagepose::write(self)
     }
 
-    /// OpenCV's FileStorage YAML (uncertainties have no place in it).
+    /// Writes OpenCV's FileStorage YAML (which cannot hold uncertainties).
     pub fn to_opencv_yaml(&self) -> String {
         write_yaml::opencv(self)
     }
 
-    /// ROS's camera_info YAML for a camera of this name (uncertainties have no place in it).
+    /// Writes ROS's camera_info YAML for a camera of this name (which cannot hold uncertainties).
     pub fn to_ros_yaml(&self, camera_name: &str) -> String {
         write_yaml::ros(self, camera_name)
     }
 }
 
-/// Errors and uncertainties that a file may give, in the units of their numbers: far beyond any camera's. Raised until their
-/// squares overflow, covariances are no numbers any more; lowered, vague calibrations are refused.
+/// Errors and uncertainties a file may state, in the units of their parameters; far beyond any
+/// camera's. Raised until their squares overflow, covariances become NaN; lowered, vague
+/// calibrations are refused.
 const POSSIBLE_ERRORS: std::ops::RangeInclusive<f64> = 0.0..=1e5;
 
-/// Reads the bytes of a calibration file in any of the forms of [`CalibrationForm`]; `path` serves for its extension and the messages.
+/// Reads the bytes of a calibration file in any [`CalibrationForm`]. `path` is used only for its
+/// extension and in messages.
 ///
 /// # Errors
-/// When the bytes are no calibration; the message names the file, the line and the key.
+/// When the bytes are not a calibration; the message names the file, the line and the key.
 pub fn parse_calibration(bytes: &[u8], path: &Path) -> Result<Calibration, CalibrationFileError> {
     let bytes = &*utf16::as_utf8(bytes);
-    // Comments in other encodings are common in files of other programs; ours are UTF-8.
+    // Comments in other encodings are common in files of other programs; stagepose's own are UTF-8.
     let is_ours = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
     if let Err(e) = std::str::from_utf8(bytes).map_err(|e| e.valid_up_to()) {
         let line = 1 + bytes[..e].iter().filter(|b| **b == b'\n').count();
@@ -109,14 +112,14 @@ pub fn parse_calibration(bytes: &[u8], path: &Path) -> Result<Calibration, Calib
     parsed.map_err(|f| CalibrationFileError::at(path, f))
 }
 
-/// How a text is to be taken apart.
+/// The grammar of a text.
 enum Grammar {
     Toml,
     Yaml,
     Matlab,
 }
 
-/// The grammar by the extension, or by what the text looks like.
+/// Chooses the grammar by extension, else by content.
 fn recognise(text: &str, path: &Path) -> Option<Grammar> {
     match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
         Some("toml") => return Some(Grammar::Toml),
@@ -141,7 +144,7 @@ fn recognise(text: &str, path: &Path) -> Option<Grammar> {
     }
 }
 
-/// The model of `intrinsics`, with the line of the number that is wrong: `line_of(key)` knows where a key stands.
+/// Builds the camera model; errors carry the line of the wrong key, which `line_of(key)` looks up.
 fn model(intrinsics: Intrinsics, line_of: impl Fn(&str) -> Option<usize>) -> Result<CameraModel, Fault> {
     use super::model::CameraError::{Aspect, FocalLength, Implausible, NotFinite, NotInvertible, Size};
     let possible = CameraModel::new(intrinsics).and_then(|model| plausible::judge(&model).map(|_| model));

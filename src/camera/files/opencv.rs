@@ -1,7 +1,7 @@
-//! The YAML forms: OpenCV's FileStorage, ROS camera_info, EuRoC sensor files.
+//! The YAML formats: OpenCV's FileStorage, ROS camera_info, EuRoC sensor files.
 //!
-//! They differ in names only, so one reader knows all spellings. A matrix K holds the skew as
-//! K\[0\]\[1\] = fx alpha_c. More than five coefficients are accepted while the rest is zero.
+//! They differ only in key names, so one reader handles all spellings. A matrix K holds the skew as
+//! K\[0\]\[1\] = fx alpha_c. More than five coefficients are accepted if the rest are zero.
 
 use super::foreign::{names_brown, refuse_other_lenses, refuse_other_programs};
 use super::problem::{CalibrationProblem, Fault, missing};
@@ -9,15 +9,15 @@ use super::yaml::{self, Content, Node, whole};
 use super::{Calibration, CalibrationForm, model, window};
 use crate::camera::Intrinsics;
 
-/// The names that programs give to the 3 x 3 matrix and to the coefficients; of several in one file the first found counts.
+/// Names that programs use for the 3 x 3 matrix and for the coefficients; the first in this order
+/// counts. The hint is for messages.
 const MATRIX: [&str; 4] = ["camera_matrix", "K", "intrinsic_matrix", "M"];
 const DISTORTION: [&str; 5] = ["distortion_coefficients", "dist_coeffs", "distortion_coeffs", "dist_coeff", "D"];
 const DISTORTION_HINT: &str = "4 or 5 numbers k1, k2, p1, p2, k3";
 
-/// Reads a YAML calibration.
 pub(super) fn parse(text: &str) -> Result<Calibration, Fault> {
     let document = yaml::parse(text)?;
-    // Kalibr writes one map a camera.
+    // Kalibr writes one map per camera.
     let root = document.find(&["cam0"]).map_or(&document, |(_, camera)| camera);
     refuse_other_lenses(root)?;
     refuse_other_programs(root)?;
@@ -46,7 +46,7 @@ pub(super) fn parse(text: &str) -> Result<Calibration, Fault> {
     })
 }
 
-/// A word on cameras of the same file that are not read.
+/// Remarks on other cameras in the same file, which are not read.
 fn other_cameras(document: &Node) -> Option<String> {
     let names: Vec<String> = (0..).map(|n| format!("cam{n}")).take_while(|name| document.find(&[name]).is_some()).collect();
     (names.len() > 1).then(|| {
@@ -82,9 +82,9 @@ fn size(root: &Node) -> Result<(u32, u32), Fault> {
     Ok((one(&["image_width", "width"])?, one(&["image_height", "height"])?))
 }
 
-/// fx, fy, cx, cy and skew of a 3x3 matrix; the other fields stay empty.
+/// Reads fx, fy, cx, cy and skew from a 3x3 matrix; the other fields stay zero.
 fn from_matrix(root: &Node) -> Result<Intrinsics, Fault> {
-    // What the matrix must be, for messages.
+    // Required content of the matrix, for messages.
     const HINT: &str = "9 numbers fx, fx*skew, cx, 0, fy, cy, 0, 0, 1";
     let (key, node) = root.find(&MATRIX).ok_or_else(|| missing(MATRIX[0], HINT))?;
     let k: [f64; 9] = exactly(key, node, numbers(key, node, HINT)?, HINT)?;
@@ -97,23 +97,23 @@ fn from_matrix(root: &Node) -> Result<Intrinsics, Fault> {
             return Err(Fault { line: Some(node.line), problem });
         }
     }
-    // A zero focal length is left to the model to refuse, without a division by it here.
+    // Avoids a division by zero; the model refuses a zero focal length later.
     let skew = if k[1] == 0.0 || k[0] == 0.0 { 0.0 } else { k[1] / k[0] };
     Ok(Intrinsics { width: 0, height: 0, fx: k[0], fy: k[4], cx: k[2], cy: k[5], skew, distortion: [0.0; 5] })
 }
 
-/// fx, fy, cx and cy of EuRoC's list; the other fields stay empty.
+/// Reads fx, fy, cx and cy from EuRoC's list; the other fields stay zero.
 fn from_list(root: &Node) -> Result<Intrinsics, Fault> {
     let (key, node) = root.find(&["intrinsics"]).ok_or_else(|| missing(MATRIX[0], "the 3 x 3 matrix K"))?;
     let [fx, fy, cx, cy] = exactly(key, node, numbers(key, node, "4 numbers fx, fy, cx, cy")?, "4 numbers fx, fy, cx, cy")?;
     Ok(Intrinsics { width: 0, height: 0, fx, fy, cx, cy, skew: 0.0, distortion: [0.0; 5] })
 }
 
-/// The coefficients, and a word where it is not sure whose they are.
+/// Reads the coefficients, with a remark if their model is ambiguous.
 fn distortion(root: &Node) -> Result<([f64; 5], Option<String>), Fault> {
     let (key, node) = root.find(&DISTORTION).ok_or_else(|| missing(DISTORTION[0], DISTORTION_HINT))?;
     let all = match &node.content {
-        Content::List(items) if items.is_empty() => return Ok(([0.0; 5], None)), // ROS: an empty list is no distortion
+        Content::List(items) if items.is_empty() => return Ok(([0.0; 5], None)), // ROS: an empty list means no distortion
         _ => numbers(key, node, DISTORTION_HINT)?,
     };
     if all.len() < 4 {

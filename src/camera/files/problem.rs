@@ -1,4 +1,4 @@
-//! What can be wrong with a calibration file, each as one sentence with the mend.
+//! Errors of calibration files, each as one sentence with the fix.
 
 use std::path::{Path, PathBuf};
 
@@ -15,15 +15,15 @@ pub enum CalibrationFileError {
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The I/O error.
         source: std::io::Error,
     },
-    /// The text is no calibration.
+    /// The text is not a valid calibration.
     #[error("{}{}: {problem}", path.display(), line.map(|l| format!(" line {l}")).unwrap_or_default())]
     Malformed {
         /// The file.
         path: PathBuf,
-        /// The line, from 1, where one is to blame.
+        /// The line at fault, from 1, if there is one.
         line: Option<usize>,
         /// What is wrong.
         problem: CalibrationProblem,
@@ -40,7 +40,7 @@ impl CalibrationFileError {
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum CalibrationProblem {
-    /// None of the forms fits.
+    /// The text has no known format.
     #[error(
         "this is no calibration file that is known here; give stagepose TOML (.toml), OpenCV or ROS YAML (.yaml, .yml) or Bouguet's Calib_Results.m"
     )]
@@ -48,26 +48,26 @@ pub enum CalibrationProblem {
     /// The TOML, YAML or m-file grammar is broken.
     #[error("{reason}; mend the file's syntax")]
     Syntax {
-        /// What the parser said.
+        /// The parser's message.
         reason: String,
     },
-    /// A key that must be there is not.
+    /// A required key is missing.
     #[error("`{key}` is missing; add it ({hint})")]
     MissingKey {
         /// The key.
         key: String,
-        /// What belongs there.
+        /// What it should hold.
         hint: &'static str,
     },
-    /// A key that nobody reads.
+    /// An unknown key.
     #[error("`{key}` is not a calibration key; did you mean `{nearest}`?")]
     UnknownKey {
-        /// As typed.
+        /// The key as typed.
         key: String,
-        /// The known key most like it.
+        /// The most similar known key.
         nearest: String,
     },
-    /// A value of the wrong type.
+    /// A value has the wrong type.
     #[error("`{key}` holds {found}; write {expected}")]
     WrongType {
         /// The key.
@@ -77,22 +77,22 @@ pub enum CalibrationProblem {
         /// What it should hold.
         expected: &'static str,
     },
-    /// An array of the wrong length.
+    /// An array has the wrong length.
     #[error("`{key}` has {found} numbers; write {expected}")]
     WrongLength {
         /// The key.
         key: String,
-        /// How many numbers it has.
+        /// Its number of elements.
         found: usize,
-        /// How many it should have.
+        /// The required number of elements.
         expected: &'static str,
     },
-    /// A number out of its range.
+    /// A number is out of range.
     #[error("`{key}` is {value}; write {expected}")]
     OutOfRange {
         /// The key.
         key: String,
-        /// What it holds.
+        /// The number.
         value: f64,
         /// What it should hold.
         expected: &'static str,
@@ -103,10 +103,10 @@ pub enum CalibrationProblem {
         /// The model.
         model: String,
     },
-    /// A window of the sensor of which the numbers cannot be told.
+    /// A sensor window whose parameters are ambiguous or impossible.
     #[error("{0}; write the numbers of the pictures as they come: width, height and a matrix of the window, and a `roi` of zeros")]
     Window(String),
-    /// A form of another program that is not read.
+    /// An unsupported format of another program.
     #[error("this is a file of {program}, whose form is not read; {mend}")]
     OtherProgram {
         /// The program.
@@ -114,7 +114,7 @@ pub enum CalibrationProblem {
         /// What to do.
         mend: &'static str,
     },
-    /// ROS's way to say that nobody has calibrated the camera.
+    /// ROS's way of saying that the camera is not calibrated.
     #[error(
         "`{key}` is all zeros, which is how ROS says that this camera has not been calibrated; calibrate it (`stagepose calibrate`, or ROS's camera_calibration) and give that file"
     )]
@@ -122,7 +122,7 @@ pub enum CalibrationProblem {
         /// The key.
         key: String,
     },
-    /// The numbers are no camera.
+    /// The numbers do not describe a camera.
     #[error("{0}; correct it or calibrate again")]
     Camera(CameraError),
 }
@@ -139,7 +139,7 @@ pub(super) fn fault(problem: CalibrationProblem) -> Fault {
     Fault { line: None, problem }
 }
 
-/// A key that is not there. Its line is the first: there it may be added in every form.
+/// A missing key. Reported at line 1, where it can be added in every format.
 pub(super) fn missing(key: &str, hint: &'static str) -> Fault {
     Fault { line: Some(1), problem: CalibrationProblem::MissingKey { key: key.to_owned(), hint } }
 }

@@ -1,16 +1,18 @@
-//! Slips of people who type TOML: commas for points, quotes of a word processor, backslashes of Windows; and what to type instead.
+//! Recognises common TOML typing mistakes (decimal commas, curly quotes, Windows backslashes) and
+//! suggests what to type.
 
-/// Quotes that word processors and web pages put in place of plain ones.
+/// Quotes that word processors and web pages use instead of plain ones.
 const CURLY: [char; 13] = ['“', '”', '„', '‟', '‘', '’', '‚', '«', '»', '‹', '›', '″', '＂'];
 
-/// What to type in place of a line that is not TOML, as a clause; `None` where nobody can tell.
+/// Suggests a replacement for a line that is not TOML, as a clause; `None` if the mistake is not
+/// recognised.
 pub(crate) fn what_to_type(text: &str, at: usize) -> Option<String> {
     let start = text.get(..at)?.rfind('\n').map_or(0, |newline| newline + 1);
     let line = text.get(start..)?.lines().next()?.trim();
     corrected(line).map(|(why, line)| format!("{why}; write: {line}"))
 }
 
-/// The section that the line begins, by its name in single brackets; `None` where it begins none.
+/// Returns the section name if the line is a header in single brackets.
 pub(crate) fn single_section(text: &str, at: usize) -> Option<&str> {
     let start = text.get(..at)?.rfind('\n').map_or(0, |newline| newline + 1);
     let line = without_remark(text.get(start..)?.lines().next()?).trim();
@@ -18,7 +20,7 @@ pub(crate) fn single_section(text: &str, at: usize) -> Option<&str> {
     name.split('.').all(|part| is_key(part.trim())).then_some(name)
 }
 
-/// What an array of so many numbers was meant to be: 4 for two numbers with decimal commas.
+/// Corrects decimal commas in an array that should have `wanted` numbers but has twice as many.
 pub(crate) fn points_for_commas(text: &str, span: std::ops::Range<usize>, wanted: usize) -> Option<String> {
     let array = text.get(span)?.trim().strip_prefix('[')?.strip_suffix(']')?;
     let parts: Vec<&str> = array.split(',').map(str::trim).filter(|part| !part.is_empty()).collect();
@@ -100,7 +102,7 @@ fn is_key(text: &str) -> bool {
     !text.is_empty() && text.chars().all(|c| c.is_ascii_alphanumeric() || "_-.".contains(c))
 }
 
-/// The value without what stands behind #, unless that is in quotes.
+/// Strips a trailing # comment that is not in quotes.
 fn without_remark(value: &str) -> &str {
     let mut is_quoted = false;
     let end = value.char_indices().find(|(_, c)| {

@@ -1,4 +1,4 @@
-//! stagepose's own calibration file: flat TOML, one key a number, unknown keys refused.
+//! stagepose's own calibration file: flat TOML, one key per parameter; unknown keys are refused.
 
 use std::fmt::Write;
 use std::ops::Range;
@@ -10,12 +10,11 @@ use super::problem::{CalibrationProblem, Fault, missing};
 use super::{Calibration, CalibrationForm, IntrinsicsUncertainty, POSSIBLE_ERRORS, model, slips};
 use crate::camera::Intrinsics;
 
-/// The keys of the file and of its `[uncertainty]`, all that there are, and what the coefficients must be, for messages.
+/// All keys of the file and of its `[uncertainty]`, and the required coefficients, for messages.
 const KEYS: [&str; 12] = ["width", "height", "fx", "fy", "cx", "cy", "skew", "distortion", "rms_px", "images", "date", "uncertainty"];
 const UNCERTAINTY_KEYS: [&str; 6] = ["fx", "fy", "cx", "cy", "skew", "distortion"];
 const DISTORTION: &str = "5 numbers [k1, k2, p1, p2, k3]";
 
-/// Reads the text of a stagepose calibration file.
 pub(super) fn parse(text: &str) -> Result<Calibration, Fault> {
     let root = DeTable::parse(text).map_err(|e| Fault {
         line: e.span().map(|s| line_at(text, s)),
@@ -44,7 +43,7 @@ pub(super) fn parse(text: &str) -> Result<Calibration, Fault> {
     })
 }
 
-/// The parser's words, and what to type.
+/// The parser's message, with a suggestion of what to type.
 fn reason(text: &str, error: &toml::de::Error) -> String {
     let words = error.message().trim().replace('\n', ", ");
     let hint = error.span().and_then(|span| slips::what_to_type(text, span.start));
@@ -71,7 +70,7 @@ fn uncertainty(root: &Section) -> Result<Option<IntrinsicsUncertainty>, Fault> {
     Ok(Some(IntrinsicsUncertainty { focal_px, centre_px, skew, distortion }))
 }
 
-/// One table of the file, with what is needed to say where a value stands.
+/// One table of the file, with what is needed to locate its values.
 struct Section<'a> {
     text: &'a str,
     name: &'static str,
@@ -171,12 +170,13 @@ fn as_number(value: &DeValue) -> Option<f64> {
     }
 }
 
-/// The line, from 1, in which `span` starts.
+/// Returns the line, from 1, in which `span` starts.
 fn line_at(text: &str, span: Range<usize>) -> usize {
     1 + text.as_bytes().iter().take(span.start).filter(|b| **b == b'\n').count()
 }
 
-/// The text of a stagepose calibration file. Rust's shortest float form is valid TOML and reads back to the same bits.
+/// Writes a stagepose calibration file. Rust's shortest float format is valid TOML and reads back
+/// to the same bits.
 pub(super) fn write(calibration: &Calibration) -> String {
     let i = calibration.model.intrinsics();
     let mut text = format!(

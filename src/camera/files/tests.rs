@@ -1,4 +1,4 @@
-//! Every calibration form, what is refused and with which words, and arbitrary text.
+//! Tests of all calibration formats, of refusals and their messages, and of arbitrary text.
 
 use proptest::prelude::*;
 
@@ -12,7 +12,7 @@ fn intrinsics(name: &str, text: &str) -> Intrinsics {
     *read(name, text).unwrap().model.intrinsics()
 }
 
-/// The message of a refused file; all must be one sentence that names the file.
+/// The message of a refused file; it must be one line that starts with the file's name.
 #[track_caller]
 fn refusal(name: &str, text: &str) -> String {
     let message = read(name, text).unwrap_err().to_string();
@@ -102,7 +102,7 @@ fn ros_camera_info_is_read_and_other_lenses_refused() {
     assert!(read("cam.yml", &format!("{OPENCV}fisheye_model: 0\n")).is_ok());
 }
 
-/// A camera_info of a sensor of 960 x 540.
+/// A camera_info of a 960 x 540 sensor.
 const SENSOR: &str = "image_width: 960\nimage_height: 540\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: [576, 0, 481.92, 0, 580, 267.84, 0, 0, 1]\n\
     distortion_model: plumb_bob\nD: [-0.11, 0.06, 0.0006, -0.0004, 0]\n";
 
@@ -121,7 +121,7 @@ fn a_window_of_the_sensor_and_binning_are_applied_in_both_conventions() {
     assert_eq!((i.width, i.height, i.fx, i.fy), (640, 360, 576.0, 580.0));
     assert!((i.cx - 321.92).abs() < 1e-9 && (i.cy - 177.84).abs() < 1e-9);
     assert!(c.notes[0].contains("a window of the sensor (roi: 640 x 360 pixels at 160, 90)"), "{:?}", c.notes);
-    // The window's size with the sensor's matrix: told by P, or by the middle of the picture.
+    // The window's size with the sensor's matrix: P or the picture's centre shows it.
     let baxter = window.replace("image_width: 960", "image_width: 640").replace("image_height: 540", "image_height: 360");
     for text in [baxter.clone(), format!("{baxter}P: [576, 0, 321.92, 0, 0, 580, 177.84, 0, 0, 0, 1, 0]\n")] {
         assert_eq!(intrinsics("c.yaml", &text), *i, "{text}");
@@ -132,7 +132,8 @@ fn a_window_of_the_sensor_and_binning_are_applied_in_both_conventions() {
         let same = intrinsics("c.yaml", &text);
         assert_eq!((same.width, same.cx, same.cy), (640, 321.92, 177.84), "{text}");
     }
-    // A window a few pixels off with nothing that tells whose the matrix is.
+    // A window offset by a few pixels, and nothing shows whether the matrix is the sensor's or the
+    // window's.
     let unsure = own.replace("x_offset: 160", "x_offset: 8").replace("y_offset: 90", "y_offset: 8");
     let message = refusal("c.yaml", &unsure);
     assert!(message.contains("line 9: `roi` begins at 8, 8, and it cannot be told") && message.contains("a `roi` of zeros"), "{message}");
@@ -337,7 +338,8 @@ prop_compose! {
         sigma in prop::option::of(prop::array::uniform10(0.0..1e3f64)),
     ) -> Calibration {
         let (w, h) = (f64::from(width), f64::from(height));
-        // Longer than the picture along both axes: within 60 degrees such distortions have an inverse, and wider they may be refused when they are read.
+        // Focal length above the longer side: such distortions are invertible within 60 degrees;
+        // wider ones may be refused on reading.
         let fx = f * w.max(h) / pixel.min(1.0);
         let intrinsics = Intrinsics { width, height, fx, fy: pixel * fx, cx: c[0] * w, cy: c[1] * h, skew, distortion };
         let uncertainty = sigma.map(|s| IntrinsicsUncertainty {

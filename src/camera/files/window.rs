@@ -1,17 +1,21 @@
-//! ROS camera_info's `roi` and `binning`: which part of the sensor the pictures are, and how many of its pixels make one of theirs.
+//! ROS camera_info's `roi` and `binning`: which part of the sensor the pictures show, and how many
+//! sensor pixels make one picture pixel.
 //!
-//! By the message's definition `width`, `height` and K are those of the full sensor, and the window lies on it. Some drivers write the
-//! window's own size with the K of the full sensor; P, which is of the window, or the middle of the picture tells which K it is.
+//! By the message's definition, `width`, `height` and K describe the full sensor, and the window
+//! lies on it. Some drivers write the window's own size with the full sensor's K. P, which
+//! describes the window, or else the picture's centre shows which K it is.
 
 use super::problem::{CalibrationProblem, Fault};
 use super::yaml::{Node, whole};
 use crate::camera::Intrinsics;
 
-/// How much nearer to the middle of the window, as a share of it, one centre must lie than the other to be taken for the lens's. Raised,
-/// more files without a projection matrix are refused; lowered, a guess may be wrong.
+/// Minimum difference, as a fraction of the window, between the two candidate principal points'
+/// distances to the expected centre. Raised, more ambiguous files are refused; lowered, the wrong K
+/// may be chosen.
 const CLEARLY: f64 = 0.1;
 
-/// The camera of the pictures that come, and a word where they are not the whole sensor.
+/// Returns the camera of the delivered pictures, with a remark if they do not show the whole
+/// sensor.
 pub(super) fn applied(root: &Node, sensor: Intrinsics) -> Result<(Intrinsics, Option<String>), Fault> {
     let number = |node: &Node, key: &str| -> Result<u32, Fault> {
         let Some((name, value)) = node.find(&[key]) else { return Ok(0) };
@@ -44,7 +48,7 @@ pub(super) fn applied(root: &Node, sensor: Intrinsics) -> Result<(Intrinsics, Op
     Ok((camera, Some(word)))
 }
 
-/// The line and the offset and size of the window; `None` where it is the whole picture.
+/// Returns the window's line, offset and size; `None` if it is the whole picture.
 fn window(
     root: &Node,
     number: impl Fn(&Node, &str) -> Result<u32, Fault>,
@@ -52,7 +56,7 @@ fn window(
 ) -> Result<Option<(usize, [u32; 4])>, Fault> {
     let Some((_, roi)) = root.find(&["roi"]) else { return Ok(None) };
     let [x, y] = [number(roi, "x_offset")?, number(roi, "y_offset")?];
-    // A size of 0 is the rest of the sensor.
+    // A size of 0 means the rest of the sensor.
     let rest = |size: u32, side: u32, offset: u32| if size == 0 { side.saturating_sub(offset) } else { size };
     let w = rest(number(roi, "width")?, sensor.width, x);
     let h = rest(number(roi, "height")?, sensor.height, y);
@@ -60,7 +64,7 @@ fn window(
     Ok((!is_whole).then_some((roi.line, [x, y, w, h])))
 }
 
-/// Of a file that has the window's size: whether its matrix is the window's too; `None` where nothing tells.
+/// For a file with the window's size: whether its matrix is the window's too; `None` if ambiguous.
 fn belongs_to_window(root: &Node, sensor: &Intrinsics, moved: &Intrinsics) -> Option<bool> {
     let projection = root.find(&["P", "projection_matrix"]).and_then(|(_, node)| node.numbers()).filter(|p| p.len() == 12 && p[0] != 0.0);
     let apart = |i: &Intrinsics, [x, y]: [f64; 2]| ((i.cx - x) / f64::from(i.width.max(1))).hypot((i.cy - y) / f64::from(i.height.max(1)));
@@ -70,7 +74,7 @@ fn belongs_to_window(root: &Node, sensor: &Intrinsics, moved: &Intrinsics) -> Op
     ((own - other).abs() > CLEARLY).then_some(own < other)
 }
 
-/// Pixels that are put together: theirs is the mean of the sensor's.
+/// Applies binning: a picture pixel is the mean of the sensor pixels it combines.
 fn binned(i: Intrinsics, [across, down]: [u32; 2]) -> (Intrinsics, Option<String>) {
     if (across, down) == (1, 1) {
         return (i, None);

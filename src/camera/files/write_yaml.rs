@@ -1,8 +1,8 @@
-//! Writing OpenCV's and ROS's YAML forms, for other programs to read.
+//! Writes OpenCV's and ROS's YAML formats for other programs.
 
 use super::Calibration;
 
-/// `fx, skew, cx, ...` of the matrix K, row by row.
+/// Formats K row by row: `fx, fx*skew, cx, ...`.
 fn matrix(calibration: &Calibration) -> String {
     let k = calibration.model.k_matrix();
     let rows: Vec<String> = k.transpose().iter().map(|v| format!("{v:?}")).collect();
@@ -14,12 +14,12 @@ fn distortion(calibration: &Calibration) -> String {
     d.map(|v| format!("{v:?}")).join(", ")
 }
 
-/// A text that YAML takes as one string whatever it holds.
+/// Quotes a text so that YAML reads it as one string, whatever it contains.
 fn quoted(text: &str) -> String {
     format!("\"{}\"", text.replace(['"', '\\', '\n', '\r'], " "))
 }
 
-/// OpenCV's FileStorage YAML, as its calibration sample writes it.
+/// Writes OpenCV's FileStorage YAML as its calibration sample does.
 pub(super) fn opencv(calibration: &Calibration) -> String {
     let i = calibration.model.intrinsics();
     let mut text = "%YAML:1.0\n---\n".to_owned();
@@ -41,7 +41,7 @@ pub(super) fn opencv(calibration: &Calibration) -> String {
     text
 }
 
-/// ROS's camera_info YAML.
+/// Writes ROS's camera_info YAML.
 pub(super) fn ros(calibration: &Calibration, name: &str) -> String {
     let i = calibration.model.intrinsics();
     let k = calibration.model.k_matrix();

@@ -1,21 +1,21 @@
-//! A YAML text as a tree that knows its line numbers.
+//! A YAML text as a tree with line numbers.
 //!
-//! Built from the parser's events without recursion, with a bound on the depth and without aliases, so that no
-//! text can exhaust the stack or the memory. OpenCV's `%YAML:1.0` line is not YAML and is blanked first.
+//! Built from the parser's events without recursion, with bounded depth and without aliases, so
+//! that no text can exhaust the stack or the memory. OpenCV's `%YAML:1.0` line is not YAML and is
+//! blanked first.
 
 use yaml_rust2::Event;
 use yaml_rust2::parser::Parser;
 
 use super::problem::{CalibrationProblem, Fault};
 
-/// A value and the line that it, or its key, stands on, from 1.
+/// A value and the line of it or its key, from 1.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Node {
     pub line: usize,
     pub content: Content,
 }
 
-/// What a node holds.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Content {
     Scalar(String),
@@ -23,15 +23,15 @@ pub(super) enum Content {
     Map(Vec<(String, Node)>),
 }
 
-/// Nesting of lists and maps: deeper than any calibration, of which a matrix in a camera's map is the
-/// deepest. It bounds what a hostile file can cost; raised, it may cost more.
+/// Maximum nesting of lists and maps; real calibrations need at most a matrix in a camera's map.
+/// Bounds the cost of a hostile file: raised, it may cost more.
 const DEEPEST: usize = 16;
 
 fn syntax(line: usize, reason: impl Into<String>) -> Fault {
     Fault { line: Some(line), problem: CalibrationProblem::Syntax { reason: reason.into() } }
 }
 
-/// The first document of a YAML text; an empty text is an empty map.
+/// Parses the first document of a YAML text; an empty text is an empty map.
 pub(super) fn parse(text: &str) -> Result<Node, Fault> {
     let strict: String = text.lines().map(|l| if l.starts_with("%YAML") { "\n".to_owned() } else { format!("{l}\n") }).collect();
     let strict = strict.replace("!!opencv-matrix", "");
@@ -67,7 +67,7 @@ pub(super) fn parse(text: &str) -> Result<Node, Fault> {
     }
 }
 
-/// A list or map that is not finished, and the key that awaits its value.
+/// An unfinished list or map, and the key that awaits its value.
 struct Open {
     node: Node,
     key: Option<(String, usize)>,
@@ -96,20 +96,21 @@ impl Open {
     }
 }
 
-/// A key as it is looked up: files spell the same key in several ways.
+/// Normalises a key: files spell the same key in several ways.
 fn plain(name: &str) -> String {
     name.replace('_', "").to_ascii_lowercase()
 }
 
 impl Node {
-    /// The value of the first of `names` that the map has, whatever its case and underscores, with the name as typed.
+    /// Finds the first of `names` in the map, ignoring case and underscores; returns the name as
+    /// typed and its value.
     pub fn find(&self, names: &[&str]) -> Option<(&str, &Node)> {
         let Content::Map(entries) = &self.content else { return None };
         let one = |name: &&str| entries.iter().find(|(k, _)| plain(k) == plain(name)).map(|(k, v)| (k.as_str(), v));
         names.iter().find_map(one)
     }
 
-    /// A number; OpenCV writes `.Nan` and `.Inf`.
+    /// Parses a number; OpenCV writes `.Nan` and `.Inf`.
     pub fn number(&self) -> Option<f64> {
         let Content::Scalar(text) = &self.content else { return None };
         match text.to_ascii_lowercase().as_str() {
@@ -120,12 +121,13 @@ impl Node {
         }
     }
 
-    /// The text of a scalar.
+    /// Returns the text of a scalar.
     pub fn text(&self) -> Option<&str> {
         if let Content::Scalar(text) = &self.content { Some(text) } else { None }
     }
 
-    /// The numbers of a list, a list of lists, or a matrix map with `data`; `None` where something else is in between.
+    /// Returns the numbers of a list, a list of lists, or a matrix map with `data`; `None` if
+    /// anything in it is not a number.
     pub fn numbers(&self) -> Option<Vec<f64>> {
         match &self.content {
             Content::Scalar(_) => None,
@@ -144,10 +146,10 @@ impl Node {
     }
 }
 
-/// A node's number where it counts pixels.
+/// Converts a node's number to a whole number of pixels.
 ///
 /// # Errors
-/// Where it is no whole number.
+/// When it is not a whole number.
 pub(super) fn whole(key: &str, node: &Node, number: f64) -> Result<u32, Fault> {
     if number.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&number) {
         return Ok(number as u32);
