@@ -1,27 +1,27 @@
-//! Uniform bicubic B-splines over a rectangle: smooth fields with few numbers.
+//! Uniform bicubic B-splines over a rectangle: smooth fields with few parameters.
 //!
-//! A field is a sum of bumps, one a coefficient, each four intervals wide. It has continuous second derivatives, and a value depends on sixteen
-//! coefficients alone.
+//! A field is a sum of bumps, one per coefficient, each four intervals wide. It has continuous
+//! second derivatives, and each value depends on only sixteen coefficients.
 //!
-//! Source: de Boor, *A Practical Guide to Splines* (1978), chapter IX; here with evenly spaced knots.
+//! Source: de Boor, *A Practical Guide to Splines* (1978), chapter IX; here with uniform knots.
 
 use nalgebra::SVector;
 
-/// Coefficients that a point depends on, along each axis.
+/// Number of coefficients along each axis that a point depends on; fixed by the cubic degree.
 pub const SUPPORT: usize = 4;
 
-/// A grid of coefficients over a rectangle, `N` numbers each.
+/// A grid of coefficients over a rectangle, `N` values each.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BicubicSpline<const N: usize> {
-    /// Intervals between knots, across and up.
+    /// Number of knot intervals, across and up.
     intervals: [usize; 2],
-    /// The rectangle, centred at the origin.
+    /// Size of the rectangle, which is centred at the origin.
     size: [f64; 2],
     /// Row by row, from the lower left: intervals + 3 along each axis.
     coefficients: Vec<SVector<f64, N>>,
 }
 
-/// A field and its slopes at a point.
+/// A field and its derivatives at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SplineValue<const N: usize> {
     /// The field.
@@ -32,26 +32,27 @@ pub struct SplineValue<const N: usize> {
     pub by_y: SVector<f64, N>,
 }
 
-/// The sixteen coefficients that a point depends on, and how.
+/// The sixteen coefficients that a point depends on, and their weights.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Support {
-    /// Index of the first one; the others follow along x, row after row.
+    /// Index of the first one; the others follow along x, row by row.
     first: usize,
     stride: usize,
     across: Basis,
     up: Basis,
 }
 
-/// The four bumps at a place between two knots.
+/// The four basis functions at a position between two knots.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Basis {
     weights: [f64; SUPPORT],
-    /// By the coordinate, not by the share of the interval.
+    /// Derivatives by the coordinate, not by the fraction of the interval.
     slopes: [f64; SUPPORT],
 }
 
 impl Basis {
-    /// Of a point at `t`, 0 to 1, within an interval. `per_unit`: intervals per unit of length.
+    /// Evaluates the basis at `t`, 0 to 1, within an interval. `per_unit`: intervals per unit of
+    /// length.
     fn at(t: f64, per_unit: f64) -> Self {
         let s = 1.0 - t;
         let (t2, s2) = (t * t, s * s);
@@ -63,7 +64,7 @@ impl Basis {
 }
 
 impl Support {
-    /// Index and weight of each coefficient.
+    /// Returns index and weight of each coefficient.
     pub fn weights(&self) -> [(usize, f64); SUPPORT * SUPPORT] {
         std::array::from_fn(|k| {
             let (i, j) = (k % SUPPORT, k / SUPPORT);
@@ -73,14 +74,15 @@ impl Support {
 }
 
 impl<const N: usize> BicubicSpline<N> {
-    /// Zero everywhere. At least one interval along each axis is taken.
+    /// Creates a field that is zero everywhere, with at least one interval along each axis.
     pub fn zero(intervals: [usize; 2], size: [f64; 2]) -> Self {
         let intervals = intervals.map(|n| n.max(1));
         let coefficients = vec![SVector::zeros(); (intervals[0] + 3) * (intervals[1] + 3)];
         Self { intervals, size, coefficients }
     }
 
-    /// From coefficients; `None` where their number is not that of the grid, or one is not finite.
+    /// Creates a field from coefficients; `None` if their number does not match the grid or any
+    /// value is invalid.
     pub fn from_coefficients(intervals: [usize; 2], size: [f64; 2], coefficients: Vec<SVector<f64, N>>) -> Option<Self> {
         let fits = intervals.iter().all(|n| *n >= 1)
             && coefficients.len() == (intervals[0] + 3) * (intervals[1] + 3)
@@ -89,32 +91,33 @@ impl<const N: usize> BicubicSpline<N> {
         fits.then_some(Self { intervals, size, coefficients })
     }
 
-    /// Intervals across and up.
+    /// Returns the number of intervals, across and up.
     pub fn intervals(&self) -> [usize; 2] {
         self.intervals
     }
 
-    /// Distance between knots, across and up.
+    /// Returns the distance between knots, across and up.
     pub fn spacing(&self) -> [f64; 2] {
         [0, 1].map(|axis| self.size[axis] / self.intervals[axis] as f64)
     }
 
-    /// Coefficients across and up.
+    /// Returns the number of coefficients, across and up.
     pub fn columns_and_rows(&self) -> [usize; 2] {
         self.intervals.map(|n| n + 3)
     }
 
-    /// The coefficients, row by row from the lower left.
+    /// Returns the coefficients, row by row from the lower left.
     pub fn coefficients(&self) -> &[SVector<f64, N>] {
         &self.coefficients
     }
 
-    /// See [`coefficients`](Self::coefficients).
+    /// Like [`coefficients`](Self::coefficients), mutable.
     pub fn coefficients_mut(&mut self) -> &mut [SVector<f64, N>] {
         &mut self.coefficients
     }
 
-    /// Gives the middle of each coefficient's bump: coefficients that are a plane's values there make that plane.
+    /// Returns a function from a coefficient's index to the centre of its basis function.
+    /// Coefficients set to a plane's values at these centres reproduce the plane.
     pub fn middles(&self) -> impl Fn(usize) -> [f64; 2] + use<N> {
         let (columns, spacing, intervals) = (self.columns_and_rows()[0], self.spacing(), self.intervals());
         move |n| {
@@ -123,12 +126,13 @@ impl<const N: usize> BicubicSpline<N> {
         }
     }
 
-    /// What a point depends on; beyond the rectangle the nearest point of its border.
+    /// Returns the coefficients that a point depends on; points outside are clamped to the
+    /// rectangle.
     pub fn support(&self, [x, y]: [f64; 2]) -> Support {
         let place = |v: f64, axis: usize| {
             let n = self.intervals[axis] as f64;
             let per_unit = n / self.size[axis];
-            // `clamp` keeps a coordinate that is no number; as an index it becomes 0.
+            // `clamp` keeps NaN; as an index it becomes 0.
             let at = (v * per_unit + 0.5 * n).clamp(0.0, n);
             let interval = (at as usize).min(self.intervals[axis] - 1);
             (interval, Basis::at(at - interval as f64, per_unit))
@@ -138,7 +142,7 @@ impl<const N: usize> BicubicSpline<N> {
         Support { first: row * stride + column, stride, across, up }
     }
 
-    /// The field at a point.
+    /// Evaluates the field at a point.
     pub fn at(&self, point: [f64; 2]) -> SplineValue<N> {
         let Support { first, stride, across, up } = self.support(point);
         let mut out = SplineValue { value: SVector::zeros(), by_x: SVector::zeros(), by_y: SVector::zeros() };

@@ -1,22 +1,23 @@
-//! What solvers and distances ask of a correspondence: where it is in either picture.
+//! What solvers and distances need of a correspondence: its position in either picture.
 
 use nalgebra::Vector2;
 
 use super::homography::PointPair;
 use super::relative_pose::RayPair;
 
-/// Largest coordinate of a correspondence that is computed with. No picture comes near; beyond it, products of eighth order leave the doubles.
+/// Maximum usable coordinate of a correspondence. No picture comes near it; raised, products of
+/// eighth order overflow.
 const LARGEST: f64 = 1e12;
 
-/// A place seen in two pictures.
+/// A point seen in two pictures.
 pub trait Correspondence {
-    /// Where it is in the first.
+    /// Position in the first picture.
     fn first(&self) -> Vector2<f64>;
 
-    /// Where it is in the second.
+    /// Position in the second picture.
     fn second(&self) -> Vector2<f64>;
 
-    /// Whether it can be computed with: all its numbers are finite, and none is absurd.
+    /// Whether it can be used: all coordinates are finite and not absurdly large.
     fn is_usable(&self) -> bool {
         self.first().iter().chain(self.second().iter()).all(|v| v.abs() <= LARGEST)
     }

@@ -1,16 +1,18 @@
-//! Covariances of poses, carried through their inverse and their product.
+//! Covariances of poses, propagated through inversion and composition.
 //!
-//! Everywhere but inside a solver the covariance of a pose `T_a_b` = (R, p) is that of [δp, δθ] with p_true = p + δp and
-//! R_true = Exp(δθ) R, both in the axes of `a`. Resection perturbs `T_camera_body` from the left instead: T <- (Exp φ, τ) T.
+//! Everywhere except inside a solver, the covariance of a pose `T_a_b` = (R, p) is that of [δp, δθ]
+//! with p_true = p + δp and R_true = Exp(δθ) R, both in the axes of `a`. Resection perturbs
+//! `T_camera_body` from the left instead: T <- (Exp φ, τ) T.
 
 use nalgebra::{Matrix3, Matrix6};
 
 use super::{Body, Camera, Pose, Stage, skew};
 
-/// Covariance of the camera's pose in a body, [δp, δθ] of `T_body_camera`, from that of resection, [τ, φ] of `T_camera_body`.
+/// Computes the covariance of the camera's pose in a body, [δp, δθ] of `T_body_camera`, from
+/// resection's covariance, [τ, φ] of `T_camera_body`.
 ///
-/// With T_body_camera = T⁻¹: R' = Rᵀ, p = -Rᵀ t. A left perturbation (φ, τ) of T gives R'_true = Rᵀ Exp(-φ) =
-/// Exp(-Rᵀφ) R', and p_true = -Rᵀ Exp(-φ) (Exp(φ) t + τ) = p - Rᵀ τ to first order.
+/// With T_body_camera = T⁻¹: R' = Rᵀ, p = -Rᵀ t. A left perturbation (φ, τ) of T gives R'_true = Rᵀ
+/// Exp(-φ) = Exp(-Rᵀφ) R', and p_true = -Rᵀ Exp(-φ) (Exp(φ) t + τ) = p - Rᵀ τ to first order.
 pub fn covariance_of_inverse(t_camera_body: &Pose<Camera, Body>, covariance: &Matrix6<f64>) -> Matrix6<f64> {
     let rt = t_camera_body.rotation_matrix().transpose();
     let mut g = Matrix6::zeros();
@@ -19,10 +21,13 @@ pub fn covariance_of_inverse(t_camera_body: &Pose<Camera, Body>, covariance: &Ma
     symmetric(g * covariance * g.transpose())
 }
 
-/// Covariance of an object's pose in the stage: its own measurement and the camera's, which the same frame measured apart.
+/// Computes the covariance of an object's pose in the stage from the object's measurement and the
+/// camera's, which are independent measurements from the same frame.
 ///
-/// T_stage_object = T_stage_camera T_object_camera⁻¹, (R, p) = (R_c R_oᵀ, p_c - R p_o). With the camera's perturbation (δp, δθ) in stage axes and
-/// (δp_o, δθ_o) of `T_object_camera` in the object's: the rotation's is δθ - R δθ_o, the position's δp + δθ x (p - p_c) - R (δp_o - δθ_o x p_o).
+/// T_stage_object = T_stage_camera T_object_camera⁻¹, (R, p) = (R_c R_oᵀ, p_c - R p_o). The
+/// camera's perturbation is (δp, δθ) in stage axes, that of `T_object_camera` is (δp_o, δθ_o) in
+/// the object's. The rotation's perturbation is then δθ - R δθ_o, the position's δp + δθ x (p -
+/// p_c) - R (δp_o - δθ_o x p_o).
 pub fn covariance_of_object(
     t_stage_camera: &Pose<Stage, Camera>,
     camera_covariance: &Matrix6<f64>,
@@ -41,7 +46,7 @@ pub fn covariance_of_object(
     symmetric(by_camera * camera_covariance * by_camera.transpose() + by_object * object_covariance * by_object.transpose())
 }
 
-/// Rounding must not leave a matrix that is not its own transpose.
+/// Removes asymmetry due to rounding.
 fn symmetric(m: Matrix6<f64>) -> Matrix6<f64> {
     (m + m.transpose()) * 0.5
 }
@@ -69,7 +74,7 @@ mod tests {
         (stage, object)
     }
 
-    /// Σ step stepᵀ over the six unit steps must come out as the covariance of the identity.
+    /// Σ step stepᵀ over the six unit steps must equal the covariance propagated from the identity.
     #[test]
     fn covariance_of_an_inverse_agrees_with_differences() {
         let (t, _) = poses();
@@ -81,7 +86,8 @@ mod tests {
             sum += d * d.transpose();
         }
         let computed = covariance_of_inverse(&t, &Matrix6::identity());
-        // The solver's step turns the translation too, so its unit covariance is that of (τ, φ) exactly.
+        // The solver's step also rotates the translation, so its unit covariance is exactly that of
+        // (τ, φ).
         assert!((computed - sum).norm() < 1e-4, "{computed} {sum}");
     }
 

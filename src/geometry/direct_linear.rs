@@ -1,4 +1,5 @@
-//! The homography of many pairs by the normalised direct linear transformation (Hartley and Zisserman, "Multiple View Geometry", algorithm 4.2).
+//! Homography from many pairs by the normalised direct linear transformation (Hartley and
+//! Zisserman, "Multiple View Geometry", algorithm 4.2).
 
 use nalgebra::{Matrix3, SMatrix, SVector};
 
@@ -6,7 +7,8 @@ use super::homography::{Homography, PointPair};
 use super::normalisation::normalising;
 
 impl Homography {
-    /// The normalised direct linear transformation over weighted pairs (Hartley & Zisserman, algorithm 4.2).
+    /// Estimates the homography by the normalised direct linear transformation over weighted pairs
+    /// (Hartley & Zisserman, algorithm 4.2). `None` for fewer than four pairs or degenerate ones.
     pub fn from_pairs(pairs: &[PointPair], weights: Option<&[f64]>) -> Option<Self> {
         if pairs.len() < 4 {
             return None;

@@ -1,15 +1,18 @@
-//! How far a correspondence is from a two-view relation, in the units of its coordinates: pixels, where they are pixels.
+//! Distances of a correspondence from a two-view relation, in the units of its coordinates (e.g.
+//! pixels).
 //!
-//! Relations are `x2^T F x1 = 0` (F: fundamental for pixels, essential for normalised points) and `x2 ∝ H x1`. All distances are squared, which is what
-//! costs are made of. Hartley and Zisserman, "Multiple View Geometry", chapters 4 and 11; one correspondence in two pictures is a point in four
-//! dimensions, and the Sampson distance is its distance from the relation's surface there, to first order.
+//! Relations are `x2^T F x1 = 0` (F: fundamental for pixels, essential for normalised points) and
+//! `x2 ∝ H x1`. All distances are squared, as costs need them. Source: Hartley and Zisserman,
+//! "Multiple View Geometry", chapters 4 and 11. A correspondence is a point in four dimensions, and
+//! the Sampson distance is its first-order distance from the relation's surface there.
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
 use super::correspondence::Correspondence;
 use super::homography::Homography;
 
-/// Squared Sampson distance to F: what both points must move by, together, to meet it.
+/// Computes the squared Sampson distance to F: how far both points together must move to satisfy
+/// it.
 pub fn squared_sampson<C: Correspondence>(f: &Matrix3<f64>, pair: &C) -> f64 {
     let (a, b) = (pair.first().push(1.0), pair.second().push(1.0));
     let (fa, ftb) = (f * a, f.transpose() * b);
@@ -17,7 +20,8 @@ pub fn squared_sampson<C: Correspondence>(f: &Matrix3<f64>, pair: &C) -> f64 {
     c * c / (fa.xy().norm_squared() + ftb.xy().norm_squared()).max(1e-300)
 }
 
-/// Squared distances of the first point from the second's epipolar line, and of the second from the first's; infinite at an epipole, which has no line.
+/// Computes the squared distances of the first point from the second's epipolar line and of the
+/// second from the first's. Infinite at an epipole, which has no line.
 pub fn squared_epipolar<C: Correspondence>(f: &Matrix3<f64>, pair: &C) -> [f64; 2] {
     let (a, b) = (pair.first().push(1.0), pair.second().push(1.0));
     let (line_in_second, line_in_first) = (f * a, f.transpose() * b);
@@ -28,12 +32,13 @@ pub fn squared_epipolar<C: Correspondence>(f: &Matrix3<f64>, pair: &C) -> [f64; 
     })
 }
 
-/// Squared symmetric epipolar distance: both one-sided ones together.
+/// Computes the squared symmetric epipolar distance: the sum of both one-sided ones.
 pub fn squared_symmetric_epipolar<C: Correspondence>(f: &Matrix3<f64>, pair: &C) -> f64 {
     squared_epipolar(f, pair).iter().sum()
 }
 
-/// Squared symmetric transfer distance: of H x1 from x2 and of H⁻¹ x2 from x1, together; infinite beyond a horizon and where H has no inverse.
+/// Computes the squared symmetric transfer distance: H x1 from x2 plus H⁻¹ x2 from x1. Infinite
+/// beyond a horizon and if H is singular.
 pub fn squared_symmetric_transfer<C: Correspondence>(h: &Homography, pair: &C) -> f64 {
     let Some(back) = h.inverse() else { return f64::INFINITY };
     let there = h.map(pair.first()).map_or(f64::INFINITY, |q| (q - pair.second()).norm_squared());
@@ -41,10 +46,11 @@ pub fn squared_symmetric_transfer<C: Correspondence>(h: &Homography, pair: &C) -
     there + and_back
 }
 
-/// Squared Sampson distance to H; infinite beyond the horizon.
+/// Computes the squared Sampson distance to H; infinite beyond the horizon.
 ///
-/// Two equations bind the pair, `(h1 - u h3) x1 = 0` and `(h2 - v h3) x1 = 0`; with their values e and their derivative J by (x, y, u, v), the distance
-/// is eᵀ (J Jᵀ)⁻¹ e (Chum, Pajdla and Sturm, "The geometric error for homographies", CVIU 2005).
+/// A pair satisfies two equations, `(h1 - u h3) x1 = 0` and `(h2 - v h3) x1 = 0`. With their values
+/// e and their derivative J by (x, y, u, v), the distance is eᵀ (J Jᵀ)⁻¹ e (Chum, Pajdla and Sturm,
+/// "The geometric error for homographies", CVIU 2005).
 pub fn squared_sampson_of_homography<C: Correspondence>(h: &Homography, pair: &C) -> f64 {
     let (h, to) = (&h.0, pair.second());
     let v = h * pair.first().push(1.0);
@@ -95,7 +101,7 @@ mod tests {
             let [in_first, in_second] = squared_epipolar(&f, &p);
             assert!((in_second.sqrt() - f64::abs(moved)).abs() < 1e-6, "{in_second} {moved}");
             assert!((squared_symmetric_epipolar(&f, &p) - in_first - in_second).abs() < 1e-9);
-            // 1 / Sampson² = 1 / d1² + 1 / d2²: it is below both.
+            // 1 / Sampson² = 1 / d1² + 1 / d2², so it is below both.
             let sampson = squared_sampson(&f, &p);
             assert!((1.0 / sampson - 1.0 / in_first - 1.0 / in_second).abs() < 1e-6 / sampson);
         }
@@ -103,8 +109,8 @@ mod tests {
 
     #[test]
     fn sampson_distances_are_the_shortest_way_to_the_relation() {
-        // A pair that is met, moved by little: the distance is what is left of the move across the surface, so at most the move's length, and the
-        // pair minus the linear correction meets the relation far better.
+        // A pair on the relation, moved slightly: the distance is at most the length of the move,
+        // and it agrees with a brute-force minimum.
         let (h, mut random) = (homography(), Pcg64Mcg::seed_from_u64(2));
         for _ in 0..50 {
             let from = pair(&mut random).from;
@@ -114,7 +120,7 @@ mod tests {
             let d2 = squared_sampson_of_homography(&h, &moved);
             let length2 = (moved.from - from).norm_squared() + (moved.to - to).norm_squared();
             assert!(d2 <= length2 * 1.01, "{d2} {length2}");
-            // The smallest of x̂ by brute force over a fine grid around the moved point.
+            // The smallest distance over x̂ on a fine grid around the moved point.
             let mut least = f64::INFINITY;
             for i in -100..=100 {
                 for k in -100..=100 {
@@ -159,7 +165,7 @@ mod tests {
 
     #[test]
     fn an_epipole_has_no_distance_from_a_line_that_is_none() {
-        // A move straight ahead: both epipoles are at the origin.
+        // A forward motion: both epipoles are at the origin.
         let f = skew(&Vector3::z()) * Rotation3::identity().into_inner();
         let p = PointPair { from: Vector2::zeros(), to: Vector2::new(1.0, 2.0) };
         assert_eq!(squared_epipolar(&f, &p)[1], f64::INFINITY);

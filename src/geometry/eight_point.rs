@@ -1,4 +1,5 @@
-//! The fundamental matrix of eight or more pairs: the normalised eight-point algorithm (Hartley, "In defense of the eight-point algorithm", PAMI 1997).
+//! Fundamental matrix from eight or more pairs by the normalised eight-point algorithm (Hartley,
+//! "In defense of the eight-point algorithm", PAMI 1997).
 
 use nalgebra::{Matrix3, SMatrix, SVector};
 
@@ -6,12 +7,14 @@ use super::correspondence::Correspondence;
 use super::epipolar::null_direction;
 use super::normalisation::normalising;
 
-/// Below this share of the largest eigenvalue, the second smallest says that more than one matrix fits exactly: points of one plane, or fewer
-/// different pairs than eight. Raised, noise could be taken for that; it is the square of a deviation of 1e-7 of the picture's size.
+/// If the second smallest eigenvalue is below this fraction of the largest, more than one matrix
+/// fits exactly: coplanar points, or fewer than eight distinct pairs. It is the square of a
+/// deviation of 1e-7 of the picture's size. Raised, noisy data may be rejected as ambiguous.
 const AMBIGUOUS: f64 = 1e-14;
 
-/// F with `x2^T F x1 = 0`, of rank two and norm 1, by least squares of that equation over weighted pairs, in coordinates about their centroids.
-/// `None` of fewer than eight pairs, and of pairs that leave F open.
+/// Estimates F with `x2^T F x1 = 0`, of rank two and norm 1, by least squares of that equation over
+/// weighted pairs in normalised coordinates. `None` for fewer than eight pairs or if they do not
+/// determine F.
 pub fn eight_point<C: Correspondence>(pairs: &[C], weights: Option<&[f64]>) -> Option<Matrix3<f64>> {
     if pairs.len() < 8 || !pairs.iter().all(Correspondence::is_usable) {
         return None;
@@ -41,7 +44,8 @@ pub fn eight_point<C: Correspondence>(pairs: &[C], weights: Option<&[f64]>) -> O
     f.iter().all(|v| v.is_finite()).then_some(f)
 }
 
-/// The nearest matrix of rank two (Frobenius norm): without its smallest singular value. `None` of one of lower rank.
+/// Returns the nearest matrix of rank two (Frobenius norm) by removing the smallest singular value.
+/// `None` if the rank is lower.
 pub fn of_rank_two(m: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     let eigen = (m.transpose() * m).symmetric_eigen();
     let v = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
@@ -74,7 +78,7 @@ mod tests {
         let pairs = pixels(&scene(300, 0.001, false, 3));
         let f = eight_point(&pairs, None).expect("regular");
         let mean = pairs.iter().map(|p| squared_sampson(&f, p)).sum::<f64>() / pairs.len() as f64;
-        // The noise is even over ±0.8 px in each coordinate, 0.46 px rms.
+        // The noise is uniform over ±0.8 px in each coordinate, 0.46 px rms.
         assert!(mean.sqrt() < 0.5, "{mean}");
         assert!(null_direction(&f).is_some_and(|e| (f * e).norm() < 1e-12));
     }

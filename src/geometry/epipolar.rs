@@ -1,30 +1,34 @@
-//! Epipoles, and epipolar lines as a picture shows them.
+//! Epipoles, and the visible part of epipolar lines.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-/// An epipole farther away than this is given by its direction, in the coordinates' unit. Lines through one picture to a point ten million pixels
-/// away are parallel to a ten-thousandth of a pixel, and the point itself is rounding.
+/// Distance, in the coordinates' unit, beyond which an epipole is reported as a direction. Lines
+/// through a picture to a point ten million pixels away are parallel to a ten-thousandth of a
+/// pixel, and the point itself is rounding noise.
 const FARTHEST: f64 = 1e7;
 
-/// Where the other camera stands in a picture.
+/// Image of the other camera's centre in a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Epipole {
-    /// At a point, inside the picture or not.
+    /// A point, inside the picture or not.
     At(Vector2<f64>),
-    /// At infinity, in this direction or the opposite one (unit length): the camera moved across its line of sight.
+    /// A point at infinity, in this or the opposite direction (unit length): the camera moved
+    /// perpendicular to its line of sight.
     Towards(Vector2<f64>),
 }
 
-/// The epipoles in the first picture (F e1 = 0) and in the second (F^T e2 = 0); `None` of a matrix of rank below two.
+/// Computes the epipoles in the first picture (F e1 = 0) and in the second (F^T e2 = 0); `None` if
+/// the rank is below two.
 pub fn epipoles(f: &Matrix3<f64>) -> Option<[Epipole; 2]> {
     Some([null_direction(f)?, null_direction(&f.transpose())?].map(|e| {
         let at = e.xy() / e.z;
-        // Not a number where e.z vanishes: then the comparison fails as well.
+        // NaN if e.z is 0: then the comparison fails as well.
         if at.norm() <= FARTHEST { Epipole::At(at) } else { Epipole::Towards(e.xy().normalize()) }
     }))
 }
 
-/// The unit vector that a matrix of rank two maps to nought: across the two rows that are farthest from parallel. `None` of rank one.
+/// Returns the unit null vector of a matrix of rank two: the cross product of its two least
+/// parallel rows. `None` for rank one.
 pub fn null_direction(m: &Matrix3<f64>) -> Option<Vector3<f64>> {
     let rows = [0, 1, 2].map(|k| m.row(k).transpose());
     let across = [(0, 1), (0, 2), (1, 2)].map(|(i, k)| rows[i].cross(&rows[k]));
@@ -32,23 +36,25 @@ pub fn null_direction(m: &Matrix3<f64>) -> Option<Vector3<f64>> {
     longest.try_normalize(1e-14 * m.norm_squared()).filter(|n| n.iter().all(|v| v.is_finite()))
 }
 
-/// The fundamental matrix of an essential one, for pixels of these cameras (first, second; K as it maps normalised points to pixels): K2⁻ᵀ E K1⁻¹.
+/// Converts an essential matrix to the fundamental matrix for pixels of these cameras (first,
+/// second; K maps normalised points to pixels): K2⁻ᵀ E K1⁻¹.
 pub fn in_pixels(e: &Matrix3<f64>, [first, second]: [&Matrix3<f64>; 2]) -> Option<Matrix3<f64>> {
     let f = second.try_inverse()?.transpose() * e * first.try_inverse()?;
     f.iter().all(|v| v.is_finite()).then_some(f)
 }
 
-/// The epipolar line in the second picture of a point in the first: `a x + b y + c = 0`, as (a, b, c). The other way round with F^T.
+/// Returns the epipolar line in the second picture of a point in the first: `a x + b y + c = 0`, as
+/// (a, b, c). Use F^T for the reverse.
 pub fn epipolar_line(f: &Matrix3<f64>, point: Vector2<f64>) -> Vector3<f64> {
     f * point.push(1.0)
 }
 
-/// The part of a line that crosses a picture of this width and height (pixel centres at integers, so it reaches from -0.5 to width - 0.5); `None`
-/// where it misses the picture.
+/// Clips a line to a picture of this width and height (pixel centres at integers, so from -0.5 to
+/// width - 0.5); `None` if it misses the picture.
 pub fn clipped(line: &Vector3<f64>, [width, height]: [u32; 2]) -> Option<[Vector2<f64>; 2]> {
     let across = line.xy().norm();
     let along = Vector2::new(-line.y, line.x) / across;
-    // The line's foot from the picture's middle keeps the numbers small.
+    // Working from the line's point nearest to the picture's centre keeps the numbers small.
     let middle = Vector2::new(0.5 * (f64::from(width) - 1.0), 0.5 * (f64::from(height) - 1.0));
     let foot = middle - line.xy() / across * ((line.xy().dot(&middle) + line.z) / across);
     let (mut from, mut to) = (f64::NEG_INFINITY, f64::INFINITY);
@@ -101,7 +107,7 @@ mod tests {
 
     #[test]
     fn lines_are_cut_at_the_outer_edges_of_the_picture() {
-        // y = 3 over a picture of 10 x 5.
+        // y = 3 over a 10 x 5 picture.
         let [a, b] = clipped(&Vector3::new(0.0, 2.0, -6.0), [10, 5]).expect("crosses");
         assert!((a.x - b.x).abs() == 10.0 && a.y == 3.0 && b.y == 3.0 && a.x.min(b.x) == -0.5);
         assert_eq!(clipped(&Vector3::new(0.0, 1.0, -5.0), [10, 5]), None);
@@ -112,7 +118,7 @@ mod tests {
     }
 
     proptest! {
-        /// What is drawn lies on the line and in the picture, and what is not drawn passes it by.
+        /// Clipped segments lie on the line and in the picture; lines without one miss the picture.
         #[test]
         fn a_clipped_line_is_the_line_inside(angle in 0.0..6.3_f64, offset in -900.0..900.0_f64, scale in 1e-3..1e3_f64, w in 1..800_u32, h in 1..600_u32) {
             let line = Vector3::new(angle.cos(), angle.sin(), offset) * scale;

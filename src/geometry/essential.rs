@@ -1,4 +1,4 @@
-//! Candidates for the essential matrix, several where a flat scene allows two motions.
+//! Candidates for the essential matrix; several, because a flat scene allows two motions.
 
 use nalgebra::Matrix3;
 
@@ -7,9 +7,10 @@ use super::five_point::five_point;
 use super::ransac::{self, Estimator, Order};
 use super::relative_pose::RayPair;
 
-/// Robust search: `samples` five-point samples, truncated squares (MSAC) of Sampson distances; every distinct good model is given, best first (at most
-/// `keep`), because a flat scene allows two. `threshold` in the pairs' units. `robust_essential` gives the one best
-/// motion, refined, by a threshold in pixels.
+/// Searches robustly with `samples` five-point samples, scored by truncated squared (MSAC) Sampson
+/// distances. Returns every distinct good model, best first (at most `keep`), because a flat scene
+/// allows two. `threshold` is in the pairs' units. `robust_essential` instead returns the single
+/// best motion, refined, with a threshold in pixels.
 pub fn essential_candidates(pairs: &[RayPair], threshold: f64, samples: usize, keep: usize, seed: u64) -> Vec<Matrix3<f64>> {
     if pairs.len() < 6 {
         return Vec::new();
@@ -18,7 +19,7 @@ pub fn essential_candidates(pairs: &[RayPair], threshold: f64, samples: usize, k
     ransac::search(&TwoViews { pairs, t2: threshold * threshold }, &options).into_iter().map(|(_, e)| e).collect()
 }
 
-/// Rays seen in two views, of which five make up to ten essential matrices.
+/// Rays seen in two views; five of them give up to ten essential matrices.
 struct TwoViews<'a> {
     pairs: &'a [RayPair],
     /// Squared threshold.
@@ -40,7 +41,7 @@ impl Estimator<5> for TwoViews<'_> {
         let mut cost = 0.0;
         for pair in self.pairs {
             cost += squared_sampson(e, pair).min(self.t2);
-            // The cost only grows.
+            // The cost can only grow.
             if -cost <= bar {
                 return None;
             }

@@ -1,4 +1,5 @@
-//! Motions that an essential matrix allows, and which of them puts what was seen in front of both cameras (cheirality).
+//! Decomposes an essential matrix into motions and chooses the one that puts the points in front of
+//! both cameras (cheirality).
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -7,14 +8,14 @@ use super::relative_pose::{RayPair, TwoViewMotion};
 use super::robust_kernel::median;
 use super::triangulation::depths;
 
-/// The four motions that an essential matrix allows.
+/// Returns the four motions that an essential matrix allows.
 fn decompose(e: &Matrix3<f64>) -> Option<[TwoViewMotion; 4]> {
     if !e.iter().all(|v| v.is_finite()) {
         return None;
     }
     let svd = e.svd(true, true);
     let (mut u, mut vt) = (svd.u?, svd.v_t?);
-    // nalgebra sorts singular values, largest first: the null directions are the last ones.
+    // nalgebra sorts singular values in descending order: the null directions come last.
     if u.determinant() < 0.0 {
         u = -u;
     }
@@ -27,7 +28,7 @@ fn decompose(e: &Matrix3<f64>) -> Option<[TwoViewMotion; 4]> {
     Some([(r1, t), (r1, -t), (r2, t), (r2, -t)].map(|(rotation, direction)| TwoViewMotion { rotation, direction }))
 }
 
-/// The motion among the four that puts most pairs in front of both cameras, with that number.
+/// Returns the motion of the four that puts most pairs in front of both cameras, with that number.
 pub fn motion_by_cheirality(e: &Matrix3<f64>, pairs: &[RayPair]) -> Option<(TwoViewMotion, usize)> {
     let motions = decompose(e)?;
     let counted = motions.map(|m| {
@@ -37,38 +38,43 @@ pub fn motion_by_cheirality(e: &Matrix3<f64>, pairs: &[RayPair]) -> Option<(TwoV
     counted.into_iter().max_by_key(|(_, n)| *n)
 }
 
-/// A motion, and how surely what was seen speaks for it rather than for the other three of its essential matrix.
+/// A motion, and how strongly the points support it over the other three of its essential matrix.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JudgedMotion {
     /// The motion.
     pub motion: TwoViewMotion,
-    /// Pairs that lie in front of both cameras.
+    /// Number of pairs in front of both cameras.
     pub in_front: usize,
-    /// By how much the next best motion is worse: in squares of the noise that would have to move pairs to in front of both cameras, each pair
-    /// counted up to `LARGEST_SQUARED`. About 0 for a camera that only turned; from `CLEAR_MARGIN` the choice is sure.
+    /// Cost difference to the next best motion, in squared sigmas of the noise needed to move pairs
+    /// in front of both cameras; each pair counts up to `LARGEST_SQUARED`. About 0 for pure
+    /// rotation; from `CLEAR_MARGIN` on the choice is certain.
     pub margin: f64,
-    /// Median angle between the two rays of a pair, radians: the parallax that depths were judged by. In the order of the noise for a camera that
-    /// only turned.
+    /// Median angle between the two rays of a pair, radians: the parallax available for judging
+    /// depth. About the noise level for pure rotation.
     pub parallax: f64,
 }
 
-/// Largest count of a pair on the wrong side, in squares of the noise, so that wrong pairs among the inliers cannot decide.
+/// Maximum cost of a pair on the wrong side, squared sigmas, so that wrong pairs among the inliers
+/// cannot decide. Raised, single pairs weigh more.
 pub const LARGEST_SQUARED: f64 = 9.0;
-/// A motion is surely the right one of four from this margin on: four sigmas.
+/// Margin from which the choice of motion is certain: four sigmas. Raised, fewer motions count as
+/// clear.
 pub const CLEAR_MARGIN: f64 = 16.0;
 
 impl JudgedMotion {
-    /// Whether the sign of the translation, and which of two rotations it is, are sure.
+    /// Whether the sign of the translation and the choice between the two rotations are certain.
     pub fn is_clear(&self) -> bool {
         self.margin >= CLEAR_MARGIN
     }
 }
 
-/// The motion among the four that all pairs together speak for: the one that needs the least noise to put every pair in front of both cameras.
+/// Chooses, using all pairs, the motion of the four that needs the least noise to put every pair in
+/// front of both cameras.
 ///
-/// A pair that would be behind a camera must have its rays moved to infinity, by the angle between them; that costs the angle's square in squares of
-/// `sigma` (noise of a ray, radians, that is pixels over focal length). So a far pair, which noise puts on either side, counts little, and no pair
-/// alone decides. Ties go to the motion with more pairs in front.
+/// A pair behind a camera must have its rays moved to infinity, by the angle between them. That
+/// costs the squared angle over `sigma` squared (noise of a ray, radians: pixels over focal
+/// length). So a far pair, which noise puts on either side, counts little, and no pair decides
+/// alone. Ties go to the motion with more pairs in front. `None` if the matrix is not finite.
 pub fn judged_motion(e: &Matrix3<f64>, pairs: &[RayPair], sigma: f64) -> Option<JudgedMotion> {
     let judged = decompose(e)?.map(|motion| {
         let cost: f64 = pairs.iter().map(|p| cost_in_front(&motion, p, sigma)).sum();
@@ -88,13 +94,13 @@ fn is_in_front(motion: &TwoViewMotion, pair: &RayPair) -> bool {
     depths(motion, pair).is_some_and(|(a, b)| a > 0.0 && b > 0.0)
 }
 
-/// Angle between both rays of a pair.
+/// Angle between the two rays of a pair, radians.
 fn parallax(motion: &TwoViewMotion, pair: &RayPair) -> f64 {
     let (a, b) = (motion.rotation * pair.first.push(1.0), pair.second.push(1.0));
     a.cross(&b).norm().atan2(a.dot(&b))
 }
 
-/// Squared noise that a pair needs to be in front of both cameras.
+/// Squared noise needed to put a pair in front of both cameras, capped.
 fn cost_in_front(motion: &TwoViewMotion, pair: &RayPair, sigma: f64) -> f64 {
     if is_in_front(motion, pair) { 0.0 } else { (parallax(motion, pair) / sigma).powi(2).min(LARGEST_SQUARED) }
 }
@@ -119,11 +125,13 @@ mod tests {
         }
     }
 
-    /// Thesis error E31: one point, seen in one view, chose among two of the four motions, and the translation came out reversed.
+    /// Thesis error E31: one point seen in one view chose between two of the four motions, and the
+    /// translation came out reversed.
     #[test]
     fn e31_every_inlier_decides_cheirality_and_translation_is_never_reversed() {
         let mut random = Pcg64Mcg::seed_from_u64(1);
-        // 600 scenes: any motion with more than 2 degrees of parallax, noise up to a pixel of a short lens, wrong pairs among the inliers.
+        // 600 scenes with more than 2 degrees of parallax, noise up to a pixel of a short lens, and
+        // wrong pairs among the inliers.
         let mut judged = 0;
         for _ in 0..600 {
             let mut axis = || Vector3::new(random.random_range(-1.0..1.0), random.random_range(-1.0..1.0), random.random_range(-1.0..1.0));
@@ -161,7 +169,8 @@ mod tests {
 
     #[test]
     fn far_pairs_that_noise_puts_on_the_wrong_side_do_not_outvote_near_ones() {
-        // Ten near points, and forty so far that the noise hides their parallax; of those most happen to be on the wrong side.
+        // Ten near points, and forty so far that noise hides their parallax; most of those happen
+        // to be on the wrong side.
         let truth = TwoViewMotion { rotation: UnitQuaternion::identity(), direction: Vector3::x() };
         let pair =
             |depth: f64, y: f64, noise: f64| RayPair { first: Vector2::new(0.1, y), second: Vector2::new(0.1 + 1.0 / depth + noise, y) };

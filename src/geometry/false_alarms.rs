@@ -1,13 +1,17 @@
-//! How many models this good chance alone would make: what tells pictures without a relation from pictures with one.
+//! Expected number of equally good models by chance, which separates unrelated pictures from
+//! related ones.
 //!
-//! A contrario (Moisan and Stival, "A probabilistic criterion to detect rigid point matches between two images", IJCV 2004): if all n pairs were
-//! wrong, a pair would agree with a model of its sample's making with some chance p; all samples of s pairs and all k agreeing pairs are counted as
-//! tries. Their formula (11): ln NFA = ln m (n - s) + ln C(n, k) + ln C(k, s) + (k - s) ln p.
+//! A contrario (Moisan and Stival, "A probabilistic criterion to detect rigid point matches between
+//! two images", IJCV 2004): if all n pairs were wrong, a pair would agree with a sample's model
+//! with some chance p; all samples of s pairs and all k agreeing pairs count as trials. Their
+//! formula (11): ln NFA = ln m (n - s) + ln C(n, k) + ln C(k, s) + (k - s) ln p.
 
-/// Natural logarithm of the expected number of models with `inliers` of `pairs` or more agreeing, if all pairs were wrong. Below 0 chance makes less
-/// than one; below -5 a relation is sure.
+/// Computes the natural logarithm of the expected number of models with at least `inliers` of
+/// `pairs` agreeing if all pairs were wrong. Below 0, chance gives less than one; below -5 a
+/// relation is certain.
 ///
-/// `sample` pairs make up to `models` models. `chance` is that of a wrong pair to agree: [`chance_at_a_point`] or [`chance_at_a_line`].
+/// `sample` pairs give up to `models` models. `chance` is a wrong pair's chance to agree:
+/// [`chance_at_a_point`] or [`chance_at_a_line`].
 pub fn ln_false_alarms(pairs: usize, inliers: usize, sample: usize, models: usize, chance: f64) -> f64 {
     if inliers <= sample || pairs < inliers {
         return f64::INFINITY;
@@ -16,18 +20,20 @@ pub fn ln_false_alarms(pairs: usize, inliers: usize, sample: usize, models: usiz
     tries + ln_choices(pairs, inliers) + ln_choices(inliers, sample) + (inliers - sample) as f64 * chance.clamp(1e-12, 1.0).ln()
 }
 
-/// Chance that a wrong point of a picture of this size is within `threshold` pixels of another.
+/// Returns the chance that a wrong point in a picture of this size is within `threshold` pixels of
+/// a given point.
 pub fn chance_at_a_point([width, height]: [u32; 2], threshold: f64) -> f64 {
     (std::f64::consts::PI * threshold * threshold / (f64::from(width) * f64::from(height))).min(1.0)
 }
 
-/// Chance that a wrong point of a picture of this size is within `threshold` pixels of a line across it: of the longest, the diagonal.
+/// Returns the chance that a wrong point in a picture of this size is within `threshold` pixels of
+/// a line through it; uses the longest line, the diagonal.
 pub fn chance_at_a_line([width, height]: [u32; 2], threshold: f64) -> f64 {
     let (width, height) = (f64::from(width), f64::from(height));
     (2.0 * threshold * width.hypot(height) / (width * height)).min(1.0)
 }
 
-/// ln of n over k.
+/// Computes ln of the binomial coefficient n over k.
 fn ln_choices(n: usize, k: usize) -> f64 {
     let k = k.min(n - k);
     (0..k).map(|i| ((n - i) as f64 / (k - i) as f64).ln()).sum()

@@ -1,10 +1,11 @@
-//! The five-point solver of the essential matrix (Nistér, "An efficient solution to the five-point relative pose problem", PAMI 2004).
+//! Five-point solver for the essential matrix (Nistér, "An efficient solution to the five-point
+//! relative pose problem", PAMI 2004).
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use super::relative_pose::RayPair;
 
-/// All essential matrices (at most ten) that five pairs satisfy.
+/// Returns all essential matrices (at most ten) that five pairs satisfy.
 pub fn five_point(pairs: &[RayPair; 5]) -> Vec<Matrix3<f64>> {
     let mut a = SMatrix::<f64, 9, 9>::zeros();
     for p in pairs {
@@ -23,9 +24,10 @@ pub fn five_point(pairs: &[RayPair; 5]) -> Vec<Matrix3<f64>> {
     solutions(&reduced, &basis)
 }
 
-/// Index of the monomials of degree <= 3 in x, y, z, in the order that Nistér's elimination needs.
+/// Index of a monomial of degree <= 3 in x, y, z, in the order that Nistér's elimination needs.
 fn monomial_index([x, y, z]: [usize; 3]) -> usize {
-    // Exponents of x, y and z: first the ten that are eliminated, then those that the polynomial in z is made of (Nistér 2004).
+    // Exponents of x, y and z: first the ten that are eliminated, then those that form the
+    // polynomial in z (Nistér 2004).
     const ORDER: [[usize; 3]; 20] = [
         [3, 0, 0],
         [0, 3, 0],
@@ -48,12 +50,12 @@ fn monomial_index([x, y, z]: [usize; 3]) -> usize {
         [0, 0, 1],
         [0, 0, 0],
     ];
-    // Every product of three linear forms is in the table.
+    // The table contains every product of three linear forms.
     ORDER.iter().position(|m| *m == [x, y, z]).unwrap_or(19)
 }
 
-/// The ten cubic constraints on E = xX + yY + zZ + W (det E = 0 and 2 E E^T E = tr(E E^T) E), eliminated to the identity in
-/// the first ten monomials; the remaining ten columns are returned.
+/// Builds the ten cubic constraints on E = xX + yY + zZ + W (det E = 0 and 2 E E^T E = tr(E E^T)
+/// E), eliminates the first ten monomials to the identity, and returns the remaining ten columns.
 fn reduced_constraints(basis: &[Matrix3<f64>; 4]) -> Option<SMatrix<f64, 10, 10>> {
     let exponents = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]];
     let mut m = SMatrix::<f64, 10, 20>::zeros();
@@ -99,11 +101,13 @@ fn value(p: &[f64], z: f64) -> f64 {
     p.iter().rev().fold(0.0, |sum, c| sum * z + c)
 }
 
-/// Row k of the 3x3 matrix B(z): [x-coefficient, y-coefficient, rest], from e - z f of Nistér's table.
+/// Row k of the 3x3 matrix B(z): [x-coefficient, y-coefficient, rest], from e - z f of Nistér's
+/// table.
 fn row_of(r: &SMatrix<f64, 10, 10>, e: usize, f: usize) -> [Polynomial; 3] {
     let (e, f) = (r.row(e), r.row(f));
     let part = |from: usize, n: usize| -> Polynomial {
-        // Columns hold descending powers z^(n-1) .. z^0; reverse them, then subtract z times the other row.
+        // Columns hold descending powers z^(n-1) .. z^0: reverse them, then subtract z times the
+        // other row.
         let low: Vec<f64> = (0..n).map(|k| e[from + n - 1 - k]).collect();
         let high: Vec<f64> = std::iter::once(0.0).chain((0..n).map(|k| f[from + n - 1 - k])).collect();
         minus(&low, &high)
@@ -124,7 +128,8 @@ fn solutions(reduced: &SMatrix<f64, 10, 10>, basis: &[Matrix3<f64>; 4]) -> Vec<M
     real_roots(&determinant)
         .into_iter()
         .filter_map(|z| {
-            // The null vector of B(z) is (x, y, 1): take it from the best-conditioned pair of rows.
+            // The null vector of B(z) is (x, y, 1): compute it from the best-conditioned pair of
+            // rows.
             let rows: [Vector3<f64>; 3] = std::array::from_fn(|k| Vector3::new(value(&b[k][0], z), value(&b[k][1], z), value(&b[k][2], z)));
             let null = [rows[0].cross(&rows[1]), rows[0].cross(&rows[2]), rows[1].cross(&rows[2])]
                 .into_iter()
@@ -137,7 +142,8 @@ fn solutions(reduced: &SMatrix<f64, 10, 10>, basis: &[Matrix3<f64>; 4]) -> Vec<M
         .collect()
 }
 
-/// Real roots of a polynomial of degree ten (lowest power first): eigenvalues of the companion matrix, polished by Newton.
+/// Finds the real roots of a polynomial of degree ten (lowest power first): eigenvalues of the
+/// companion matrix, polished by Newton's method.
 fn real_roots(p: &[f64]) -> Vec<f64> {
     let lead = p[10];
     let largest = p.iter().fold(0.0_f64, |m, c| m.max(c.abs()));

@@ -1,14 +1,16 @@
-//! The homography through four pairs.
+//! Homography from exactly four pairs.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::homography::{Homography, PointPair};
 
 impl Homography {
-    /// The exact map through four pairs, no three of them in line (Heckbert's square-to-quad construction, twice).
+    /// Computes the exact map through four pairs, no three of them collinear (Heckbert's
+    /// square-to-quad construction, twice).
     ///
-    /// `None` for degenerate or orientation-mixing samples: the four corners must turn the same way around every triangle in
-    /// both pictures, up to one common reflection, or no view of a plane can have produced them.
+    /// `None` for degenerate samples or ones of mixed orientation. Every triangle of the four
+    /// points must keep its orientation in both pictures, or every one must reverse it; otherwise
+    /// no view of a plane can have produced them.
     pub fn from_four(pairs: &[PointPair; 4]) -> Option<Self> {
         if !consistent_orientation(pairs) {
             return None;
@@ -17,7 +19,8 @@ impl Homography {
         let to = basis_map(&pairs.map(|p| p.to))?;
         let h = to * from.try_inverse()?;
         let scale = h.norm();
-        // All four points must lie on the same side of the horizon; choose the sign that makes it the front.
+        // All four points must be on the same side of the horizon; choose the sign that makes it
+        // the front.
         let sign = (h * pairs[0].from.push(1.0)).z.signum();
         let h = h * (sign / scale);
         let finite = h.iter().all(|v| v.is_finite());
@@ -26,7 +29,7 @@ impl Homography {
     }
 }
 
-/// The map that takes the projective basis to four points (columns scaled so that they add up to the fourth).
+/// Maps the projective basis to four points (columns scaled so that they add up to the fourth).
 fn basis_map(p: &[Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
     let m = Matrix3::from_columns(&[p[0].push(1.0), p[1].push(1.0), p[2].push(1.0)]);
     let c: Vector3<f64> = m.try_inverse()? * p[3].push(1.0);
@@ -38,7 +41,7 @@ fn turn(a: Vector2<f64>, b: Vector2<f64>, c: Vector2<f64>) -> f64 {
     (b - a).perp(&(c - a))
 }
 
-/// Every triangle of the sample must keep its orientation, or every one must reverse it.
+/// Whether every triangle of the sample keeps its orientation, or every one reverses it.
 fn consistent_orientation(p: &[PointPair; 4]) -> bool {
     let product = |i: usize, j: usize, k: usize| turn(p[i].from, p[j].from, p[k].from) * turn(p[i].to, p[j].to, p[k].to);
     let signs = [product(0, 1, 2), product(0, 1, 3), product(0, 2, 3), product(1, 2, 3)];

@@ -1,42 +1,47 @@
-//! From an object to the camera over two views (the source's equations 12 to 15), as rigid transforms whose types name their frames.
+//! From an object to the camera over two views (the source's equations 12 to 15), as rigid
+//! transforms whose types name their frames.
 //!
-//! The source multiplies rotations onto the right and adds a column at the end; its x and z rotations are transposed and its y rotation is not.
-//! Here each step changes the frame that a point is given in, so each stands on the left of what came before:
+//! The source multiplies rotations on the right and appends a column at the end; its x and z
+//! rotations are transposed and its y rotation is not. Here each step changes the frame in which a
+//! point is expressed, so each multiplies from the left:
 //!
 //! ```text
 //! T_camera_object = T_camera_first · T_first_second · T_second_object
 //! ```
 //!
-//! `docs/frame-chain.md` works an example and goes through the source's errors.
+//! `docs/frame-chain.md` works through an example and the source's errors.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::pose::{Body, Camera, Pose};
 use super::relative_pose::TwoViewMotion;
 
-/// The optical frame of the camera when it took the first picture.
+/// The camera's optical frame when it took the first picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FirstView {}
-/// The optical frame of the camera when it took the second picture.
+/// The camera's optical frame when it took the second picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SecondView {}
 
-/// The rotation by `alpha` about x, of what was turned by `beta` about y, of what was turned by `gamma` about z, radians: Rx(α) Ry(β) Rz(γ), each of
-/// them turning points counter-clockwise for whoever looks against its axis (equation 13 with one sign for all three).
+/// Returns Rx(α) Ry(β) Rz(γ): rotation by `gamma` about z, then `beta` about y, then `alpha` about
+/// x, radians. Each rotates points counter-clockwise when looking against its axis (equation 13
+/// with one sign for all three).
 pub fn rotation_xyz(alpha: f64, beta: f64, gamma: f64) -> UnitQuaternion<f64> {
     let about = |axis, angle| UnitQuaternion::from_axis_angle(&axis, angle);
     about(Vector3::x_axis(), alpha) * about(Vector3::y_axis(), beta) * about(Vector3::z_axis(), gamma)
 }
 
-/// The second view's points seen from the first, where the distance between the two is known: `T_first_second`, metres.
+/// Returns the second view's pose in the first, `T_first_second`, metres, from the known distance
+/// between the two.
 ///
-/// Two pictures alone leave the distance open (the source never says where it comes from). `motion` maps the first view's points into the second,
-/// so its inverse is wanted.
+/// Two pictures alone do not determine that distance (the source never says where it comes from).
+/// `motion` maps the first view's points into the second, so this inverts it.
 pub fn first_from_second(motion: &TwoViewMotion, baseline_m: f64) -> Pose<FirstView, SecondView> {
     Pose::<SecondView, FirstView>::new(motion.rotation, motion.direction * baseline_m).inverse()
 }
 
-/// The chain: an object's pose in the camera's frame from its pose in the second view's.
+/// Chains the transforms: returns an object's pose in the camera's frame from its pose in the
+/// second view's.
 pub fn object_in_camera(
     t_camera_first: &Pose<Camera, FirstView>,
     t_first_second: &Pose<FirstView, SecondView>,
@@ -59,7 +64,7 @@ mod tests {
         )
     }
 
-    /// The source's rotations of equation 13 as they are printed.
+    /// The source's rotations of equation 13 as printed.
     fn printed(alpha: f64, beta: f64, gamma: f64) -> Matrix3<f64> {
         let rx = Matrix3::new(1.0, 0.0, 0.0, 0.0, alpha.cos(), alpha.sin(), 0.0, -alpha.sin(), alpha.cos());
         let ry = Matrix3::new(beta.cos(), 0.0, beta.sin(), 0.0, 1.0, 0.0, -beta.sin(), 0.0, beta.cos());
@@ -71,12 +76,12 @@ mod tests {
     fn e14_all_three_rotations_turn_the_same_way() {
         let angle = 10.0_f64.to_radians();
         let right = rotation_xyz(angle, angle, angle);
-        // Each axis by itself: x to y to z to x.
+        // Each axis alone: x to y to z to x.
         let quarter = std::f64::consts::FRAC_PI_2;
         assert!((rotation_xyz(quarter, 0.0, 0.0) * Vector3::y() - Vector3::z()).norm() < 1e-12);
         assert!((rotation_xyz(0.0, quarter, 0.0) * Vector3::z() - Vector3::x()).norm() < 1e-12);
         assert!((rotation_xyz(0.0, 0.0, quarter) * Vector3::x() - Vector3::y()).norm() < 1e-12);
-        // What is printed is 30.6 degrees away.
+        // The printed rotation is 30.6 degrees away.
         let wrong = UnitQuaternion::from_matrix(&printed(angle, angle, angle));
         assert!((right.angle_to(&wrong).to_degrees() - 30.6).abs() < 0.1, "{}", right.angle_to(&wrong).to_degrees());
     }
@@ -96,7 +101,7 @@ mod tests {
             let by_steps = t_camera_first.transform(&t_first_second.transform(&t_second_object.transform(&p)));
             assert!((chain.transform(&p) - by_steps).norm() < 1e-12);
         }
-        // Without the way between the two views the object would be that far off.
+        // Without the translation between the views, the object would be off by exactly that much.
         let still = Pose::new(t_first_second.rotation, Vector3::zeros());
         let off = object_in_camera(&t_camera_first, &still, &t_second_object).translation - chain.translation;
         assert!((off.norm() - t_first_second.translation.norm()).abs() < 1e-12);
@@ -121,7 +126,8 @@ mod tests {
 
     #[test]
     fn e20_a_camera_s_place_enters_by_the_inverse_of_its_pose() {
-        // The camera stands 2 m right of the first view and looks the same way: what is straight before that view lies 2 m to the camera's left.
+        // The camera stands 2 m right of the first view and looks the same way: a point straight
+        // ahead of that view is 2 m to the camera's left.
         let t_first_camera = Pose::<FirstView, Camera>::new(UnitQuaternion::identity(), Vector3::new(2.0, 0.0, 0.0));
         let seen = t_first_camera.inverse().transform(&Point3::new(0.0, 0.0, 4.0));
         assert!((seen - Point3::new(-2.0, 0.0, 4.0)).norm() < 1e-12);

@@ -1,7 +1,9 @@
-//! Refinement of a fundamental matrix on Sampson distances: seven degrees of freedom, rank two by construction.
+//! Refinement of a fundamental matrix on Sampson distances: seven degrees of freedom, rank two by
+//! construction.
 //!
-//! F = U diag(cos φ, sin φ, 0) Vᵀ with orthonormal U and V: a step turns U and V by three angles each and moves φ (Bartoli and Sturm, "Nonlinear
-//! estimation of the fundamental matrix with minimal parameters", PAMI 2004).
+//! F = U diag(cos φ, sin φ, 0) Vᵀ with orthonormal U and V. A step rotates U and V by three angles
+//! each and changes φ (Bartoli and Sturm, "Nonlinear estimation of the fundamental matrix with
+//! minimal parameters", PAMI 2004).
 
 use nalgebra::{Matrix3, Rotation3, SVector, Vector3};
 
@@ -10,8 +12,8 @@ use super::normalisation::normalising;
 use super::pose::skew;
 use super::sampson_refinement::{Relation, SampsonFit};
 
-/// Refines F on the Sampson distances of pairs in pixels, weighed down beyond three `sigma` (pixels). `None` of pairs that are all one point, and of
-/// what is no fundamental matrix.
+/// Refines F on the Sampson distances of pairs in pixels, down-weighted beyond three `sigma`
+/// (pixels). `None` if all points coincide or `start` is not a fundamental matrix.
 pub fn refine_fundamental<C: Correspondence>(start: &Matrix3<f64>, pairs: &[C], sigma: f64, iterations: usize) -> Option<Matrix3<f64>> {
     let first = normalising(pairs.iter().map(Correspondence::first))?;
     let second = normalising(pairs.iter().map(Correspondence::second))?;
@@ -27,7 +29,6 @@ pub fn refine_fundamental<C: Correspondence>(start: &Matrix3<f64>, pairs: &[C], 
     f.iter().all(|v| v.is_finite()).then_some(f)
 }
 
-/// U, V and φ.
 #[derive(Debug, Clone, PartialEq)]
 struct Orthonormal {
     u: Matrix3<f64>,
@@ -36,7 +37,7 @@ struct Orthonormal {
 }
 
 impl Orthonormal {
-    /// Of a matrix of rank two, or nearly so; without its smallest singular value.
+    /// Factorises a matrix of rank two, or nearly so, dropping its smallest singular value.
     fn of(f: &Matrix3<f64>) -> Option<Self> {
         if !f.iter().all(|v| v.is_finite()) {
             return None;

@@ -1,8 +1,10 @@
-//! The gold standard homography: the map, and the points it maps, that are nearest to what was measured in both pictures.
+//! The gold standard homography: the map and the exactly mapped points nearest to the measurements
+//! in both pictures.
 //!
-//! Minimised is `Σ d(x, x̂)² + d(x', x̂')²` with `x̂' = Ĥ x̂` exactly, over Ĥ and all x̂ (Hartley and Zisserman, "Multiple View Geometry", algorithm
-//! 4.3): the estimate of the greatest likelihood where both pictures have noise. The points are eliminated from each step (Schur's complement), so
-//! that its cost grows with their number and no faster.
+//! Minimises `Σ d(x, x̂)² + d(x', x̂')²` with `x̂' = Ĥ x̂` exactly, over Ĥ and all x̂ (Hartley and
+//! Zisserman, "Multiple View Geometry", algorithm 4.3): the maximum likelihood estimate if both
+//! pictures are noisy. The points are eliminated from each step (Schur complement), so that the
+//! cost is linear in their number.
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2};
 
@@ -10,21 +12,21 @@ use super::homography::{Homography, PointPair};
 use super::least_squares::{Damping, Options, Problem, minimise};
 use super::normalisation::normalising;
 
-/// The nearest map and its points.
+/// The optimal map and its points.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GoldStandard {
     /// Ĥ.
     pub homography: Homography,
     /// x̂ in the first picture, pixels, in the order of the pairs; Ĥ maps them to x̂'.
     pub points: Vec<Vector2<f64>>,
-    /// The sum of squares that is left, pixels².
+    /// The remaining sum of squares, pixels².
     pub cost: f64,
-    /// Noise of one coordinate, pixels: 4 n numbers were measured, 2 n + 8 were estimated.
+    /// Estimated noise of one coordinate, pixels: 4 n values were measured and 2 n + 8 estimated.
     pub sigma: f64,
 }
 
-/// Minimises from a homography near the solution, over pairs that are all inliers. `None` of fewer than five pairs, of a start that has one beyond
-/// its horizon, and of points that are all one.
+/// Minimises from a homography near the solution, over pairs that are all inliers. `None` for fewer
+/// than five pairs, if `start` has a pair beyond its horizon, or if all points coincide.
 pub fn gold_standard(start: &Homography, pairs: &[PointPair], iterations: usize) -> Option<GoldStandard> {
     if pairs.len() < 5 || pairs.iter().any(|p| start.map(p.from).is_none()) {
         return None;
@@ -50,7 +52,7 @@ pub fn gold_standard(start: &Homography, pairs: &[PointPair], iterations: usize)
     })
 }
 
-/// Ĥ and x̂, in normalised coordinates; Ĥ of norm 1.
+/// Ĥ (norm 1) and x̂, in normalised coordinates.
 #[derive(Debug, Clone)]
 struct State {
     h: Matrix3<f64>,
@@ -59,11 +61,11 @@ struct State {
 
 struct BothPictures<'a> {
     measured: &'a [[Vector2<f64>; 2]],
-    /// What makes squares of normalised units pixels², in the first and the second picture.
+    /// Factors from squared normalised units to pixels², in the first and the second picture.
     weight: [f64; 2],
 }
 
-/// One pair at a state.
+/// One pair, linearised at a state.
 struct Linearised {
     /// x̂ - x and x̂' - x'.
     residual: [Vector2<f64>; 2],
@@ -73,14 +75,14 @@ struct Linearised {
     by_point: Matrix2<f64>,
 }
 
-/// The reduced equations for Ĥ, and what each point's step follows from.
+/// The reduced normal equations for Ĥ, and the rows that determine each point's step.
 struct Normal {
     reduced: SMatrix<f64, 9, 9>,
     gradient: SVector<f64, 9>,
     rows: Vec<Linearised>,
 }
 
-/// x̂' of a point, or `None` at the horizon.
+/// Maps a point to x̂', with its depth; `None` at the horizon.
 fn mapped(h: &Matrix3<f64>, p: &Vector2<f64>) -> Option<(Vector2<f64>, f64)> {
     let v = h * p.push(1.0);
     (v.z > 1e-9).then(|| (v.xy() / v.z, v.z))
@@ -100,7 +102,7 @@ impl BothPictures<'_> {
         Some(Linearised { residual: [p - x, q - y], by_h, by_point })
     }
 
-    /// The point's own normal matrix, damped.
+    /// The inverse of the point's own damped normal matrix.
     fn of_point(&self, row: &Linearised, damping: f64) -> Option<Matrix2<f64>> {
         let [w1, w2] = self.weight;
         let v = Matrix2::identity() * w1 + row.by_point.transpose() * row.by_point * w2;
@@ -124,11 +126,11 @@ impl Problem for BothPictures<'_> {
     fn linearised(&self, state: &State) -> Normal {
         let [w1, w2] = self.weight;
         let mut normal = Normal { reduced: SMatrix::zeros(), gradient: SVector::zeros(), rows: Vec::with_capacity(state.points.len()) };
-        // A finite cost has every point in front.
+        // A finite cost implies that every point is in front.
         for row in (0..state.points.len()).filter_map(|k| self.row(state, k)) {
             let Some(v_inverse) = self.of_point(&row, 0.0) else { continue };
             let (a, b) = (row.by_h, row.by_point);
-            // U - W V⁻¹ Wᵀ and its right side, of this point.
+            // This point's part of U - W V⁻¹ Wᵀ and of the right-hand side.
             let inner = Matrix2::identity() * w2 - b * v_inverse * b.transpose() * (w2 * w2);
             normal.reduced += a.transpose() * inner * a;
             let of_point = row.residual[0] * w1 + b.transpose() * row.residual[1] * w2;
@@ -170,7 +172,8 @@ mod tests {
         pairs(n, 0.0).into_iter().map(|p| PointPair { from: p.from + jitter(), to: p.to + jitter() }).collect()
     }
 
-    /// Thesis error E7: its equation 4 was described and never minimised. Here it is, and no nearby map or points have a lower sum.
+    /// Thesis error E7: its equation 4 was described but never minimised. Here it is, and no nearby
+    /// map or points have a lower sum.
     #[test]
     fn e7_the_gold_standard_is_minimised_in_both_pictures() {
         let pairs = noisy(40, 2.0, 1);
@@ -195,7 +198,7 @@ mod tests {
                 assert!(sum(&found.homography, &points) >= found.cost * (1.0 - 1e-12));
             }
         }
-        // To first order the sum is that of Sampson distances, which the points are eliminated from.
+        // To first order this is the sum of Sampson distances, which eliminate the points.
         let sampson = |h: &Homography| pairs.iter().map(|p| squared_sampson_of_homography(h, p)).sum::<f64>();
         assert!((sampson(&found.homography) / found.cost - 1.0).abs() < 0.01 && sampson(&linear) > sampson(&found.homography));
     }
@@ -239,7 +242,7 @@ mod tests {
         }
         let [gold, linear] = errors.map(|e: f64| (e / 20.0).sqrt());
         assert!(gold < linear && gold < 1.5, "{gold} {linear}");
-        // Even noise over ±1 has a standard deviation of 0.577.
+        // Uniform noise over ±1 has a standard deviation of 0.577.
         assert!((sum / 20.0 - 0.577).abs() < 0.03, "{sum}");
         let exact = gold_standard(&truth(), &pairs(20, 0.0), 10).expect("a minimum");
         assert!(exact.cost < 1e-15 && corner_error(&exact.homography) < 1e-6);

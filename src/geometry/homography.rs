@@ -1,4 +1,5 @@
-//! Plane-to-plane maps. What makes them of pairs is in files of its own: four points, direct linear, transfer refinement, gold standard.
+//! Plane-to-plane maps. Their estimators are in separate files: four points, direct linear,
+//! transfer refinement, gold standard.
 
 use nalgebra::{Matrix3, Vector2};
 
@@ -16,30 +17,32 @@ pub struct PointPair {
 }
 
 impl Homography {
-    /// Maps a point, or `None` when it lies on or beyond the horizon (third coordinate not of the sign of h33-normalised points).
+    /// Maps a point; `None` on or beyond the horizon (third coordinate not positive).
     pub fn map(&self, p: Vector2<f64>) -> Option<Vector2<f64>> {
         let v = self.0 * p.push(1.0);
         (v.z > 1e-12).then(|| Vector2::new(v.x / v.z, v.y / v.z))
     }
 
-    /// Whether the map keeps the sense of rotation, as every view of a picture's front does; a mirror image reverses it.
+    /// Whether the map keeps the sense of rotation, as every view of a picture's front does; a
+    /// mirror image reverses it.
     pub fn keeps_orientation(&self) -> bool {
-        // The Jacobian's determinant is det(H) / z^3, and z > 0 for every point that is mapped at all.
+        // The Jacobian's determinant is det(H) / z^3, and z > 0 for every point that can be mapped.
         self.0.determinant() > 0.0
     }
 
-    /// Squared transfer error of a pair in the second plane; infinite behind the horizon.
+    /// Returns the squared transfer error of a pair in the second plane; infinite beyond the
+    /// horizon.
     pub fn squared_error(&self, pair: &PointPair) -> f64 {
         self.map(pair.from).map_or(f64::INFINITY, |q| (q - pair.to).norm_squared())
     }
 
-    /// Scaled so that h33 = 1, or `None` where h33 vanishes.
+    /// Returns the matrix scaled so that h33 = 1; `None` if h33 is 0.
     pub fn with_unit_h33(&self) -> Option<Matrix3<f64>> {
         let scaled = self.0 / self.0[(2, 2)];
         scaled.iter().all(|v| v.is_finite()).then_some(scaled)
     }
 
-    /// The map back; `None` of one that flattens the plane.
+    /// Returns the inverse map; `None` if the matrix is singular.
     pub fn inverse(&self) -> Option<Self> {
         // A point in front stays in front: H⁻¹ (z x2) = x1 with the same positive z.
         let inverse = self.0.try_inverse()?;
@@ -63,7 +66,8 @@ mod tests {
         assert_eq!(Homography(Matrix3::zeros()).inverse(), None);
     }
 
-    /// Thesis error E5: the third coordinate is the depth, with a sign, and not "any large-scale coefficient".
+    /// Thesis error E5: the third coordinate is the signed depth, not "any large-scale
+    /// coefficient".
     #[test]
     fn e5_what_lies_behind_the_horizon_has_no_image() {
         let h = Homography(Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, -0.01, 0.0, 1.0));

@@ -1,8 +1,10 @@
-//! Motions that a plane seen in two views allows.
+//! Camera motions that a plane seen in two views allows.
 //!
-//! H = R + (t / d) nᵀ between normalised points, with n the plane's unit normal and d its distance in the first view. Up to four motions have the
-//! same H (Faugeras and Lustman 1988; closed form of Ma, Soatto, Košecká and Sastry, "An Invitation to 3-D Vision", section 5.3.3); what was seen
-//! must lie in front of the camera, which leaves two at most, and one for a plane seen head-on or a camera that only turned.
+//! H = R + (t / d) nᵀ between normalised points, with n the plane's unit normal and d its distance
+//! in the first view. Up to four motions have the same H (Faugeras and Lustman 1988; closed form of
+//! Ma, Soatto, Košecká and Sastry, "An Invitation to 3-D Vision", section 5.3.3). The points must
+//! be in front of the camera, which leaves at most two, and one for a plane seen head-on or pure
+//! rotation.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 
@@ -10,8 +12,9 @@ use super::homography::Homography;
 use super::pose::{quaternion, skew};
 use super::relative_pose::RayPair;
 
-/// Singular values of a rotation are all 1. Where the largest and the smallest are this near each other there is no plane: t / d, which is at least
-/// half their difference, is below a millionth and rounding.
+/// If the largest and smallest singular value differ by less than this, H is a pure rotation (whose
+/// singular values are all 1). t / d, at least half their difference, is then below a millionth and
+/// just rounding. Raised, very small motions are lost.
 const ONLY_TURNED: f64 = 1e-6;
 
 /// A motion and the plane that was seen.
@@ -19,19 +22,22 @@ const ONLY_TURNED: f64 = 1e-6;
 pub struct PlanarMotion {
     /// R: `x2 ∝ R x1 + t`.
     pub rotation: UnitQuaternion<f64>,
-    /// t / d: the translation in units of the plane's distance from the first camera; nought for a camera that only turned.
+    /// t / d: the translation in units of the plane's distance from the first camera; zero for pure
+    /// rotation.
     pub translation: Vector3<f64>,
-    /// The plane's normal in the first camera's axes, of unit length, away from the camera: `n · X = d > 0`. `None` for a camera that only turned.
+    /// The plane's unit normal in the first camera's axes, pointing away from the camera:
+    /// `n · X = d > 0`. `None` for pure rotation.
     pub normal: Option<Vector3<f64>>,
-    /// Pairs that lie in front of both cameras.
+    /// Number of pairs in front of both cameras.
     pub in_front: usize,
 }
 
-/// The motions that a homography between normalised points and what was seen allow, those with more pairs in front first: at most two, at least one
-/// of a homography that maps the pairs at all.
+/// Returns the motions that a homography between normalised points and its pairs allow, most pairs
+/// in front first: at most two, and at least one if the homography maps the pairs at all.
 ///
-/// Every pair decides: of a motion and its mirror image, (R, t, n) and (R, -t, -n), the one with more pairs on the plane's near side is given; and of
-/// what is left, those with at least half as many pairs in front as the best.
+/// All pairs are used. Of a motion and its mirror image, (R, t, n) and (R, -t, -n), the one with
+/// more pairs in front is kept; of the rest, those with at least half as many pairs in front as the
+/// best.
 pub fn decompose_homography(h: &Homography, pairs: &[RayPair]) -> Vec<PlanarMotion> {
     let Some(h) = of_unit_scale(h, pairs) else { return Vec::new() };
     let mut found: Vec<PlanarMotion> = motions(&h).into_iter().map(|motion| facing(motion, pairs)).collect();
@@ -41,7 +47,8 @@ pub fn decompose_homography(h: &Homography, pairs: &[RayPair]) -> Vec<PlanarMoti
     found
 }
 
-/// H = R + (t / d) nᵀ has 1 as its middle singular value, and maps what is in front of one camera to the front of the other.
+/// Scales H so that its middle singular value is 1, as H = R + (t / d) nᵀ requires, with the sign
+/// that keeps points in front of both cameras.
 fn of_unit_scale(h: &Homography, pairs: &[RayPair]) -> Option<Matrix3<f64>> {
     let h = h.0;
     if !h.iter().all(|v| v.is_finite()) {
@@ -55,7 +62,7 @@ fn of_unit_scale(h: &Homography, pairs: &[RayPair]) -> Option<Matrix3<f64>> {
     scaled.iter().all(|v| v.is_finite()).then_some(scaled)
 }
 
-/// Both motions up to the sign of t and n together.
+/// Returns both motions up to the joint sign of t and n.
 fn motions(h: &Matrix3<f64>) -> Vec<PlanarMotion> {
     let eigen = (h.transpose() * h).symmetric_eigen();
     let mut order = [0, 1, 2];
@@ -66,7 +73,7 @@ fn motions(h: &Matrix3<f64>) -> Vec<PlanarMotion> {
         let rotation = quaternion(h);
         return vec![PlanarMotion { rotation, translation: Vector3::zeros(), normal: None, in_front: 0 }];
     }
-    // Directions in the plane's images that keep their length, beside v2.
+    // Directions in the plane whose length H keeps, besides v2.
     let (a, b) = ((1.0 - small).max(0.0).sqrt(), (large - 1.0).max(0.0).sqrt());
     let directions = [v1 * a + v3 * b, v1 * a - v3 * b].map(|u| u / (large - small).sqrt());
     let motion = |u: &Vector3<f64>| {
@@ -81,7 +88,7 @@ fn motions(h: &Matrix3<f64>) -> Vec<PlanarMotion> {
     directions.iter().map(motion).collect()
 }
 
-/// The motion or its mirror image, whichever has more pairs in front of both cameras; with their number.
+/// Chooses the motion or its mirror image, whichever has more pairs in front of both cameras.
 fn facing(motion: PlanarMotion, pairs: &[RayPair]) -> PlanarMotion {
     let turned = PlanarMotion { translation: -motion.translation, normal: motion.normal.map(|n| -n), ..motion };
     let [as_is, mirrored] =
@@ -127,7 +134,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the motion, the plane, and the homography's sign and scale: the truth is among two at most, and every one gives H back.
+        /// For any motion, plane, and sign and scale of the homography: the truth is among at most
+        /// two results, and each reproduces H.
         #[test]
         fn the_truth_is_among_what_is_given(turn in prop::array::uniform3(-0.4..0.4_f64), t in prop::array::uniform3(-0.5..0.5_f64), tilt in prop::array::uniform2(-0.8..0.8_f64), scale in prop::sample::select(vec![-3.0, 1.0, 1e-4])) {
             let (rotation, t) = (UnitQuaternion::from_scaled_axis(Vector3::from(turn)), Vector3::from(t));

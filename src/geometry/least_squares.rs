@@ -1,74 +1,78 @@
-//! Nonlinear least squares by Levenberg's and Marquardt's method (Marquardt 1963): one loop for all problems of this crate.
+//! Nonlinear least squares by Levenberg-Marquardt (Marquardt 1963): one loop for all problems of
+//! this crate.
 //!
-//! A [`Problem`] says what its cost is, linearises itself and takes damped steps; [`minimise`] decides which steps are taken, how the damping
-//! follows, and when to stop.
+//! A [`Problem`] computes its cost, linearises itself and takes damped steps. [`minimise`] accepts
+//! or rejects steps, adapts the damping, and decides when to stop.
 
 use std::ops::ControlFlow;
 
-/// Something to be minimised.
+/// A problem to minimise.
 pub trait Problem {
-    /// What is estimated.
+    /// The estimated parameters.
     type State;
     /// The normal equations at a state.
     type Normal;
 
-    /// The cost at a state.
+    /// Returns the cost at a state.
     fn cost(&self, state: &Self::State) -> f64;
 
-    /// The normal equations at a state.
+    /// Returns the normal equations at a state.
     fn linearised(&self, state: &Self::State) -> Self::Normal;
 
-    /// The state after a step with this damping; `None` where the damped equations are singular.
+    /// Returns the state after a step with this damping; `None` if the damped equations are
+    /// singular.
     fn stepped(&self, state: &Self::State, normal: &Self::Normal, damping: f64) -> Option<Self::State>;
 
-    /// Takes note of a state that was taken; gives its cost, where that is not what it was (a scale that is estimated anew), or breaks where
-    /// there is nothing more to gain.
+    /// Called after each accepted step. Returns the cost, which may have changed (a re-estimated
+    /// scale), or breaks when nothing more can be gained.
     fn taken(&mut self, before: &Self::State, state: &Self::State, cost: f64) -> ControlFlow<f64, f64> {
         let _ = (before, state);
         ControlFlow::Continue(cost)
     }
 }
 
-/// When to stop, and how much to damp.
+/// Stopping criteria and damping.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Options {
-    /// Steps at most, taken or not.
+    /// Maximum number of steps, accepted or not.
     pub iterations: usize,
-    /// How it begins.
+    /// Initial damping and its limits.
     pub damping: Damping,
-    /// A step that lowers the cost by less than this share of it is the last.
+    /// Relative cost decrease below which a step is the last.
     pub least_gain: f64,
 }
 
-/// [`Options::least_gain`] of a robust fit to pairs. With N pairs the cost is some N variances of noise: what further steps gain is a hundredth of a standard deviation of the
-/// model with 500. Raised, the model is less than the pairs tell; lowered, frames cost more: where robust weights change much, steps converge slowly.
+/// [`Options::least_gain`] of a robust fit to pairs. With N pairs the cost is about N noise
+/// variances, so with 500 pairs further steps gain a hundredth of a standard deviation of the
+/// model. Raised, the fit is less accurate than the pairs allow; lowered, frames cost more: steps
+/// converge slowly where robust weights change much.
 pub const LEAST_GAIN_OF_PAIRS: f64 = 1e-7;
 
-/// How much a step is held back: as a share of the normal matrix's diagonal.
+/// Damping of a step, as a fraction of the normal matrix's diagonal.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Damping {
-    /// Now.
+    /// Current value.
     pub now: f64,
-    /// The least it falls to.
+    /// Minimum.
     pub least: f64,
-    /// Beyond this no step will do.
+    /// Maximum; beyond it, the minimiser gives up.
     pub most: f64,
 }
 
 impl Damping {
-    /// After a step that lowered the cost.
+    /// Lowers the damping after a step that lowered the cost.
     pub fn fall(&mut self) {
         self.now = (self.now * 0.1).max(self.least);
     }
 
-    /// After a step that did not; false where it is hopeless.
+    /// Raises the damping after a rejected step; returns whether to continue.
     pub fn rise(&mut self) -> bool {
         self.now *= 10.0;
         self.now <= self.most
     }
 }
 
-/// The lowest state that is found from `start`, and its cost.
+/// Returns the lowest state found from `start`, and its cost.
 pub fn minimise<P: Problem>(problem: &mut P, start: P::State, options: &Options) -> (P::State, f64) {
     let (mut state, mut damping) = (start, options.damping);
     let mut cost = problem.cost(&state);

@@ -1,52 +1,65 @@
-//! The affine map of a plane that a few matches among many wrong ones agree with.
+//! Finds the affine map of a plane that a few matches among many wrong ones agree with.
 //!
-//! A described corner has a place, a size and a direction, so that one match tells by itself how the plane around it is seen: each is a whole hypothesis,
-//! where the samples of a homography take four (Philbin, Chum, Isard, Sivic and Zisserman, "Object retrieval with large vocabularies and fast spatial
-//! matching", CVPR 2007, section 5). Of five right ones among fifty, no sample of four is likely to be right; every one of the five is.
-//! The map is affine: for planes that are small before their distance, whose perspective a handful of matches does not show.
+//! A described corner has a position, a size and an orientation, so one match alone says how the
+//! plane around it is seen. Each match is a complete hypothesis, where a homography sample needs
+//! four (Philbin, Chum, Isard, Sivic and Zisserman, "Object retrieval with large vocabularies and
+//! fast spatial matching", CVPR 2007, section 5). With five right matches among fifty, no sample of
+//! four is likely to be right, but each of the five is. The map is affine: it suits planes that are
+//! small relative to their distance, whose perspective a handful of matches does not show.
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2};
 
 use super::homography::{Homography, PointPair};
 
-/// A match that tells how the plane around it is seen.
+/// A match with the local affine map of the plane around it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LocalAffinity {
-    /// The places that were matched.
+    /// The matched positions.
     pub pair: PointPair,
-    /// Derivative of the second plane by the first there.
+    /// Derivative of the position in the second plane by that in the first.
     pub derivative: Matrix2<f64>,
-    /// Noise of the place in the second plane, one sigma, its units.
+    /// Noise of the position in the second plane, one sigma, in its units.
     pub noise: f64,
 }
 
-/// Matches that are tried, best first. Raised, the search takes longer by the square; lowered, right matches of weak pictures are not among them.
+/// Maximum number of matches tried, best first. Raised, the search time grows with the square;
+/// lowered, right matches of weak pictures are left out.
 const TRIED: usize = 100;
-/// How near the others must be to where a match by itself puts them: this share of their distance from it, for corners' directions are known to some ten degrees and their sizes to a tenth, and
-/// this many sigmas. Raised, wrong ones agree by chance; lowered, right ones do not.
+/// Maximum distance of other matches from where one match predicts them: this fraction of their
+/// distance from it (corner orientations are accurate to about ten degrees, sizes to a tenth) plus
+/// this many sigmas. Raised, wrong matches agree by chance; lowered, right ones do not.
 const NEAR_SHARE: f64 = 0.3;
 const NEAR_SIGMAS: f64 = 4.0;
-/// How near the shifts of two matches must be: this share of the distance between them, as the plane may be turned and seen larger than expected. Raised, wrong ones agree by chance; lowered, right ones of a plane that has
-/// turned do not.
+/// Maximum difference between the shifts of two matches, as a fraction of the distance between
+/// them, since the plane may be rotated or larger than expected. Raised, wrong matches agree by
+/// chance; lowered, right ones of a rotated plane do not.
 const SHIFT_SHARE: f64 = 0.06;
-/// Matches that agree see the plane turned alike, here the tangent of 0.6 radians, and by this factor as large. Raised, wrong ones agree by chance; lowered, right ones of tilted planes do not.
+/// Maximum difference in rotation (tangent of 0.6 radians) and maximum scale factor between
+/// agreeing matches. Raised, wrong matches agree by chance; lowered, right ones of tilted planes do
+/// not.
 const LARGEST_TURN: f64 = 0.684;
 const LARGEST_GROWTH: f64 = 2.0;
-/// Noise of a derivative, over itself, one sigma. It decides only where the places leave a direction open, as those along a line do.
+/// Noise of a derivative relative to its size, one sigma. It matters only where the positions leave
+/// a direction undetermined, e.g. along a line. Raised, derivatives count less.
 const DERIVATIVE_NOISE: f64 = 0.3;
-/// After the first fit a match agrees that is off by no more than some sigmas and this share of its distance from the middle. The share falls from round to round, so that wrong matches that agreed by
-/// chance leave before they pull the map. In the last rounds it is 0. Fewer rounds: wrong ones pull.
+/// After the first fit, a match agrees if it is off by at most some sigmas plus this fraction of
+/// its distance from the centre. The fraction falls from round to round, so that chance agreements
+/// drop out before they pull the map; in the last rounds it is 0. With fewer rounds, wrong matches
+/// pull the map.
 const SHARES: [f64; 5] = [0.15, 0.07, 0.0, 0.0, 0.0];
-/// Single matches whose maps are fitted, those that most others agree with. Raised, the search takes longer; lowered, one whose direction is badly known may be the only one.
+/// Number of single-match hypotheses to refine, those with most agreement. Raised, the search takes
+/// longer; lowered, a match with an inaccurate orientation may be the only one.
 const FITTED: usize = 6;
 
-/// The map, as a homography without perspective, and the indices of the matches that agree with it, ascending, at most one a place; `None` where fewer than `least` do. Matches come best first.
+/// Finds the map, as a homography without perspective, and the ascending indices of the matches
+/// that agree with it, at most one per position; `None` if fewer than `least` agree. `matches` must
+/// be sorted best first.
 pub fn robust_affine(matches: &[LocalAffinity], least: usize) -> Option<(Homography, Vec<usize>)> {
     let matches = &matches[..matches.len().min(TRIED)];
     let mut first: Vec<Vec<usize>> = matches
         .iter()
         .filter_map(|m| agreeing_with_one(matches, m))
-        // Distinct places are never more than the matches.
+        // Distinct positions never outnumber the matches.
         .filter(|a| a.len() >= least)
         .map(|a| distinct(matches, a.into_iter()))
         .filter(|a| a.len() >= least)
@@ -54,17 +67,19 @@ pub fn robust_affine(matches: &[LocalAffinity], least: usize) -> Option<(Homogra
     first.sort_by_key(|agreeing| std::cmp::Reverse(agreeing.len()));
     first.dedup();
     let settled = first.into_iter().take(FITTED).filter_map(|agreeing| settled(matches, agreeing, least));
-    // Of equal ones the first.
+    // On a tie, the first.
     settled.reduce(|best, next| if next.1.len() > best.1.len() { next } else { best })
 }
 
-/// The indices of the matches that agree with what one of them says of the plane, ascending: of the first one that more than half of all agree with, else of the one that most do. At most one
-/// match a place counts, but all are given; `None` where fewer than `least` agree. It takes a fifth of the time of a search for a homography. Matches come best first.
+/// Returns the ascending indices of the matches that agree with one match's local map: with the
+/// first that more than half of all agree with, else with the one with most agreement. At most one
+/// match per position counts, but all are returned; `None` if fewer than `least` agree. Takes a
+/// fifth of the time of a homography search. `matches` must be sorted best first.
 pub fn most_agreeing(matches: &[LocalAffinity], least: usize) -> Option<Vec<usize>> {
     let matches = &matches[..matches.len().min(TRIED)];
     let (mut best, mut most) = (None, least.saturating_sub(1));
     for agreeing in matches.iter().filter_map(|m| agreeing_with_one(matches, m)) {
-        // Distinct places are never more than the matches, so most hypotheses need no count of them.
+        // Distinct positions never outnumber the matches, so most hypotheses need not be counted.
         let places = if agreeing.len() > most { distinct(matches, agreeing.iter().copied()).len() } else { 0 };
         if places > most {
             (best, most) = (Some(agreeing), places);
@@ -76,10 +91,13 @@ pub fn most_agreeing(matches: &[LocalAffinity], least: usize) -> Option<Vec<usiz
     best
 }
 
-/// How far the matches are off where they were expected: a mean over those that agree, and the indices of these, ascending, at most one a place; `None` where fewer than `least` do. `pair.from`: where
-/// each was expected, `derivative`: of where it is by that. `furthest`: matches further off take no part.
+/// Estimates how far the matches are off their expected positions: the mean over those that agree,
+/// and their ascending indices, at most one per position; `None` if fewer than `least` agree.
+/// `pair.from` is the expected position and `derivative` that of the actual by the expected
+/// position. Matches farther off than `furthest` are ignored.
 ///
-/// Where the plane is known but for its place, a few matches tell it: by chance hardly any is nearby and turned alike, and no two of these are off by the same.
+/// If only the plane's position is unknown, a few matches suffice: hardly any wrong match is nearby
+/// and equally rotated, and no two wrong ones have the same shift.
 pub fn robust_shift(matches: &[LocalAffinity], furthest: f64, least: usize) -> Option<(Vector2<f64>, Vec<usize>)> {
     let shift = |m: &LocalAffinity| m.pair.to - m.pair.from;
     let near: Vec<usize> =
@@ -91,14 +109,14 @@ pub fn robust_shift(matches: &[LocalAffinity], furthest: f64, least: usize) -> O
         };
         distinct(matches, near.iter().copied().filter(|&k| agrees(&matches[k])))
     };
-    // Of equal ones the first.
+    // On a tie, the first.
     let agreeing =
         near.iter().map(|&k| agreeing_with(&matches[k])).reduce(|best, next| if next.len() > best.len() { next } else { best })?;
     let mean = agreeing.iter().map(|&k| shift(&matches[k])).sum::<Vector2<f64>>() / agreeing.len() as f64;
     (agreeing.len() >= least).then_some((mean, agreeing))
 }
 
-/// Fits what agrees and looks for what agrees with that, by turns.
+/// Alternates between fitting a map and collecting the matches that agree with it.
 fn settled(matches: &[LocalAffinity], mut agreeing: Vec<usize>, least: usize) -> Option<(Homography, Vec<usize>)> {
     let mut map = fitted(matches, &agreeing)?;
     for share in SHARES {
@@ -111,19 +129,20 @@ fn settled(matches: &[LocalAffinity], mut agreeing: Vec<usize>, least: usize) ->
     map.keeps_orientation().then_some((map, agreeing))
 }
 
-/// Mean place on the first plane.
 fn middle(matches: &[LocalAffinity], agreeing: &[usize]) -> Vector2<f64> {
     agreeing.iter().map(|&k| matches[k].pair.from).sum::<Vector2<f64>>() / agreeing.len().max(1) as f64
 }
 
-/// The matches that agree with what one of them says of the plane, it and others at its place among them; `None` where it says nothing.
+/// Returns the matches that agree with one match's local map, including itself; `None` if that map
+/// is not invertible or mirrors.
 fn agreeing_with_one(matches: &[LocalAffinity], one: &LocalAffinity) -> Option<Vec<usize>> {
     let inverse = one.derivative.try_inverse().filter(|_| one.derivative.determinant() > 0.0)?;
     let agrees = |m: &LocalAffinity| {
         let reach = one.derivative * (m.pair.from - one.pair.from);
         let (off, reach) = ((m.pair.to - one.pair.to - reach).norm_squared(), reach.norm_squared());
         let noise = NEAR_SIGMAS * m.noise.max(one.noise);
-        // The square of a sum is twice the sum of the squares at most: nearly all fail by that, without a root.
+        // A squared sum is at most twice the sum of squares: this rejects nearly all without a
+        // square root.
         off < 2.0 * (NEAR_SHARE * NEAR_SHARE * reach + noise * noise)
             && off < (NEAR_SHARE * reach.sqrt() + noise).powi(2)
             && is_alike(&(m.derivative * inverse))
@@ -131,15 +150,16 @@ fn agreeing_with_one(matches: &[LocalAffinity], one: &LocalAffinity) -> Option<V
     Some((0..matches.len()).filter(|&k| agrees(&matches[k])).collect())
 }
 
-/// Whether a map from one derivative to another is little more than the identity.
+/// Whether a map between two derivatives is close to the identity.
 fn is_alike(between: &Matrix2<f64>) -> bool {
-    // Sine and cosine of the turn, both times the same.
+    // Sine and cosine of the rotation, with a common factor.
     let (sin, cos) = (between.m21 - between.m12, between.m11 + between.m22);
     let growth = between.determinant();
     sin.abs() < LARGEST_TURN * cos && growth > LARGEST_GROWTH.powi(-2) && growth < LARGEST_GROWTH.powi(2)
 }
 
-/// The matches that are where a map puts them, but for some sigmas and a share of their distance from the middle, and see the plane as it does.
+/// Returns the matches that a map predicts within some sigmas plus a fraction of their distance
+/// from the centre, and whose local maps agree with it.
 fn agreeing_with_map(matches: &[LocalAffinity], map: &Homography, share: f64, middle: Vector2<f64>) -> Vec<usize> {
     let linear: Matrix2<f64> = map.0.fixed_view::<2, 2>(0, 0).into();
     let Some(inverse) = linear.try_inverse() else { return Vec::new() };
@@ -150,7 +170,7 @@ fn agreeing_with_map(matches: &[LocalAffinity], map: &Homography, share: f64, mi
     distinct(matches, (0..matches.len()).filter(|&k| agrees(&matches[k])))
 }
 
-/// Of several at one place, on either plane, the first.
+/// Keeps the first of several matches at one position, on either plane.
 fn distinct(matches: &[LocalAffinity], indices: impl Iterator<Item = usize>) -> Vec<usize> {
     let mut kept: Vec<usize> = Vec::new();
     for k in indices {
@@ -166,7 +186,7 @@ fn distinct(matches: &[LocalAffinity], indices: impl Iterator<Item = usize>) -> 
     kept
 }
 
-/// Least squares over places and derivatives.
+/// Weighted least squares over positions and derivatives.
 fn fitted(matches: &[LocalAffinity], agreeing: &[usize]) -> Option<Homography> {
     let middle = middle(matches, agreeing);
     let (mut normal, mut right) = (Matrix3::zeros(), Matrix2x3::zeros());
@@ -175,7 +195,7 @@ fn fitted(matches: &[LocalAffinity], agreeing: &[usize]) -> Option<Homography> {
         let weight = m.noise.powi(-2);
         normal += row * row.transpose() * weight;
         right += m.pair.to * row.transpose() * weight;
-        // The noise of a derivative is in proportion to how large the plane is seen; its square is the area.
+        // A derivative's noise is proportional to its scale; the squared scale is the determinant.
         let weight = (DERIVATIVE_NOISE.powi(2) * m.derivative.determinant().abs()).recip();
         for (k, column) in m.derivative.column_iter().enumerate() {
             normal[(k, k)] += weight;
@@ -211,7 +231,8 @@ mod tests {
             Vector2::new(self.0.random_range(0.0..=side), self.0.random_range(0.0..=side))
         }
 
-        /// A right match, whose place is off by up to `noise` and whose derivative by up to `turn` and `growth`.
+        /// A right match whose position is off by up to `noise` and whose derivative by up to
+        /// `turn` and `growth`.
         fn right(&mut self, noise: f64, turn: f64, growth: f64) -> LocalAffinity {
             let from = self.point(400.0);
             self.right_at(from, noise, turn, growth)
@@ -309,7 +330,7 @@ mod tests {
             let mut matches: Vec<LocalAffinity> = (0..60).map(|_| scatter.wrong()).collect();
             assert!(most_agreeing(&matches, 1).is_some() && most_agreeing(&matches, 5).is_none(), "{seed}");
             matches.extend((0..8).map(|_| scatter.right(0.5, 0.1, 1.1)));
-            // A few wrong ones agree with these by chance.
+            // A few wrong ones agree by chance.
             let found = most_agreeing(&matches, 5).expect("eight are right");
             assert!(found.len() <= 12 && found.iter().filter(|k| **k >= 60).count() >= 5, "{seed}: {found:?}");
         }
@@ -325,7 +346,8 @@ mod tests {
                 let from = scatter.point(400.0);
                 LocalAffinity { pair: PointPair { from, to: from + shift }, derivative: Rotation2::new(turn).into(), noise: 1.0 }
             };
-            // Four are right; some are off by as much but turned, and the others anywhere.
+            // Four are right; some have the same shift but are rotated, and the others are
+            // anywhere.
             let mut matches: Vec<LocalAffinity> = (0..4).map(|k| off(shift + Vector2::new(f64::from(k), 0.0), 0.2)).collect();
             matches.extend((0..6).map(|_| off(shift, 1.5)));
             matches.extend((0..30).map(|k| off(Rotation2::new(2.4 * f64::from(k)) * Vector2::new(20.0 + 12.0 * f64::from(k), 0.0), 0.1)));

@@ -1,11 +1,12 @@
-//! Robust homography of pairs whose noise is not known and whose scene is not quite flat.
+//! Robust homography from pairs with unknown noise and a scene that is not quite flat.
 //!
-//! Samples are drawn in the order of match quality, scored and refined by the likelihood that is
-//! marginalised over the noise ([`super::marginal_noise`]), so that no threshold says which pairs
-//! are right: with a fixed one the best plane is the one that most pairs lie nearest to, a part of
-//! a scene that is not quite flat. The last fits weight each pair by how much its neighbours say
-//! the same ([`super::shared_errors`]), so that a part of the scene counts by its size and not by
-//! how many pairs it has. The generator is seeded, so the same matches give the same answer.
+//! Samples are drawn in order of match quality. They are scored and refined by the likelihood
+//! marginalised over the noise ([`super::marginal_noise`]), so no threshold separates right from
+//! wrong pairs. With a fixed threshold, the best plane is the one close to most pairs, which covers
+//! only a part of a scene that is not quite flat. The last fits weight each pair by how correlated
+//! its neighbours' errors are ([`super::shared_errors`]), so that a part of the scene counts by its
+//! size and not by its number of pairs. The generator is seeded, so the same matches give the same
+//! result.
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2};
 
@@ -20,29 +21,31 @@ use super::robust::{self, RobustModel, RobustOptions};
 use super::shared_errors::Patches;
 use super::transfer_refinement::{damped_step, with_pinned_scale};
 
-/// A homography that little more than its own sample agrees with is none.
+/// Minimum score of a homography. A sample's own four pairs score 4, so this rejects only
+/// numerically bad samples; raised above 4, it demands support beyond the sample.
 const LEAST_SCORE: f64 = 3.5;
-/// Steps of a refinement in the search, and of the last one. Raised, the search takes longer; the
-/// last one has converged by then.
+/// Refinement iterations during the search, and in the last refinement, which has converged by
+/// then. Raised, the search takes longer.
 const STEPS_IN_SEARCH: usize = 4;
 const LAST_STEPS: usize = 30;
-/// Distance that 95 % of noise in two coordinates is within, standard deviations. Raised, wrong
+/// Distance, in standard deviations, that 95 % of two-dimensional noise stays within. Raised, wrong
 /// pairs agree; lowered, right ones do not.
 const INLIER_SIGMAS: f64 = 2.45;
-/// Largest deviation over the one that shows, at the least, in the last step: so near to the
-/// largest, true pairs would lose weight by being as far as they are. Raised, noise of that size
-/// is borne better and pairs of another plane pull more.
+/// In the last step, the maximum standard deviation is at least this multiple of the observed one;
+/// any closer, true pairs would lose weight just for their noise. Raised, large noise is handled
+/// better, and pairs of another plane pull more.
 const ROOM: f64 = 3.0;
-/// Fits by what neighbours share, at most, and the change of their correlation that ends them.
+/// Maximum number of fits with correlation weights, and the change of correlation that ends them.
+/// More rounds or a smaller change take longer.
 const ROUNDS: usize = 6;
 const LEAST_CHANGE: f64 = 0.01;
 
-/// Finds the homography that the pairs speak for most, or `None` when fewer than four ever agree.
-/// `most_noise` is the largest standard deviation that the noise of a coordinate may have, pixels;
-/// distances are Sampson's in both pictures, those beyond three of it count nothing.
+/// Finds the homography with the most support, or `None` if fewer than four pairs agree.
+/// `most_noise` is the maximum standard deviation of a coordinate's noise, pixels. Distances are
+/// Sampson distances in both pictures; those beyond three times `most_noise` have no weight.
 ///
-/// Inliers are within 95 % of the noise that the pairs show, and those within `options.threshold`
-/// are inliers in any case.
+/// Inliers are within 95 % of the observed noise; pairs within `options.threshold` are always
+/// inliers.
 pub fn homography_of_unknown_noise(pairs: &[PointPair], most_noise: f64, options: &RobustOptions) -> Option<RobustModel<Homography>> {
     let RobustOptions { threshold, max_samples, confidence, order, seed, .. } = *options;
     if !(robust::is_sound(options) && most_noise.is_finite() && most_noise > 0.0) {
@@ -66,7 +69,7 @@ pub fn homography_of_unknown_noise(pairs: &[PointPair], most_noise: f64, options
     (found.inliers.len() >= 4).then(|| found.among(&indices))
 }
 
-/// Pairs of points on two planes, of which four make a homography.
+/// Pairs of points on two planes; four of them define a homography.
 struct Plane<'a> {
     pairs: &'a [PointPair],
     noise: MarginalNoise,
@@ -112,15 +115,15 @@ impl Plane<'_> {
         self.pairs.iter().filter(|p| squared_sampson_of_homography(h, *p) < self.noise.t2()).copied().collect()
     }
 
-    /// Refined on all that counts, unless that makes it worse.
+    /// Refines on all pairs with weight, unless that lowers the score.
     fn refined(&self, h: Homography, score: f64, steps: usize) -> (Homography, f64) {
         let near = self.near(&h);
         let next = SampsonErrors::new(&near, vec![1.0; near.len()], &self.noise).and_then(|mut errors| errors.refined(&h, steps));
         next.and_then(|next| Some((next, self.score(&next, score)?))).unwrap_or((h, score))
     }
 
-    /// Fitted to all that counts, each pair by its share of what its neighbours say. `same`: pixels
-    /// between two places that are one.
+    /// Fits to all pairs with weight, each scaled by its share in its neighbours' correlated
+    /// errors. `same`: distance in pixels within which two positions count as one.
     fn fitted_by_patches(&self, mut h: Homography, same: f64) -> Homography {
         let near = self.near(&h);
         let patches = Patches::new(near.iter().map(|p| p.from).collect(), same);
@@ -139,18 +142,18 @@ impl Plane<'_> {
     }
 }
 
-/// Sampson distances, pixels, of pairs that are normalised.
+/// Sampson distances in pixels, of normalised pairs.
 struct SampsonErrors<'a> {
     pairs: Vec<PointPair>,
-    /// What each pair counts.
+    /// Weight of each pair.
     shares: Vec<f64>,
-    /// What normalises the places of the first and of the second picture.
+    /// Normalisations of the first and the second picture.
     scales: [Matrix3<f64>; 2],
     noise: &'a MarginalNoise,
 }
 
-/// One pair's transfer error, its derivative by the entries of H (row by row), and the inverse of
-/// its covariance for noise of a pixel.
+/// One pair's transfer error, its derivative by the entries of H (row by row), and its inverse
+/// covariance for noise of one pixel.
 struct Row {
     error: Vector2<f64>,
     by_h: SMatrix<f64, 2, 9>,
@@ -158,7 +161,7 @@ struct Row {
 }
 
 impl<'a> SampsonErrors<'a> {
-    /// `None` where the places are one.
+    /// `None` if all positions coincide.
     fn new(pairs: &[PointPair], shares: Vec<f64>, noise: &'a MarginalNoise) -> Option<Self> {
         let scales = [normalising(pairs.iter().map(|p| p.from))?, normalising(pairs.iter().map(|p| p.to))?];
         let scaled = |by: &Matrix3<f64>, p: Vector2<f64>| (by * p.push(1.0)).xy();
@@ -166,7 +169,7 @@ impl<'a> SampsonErrors<'a> {
         Some(Self { pairs: pairs.iter().map(of).collect(), shares, scales, noise })
     }
 
-    /// Levenberg's and Marquardt's method, by the weights of the marginal likelihood.
+    /// Refines by Levenberg-Marquardt with the weights of the marginal likelihood.
     fn refined(&mut self, start: &Homography, iterations: usize) -> Option<Homography> {
         let [from, to] = self.scales;
         let (from_inverse, to_inverse) = (from.try_inverse()?, to.try_inverse()?);
@@ -180,7 +183,7 @@ impl<'a> SampsonErrors<'a> {
         h.iter().all(|v| v.is_finite()).then_some(Homography(h))
     }
 
-    /// Each pair's error, of unit covariance for noise of a pixel, and its weight by its distance.
+    /// Returns each pair's error, whitened for noise of one pixel, and its weight by distance.
     fn whitened(&self, h: &Homography) -> Vec<(Vector2<f64>, f64)> {
         let [from, to] = self.scales;
         let nothing = (Vector2::zeros(), 0.0);

@@ -1,4 +1,4 @@
-//! Planes, flat and a little bent, with noise that is known.
+//! Planes, flat and slightly bent, with known noise.
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -14,18 +14,18 @@ fn normal(random: &mut Pcg64Mcg) -> Vector2<f64> {
     Vector2::new(angle.cos(), angle.sin()) * r
 }
 
-/// How far a scene is off its plane, pixels in the second picture.
+/// How far a scene deviates from its plane, pixels in the second picture.
 #[derive(Clone, Copy)]
 enum Relief {
-    /// A piece of a roll, by up to so much at its sides.
+    /// Part of a cylinder, off by at most this much at its sides.
     Roll(f64),
-    /// Two planes at an angle that meet in a line, by up to so much at the bottom.
+    /// Two planes that meet at an angle, off by at most this much at the bottom.
     Hinge(f64),
 }
 
 const FLAT: Relief = Relief::Roll(0.0);
 
-/// Where a point of a scene is in the second picture.
+/// Position of a scene point in the second picture.
 fn place(from: Vector2<f64>, relief: Relief) -> Vector2<f64> {
     let off = match relief {
         Relief::Roll(most) => most * (from.x / 400.0 - 1.0).powi(2),
@@ -34,8 +34,7 @@ fn place(from: Vector2<f64>, relief: Relief) -> Vector2<f64> {
     truth().map(from).expect("in front") + Vector2::new(0.8, 0.6) * off
 }
 
-/// Pairs of a plane with noise in both pictures, the first `right` of them true, the others
-/// anywhere.
+/// Pairs of a plane with noise in both pictures; the first `right` are true, the others random.
 fn seen(right: usize, wrong: usize, noise: f64, relief: Relief, seed: u64) -> Vec<PointPair> {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut pairs = Vec::new();
@@ -50,13 +49,13 @@ fn seen(right: usize, wrong: usize, noise: f64, relief: Relief, seed: u64) -> Ve
     pairs
 }
 
-/// Root mean square over a scene of how far a homography puts its points off, pixels.
+/// RMS over a scene of a homography's error, pixels.
 fn off(h: &Homography, relief: Relief) -> f64 {
     let grid = (0..13 * 10).map(|k| Vector2::new((k % 13) as f64 * 800.0 / 12.0, (k / 13) as f64 * 600.0 / 9.0));
     (grid.map(|from| (h.map(from).expect("in front") - place(from, relief)).norm_squared()).sum::<f64>() / 130.0).sqrt()
 }
 
-/// What `compare` searches with: 1.2 pixels, and its multiples.
+/// Search options similar to those of `compare`.
 fn options(seed: u64) -> RobustOptions {
     let order = Order::BestFirst { even_after: 2000, stops_by_best: false, draws_each: 1 };
     RobustOptions { threshold: 1.5, order, seed, ..RobustOptions::default() }
@@ -64,13 +63,13 @@ fn options(seed: u64) -> RobustOptions {
 
 const MOST_NOISE: f64 = 3.0;
 
-/// The root mean square over seeds of the largest error at a corner.
+/// RMS over seeds of an error.
 fn rms(error: impl Fn(u64) -> f64) -> f64 {
     const SEEDS: u64 = 12;
     ((0..SEEDS).map(|seed| error(seed).powi(2)).sum::<f64>() / SEEDS as f64).sqrt()
 }
 
-/// The homography of the true pairs alone, by least squares.
+/// Least squares over the true pairs alone.
 fn oracle(pairs: &[PointPair]) -> Homography {
     truth().refined(pairs, 1e3, 30).expect("regular")
 }
@@ -91,7 +90,7 @@ fn flat_planes_are_found_as_by_who_knows_the_right_pairs_at_any_noise() {
     }
 }
 
-/// Pairs of a scene, and as many more in a corner of it, a tenth of its area: a dense patch.
+/// Pairs of a scene, plus as many again in one corner of a tenth of its area: a dense patch.
 fn seen_unevenly(noise: f64, relief: Relief, seed: u64) -> Vec<PointPair> {
     let mut pairs = seen(300, 100, noise, relief, seed);
     let in_corner = |p: &PointPair| p.from.x > 560.0 && p.from.y > 400.0;
@@ -114,7 +113,8 @@ fn scenes_that_are_not_quite_flat_are_found_as_a_whole() {
             let options = |seed| RobustOptions { threshold, ..options(seed) };
             rms(|seed| off(&robust_homography(&of(0.4, relief, seed), &options(seed)).expect("a plane").model, relief))
         };
-        // The threshold that fits the scene best, if one knew it, and the one that compare had.
+        // The best threshold for the scene, if it were known, and the one that compare used to
+        // have.
         let ideal = [1.0, 2.0, 3.0, 5.0, 8.0, 12.0].map(fixed).into_iter().fold(f64::INFINITY, f64::min);
         let least = rms(|seed| off(&oracle(&seen(2000, 0, 0.4, relief, seed)), relief));
         println!("found {found:.2}, at best {least:.2}, ideal threshold {ideal:.2}, 1.5 px {:.2}", fixed(1.5));
@@ -125,8 +125,8 @@ fn scenes_that_are_not_quite_flat_are_found_as_a_whole() {
 
 #[test]
 fn a_wall_behind_does_not_pull_the_plane_before_it() {
-    // A fifth of the pairs is on another plane, eight pixels off: beyond what noise of three pixels
-    // leaves behind.
+    // A fifth of the true pairs is moved to another plane, 9.6 pixels off in the second picture:
+    // beyond noise of three pixels.
     let of = |seed| {
         let mut pairs = seen(300, 50, 0.5, FLAT, seed);
         pairs[..60].iter_mut().for_each(|p| p.to += Vector2::new(9.6, 0.0));

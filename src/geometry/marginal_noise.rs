@@ -1,44 +1,45 @@
-//! How much a distance speaks for a model where the standard deviation of the noise is not known:
-//! its likelihood, marginalised over the deviation.
+//! How strongly a distance supports a model if the noise's standard deviation is unknown: the
+//! likelihood, marginalised over the deviation.
 //!
-//! After MAGSAC++ (Barath, Noskova, Ivashechkin and Matas, CVPR 2020, section 3): the deviation may
-//! be anything up to a largest one, each as likely; a pair agrees with a deviation where its
-//! distance is within the [`QUANTILE`] of that noise. The weight of a distance is the mean of its
-//! density over the deviations that it agrees with. Distances here have two coordinates, so the
-//! integrals are error functions.
+//! After MAGSAC++ (Barath, Noskova, Ivashechkin and Matas, CVPR 2020, section 3): all deviations up
+//! to a maximum are equally likely. A pair agrees with a deviation if its distance is within the
+//! [`QUANTILE`] of that noise. The weight of a distance is the mean of its density over the
+//! deviations it agrees with. Distances here have two coordinates, so the integrals are error
+//! functions.
 
 use std::f64::consts::{PI, SQRT_2};
 
 use super::noise::error_function;
 
-/// Distance that 99 % of noise in two coordinates is within, standard deviations: the root of chi
-/// square's 99 % point. Raised, wrong pairs count.
+/// Distance, in standard deviations, that 99 % of two-dimensional noise stays within: the root of
+/// chi square's 99 % point. Raised, wrong pairs gain weight.
 pub const QUANTILE: f64 = 3.034_854;
-/// Steps of the table of agreements. Raised, it is more exact (now to 1e-5) and longer.
+/// Number of steps in the table of agreements. Raised, it is more accurate (now 1e-5) and larger.
 const STEPS: usize = 1024;
 
-/// The kernel of distances up to a threshold.
+/// The kernel for distances up to a threshold.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MarginalNoise {
-    /// Largest standard deviation.
+    /// Maximum standard deviation.
     most: f64,
-    /// Square of the largest distance that counts.
+    /// Square of the maximum distance with weight.
     t2: f64,
-    /// 1 less the loss, by the squared distance, from 0 to `t2`.
+    /// 1 minus the normalised loss, tabulated by squared distance from 0 to `t2`.
     agreements: Vec<f64>,
 }
 
 impl MarginalNoise {
-    /// `threshold`: the largest distance that counts; the largest standard deviation is that over
-    /// [`QUANTILE`].
+    /// Creates the kernel. `threshold`: maximum distance with weight; the maximum standard
+    /// deviation is that divided by [`QUANTILE`].
     pub fn up_to(threshold: f64) -> Self {
         let whole = loss(QUANTILE);
-        // One step more, which interpolation at the very end reads.
+        // One extra entry, which interpolation at the very end reads.
         let at = |k: usize| (1.0 - loss(QUANTILE * (k as f64 / STEPS as f64).sqrt().min(1.0)) / whole).max(0.0);
         Self { most: threshold / QUANTILE, t2: threshold * threshold, agreements: (0..=STEPS + 1).map(at).collect() }
     }
 
-    /// How much a squared distance speaks for the model: 1 at none, 0 from the threshold on.
+    /// Returns how strongly a squared distance supports the model: 1 at zero, 0 from the threshold
+    /// on.
     pub fn agreement(&self, squared: f64) -> f64 {
         let place = squared / self.t2 * STEPS as f64;
         if place.is_nan() || place >= STEPS as f64 {
@@ -48,8 +49,8 @@ impl MarginalNoise {
         self.agreements[k] + (self.agreements[k + 1] - self.agreements[k]) * part
     }
 
-    /// Twice the slope of the loss over the squared distance, up to a factor: 1 at no distance, 0
-    /// from the threshold on.
+    /// Returns the weight, proportional to the derivative of the loss by the squared distance: 1 at
+    /// zero distance, 0 from the threshold on.
     pub fn weight(&self, squared: f64) -> f64 {
         if squared.is_nan() || squared >= self.t2 {
             return 0.0;
@@ -57,18 +58,18 @@ impl MarginalNoise {
         weight(squared.sqrt() / self.most) / weight(0.0)
     }
 
-    /// Square of the largest distance that counts.
+    /// Returns the square of the maximum distance with weight.
     pub fn t2(&self) -> f64 {
         self.t2
     }
 }
 
-/// Mean density at a distance in largest deviations, without its factor.
+/// Mean density at a distance in units of the maximum deviation, without its constant factor.
 fn weight(u: f64) -> f64 {
     error_function(QUANTILE / SQRT_2) - error_function(u / SQRT_2)
 }
 
-/// The integral of a distance times its weight.
+/// Integral of distance times weight.
 fn loss(u: f64) -> f64 {
     0.5 * (u * u * weight(u) + error_function(u / SQRT_2) - u * (2.0 / PI).sqrt() * (-0.5 * u * u).exp())
 }
@@ -77,8 +78,8 @@ fn loss(u: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// The paper's integral, summed: over deviations from r / k to the largest, of the density of a
-    /// distance in two coordinates with the factor r that its derivation drops.
+    /// The paper's integral, summed numerically: over deviations from r / k to the maximum, of the
+    /// density of a two-dimensional distance with the factor r that its derivation drops.
     #[test]
     fn weights_are_the_mean_of_the_densities() {
         let kernel = MarginalNoise::up_to(QUANTILE * 2.0);

@@ -1,10 +1,10 @@
-//! Pure geometry: rigid transforms between named frames, and the solvers that turn point
-//! correspondences into homographies, fundamental and essential matrices and poses.
+//! Pure geometry: rigid transforms between named frames, and solvers that turn point
+//! correspondences into homographies, fundamental and essential matrices, and poses.
 //!
-//! Nothing here knows threads, files or clocks. Every solver is a function of its arguments; the
-//! random ones take their seed. Frames are types: a [`Pose<Stage, Camera>`](Pose) maps camera
-//! coordinates into stage coordinates and cannot be multiplied with anything that does not start
-//! in the camera. docs/solvers.md has a table of the solvers, with their sources and times.
+//! Nothing here uses threads, files or clocks. Every solver is a function of its arguments;
+//! randomised ones take a seed. Frames are types: a [`Pose<Stage, Camera>`](Pose) maps camera
+//! coordinates to stage coordinates and can only be multiplied with a pose that maps to the camera.
+//! docs/solvers.md lists the solvers with sources and run times.
 
 pub mod bspline;
 pub mod correspondence;

@@ -1,15 +1,18 @@
-//! Whether a homography explains two views, or an epipolar relation is needed.
+//! Decides whether a homography explains two views or an epipolar relation is needed.
 //!
-//! Torr's criterion ("Geometric motion segmentation and model selection", Phil. Trans. R. Soc. A 356, 1998):
-//! GRIC = Σ min(e²/σ², 2 (r - d)) + n d ln r + k ln(r n), the lower the better. A pair of points is one datum of r = 4 numbers; a homography leaves it
-//! on a surface of d = 2 dimensions and has k = 8 parameters, a fundamental matrix d = 3 and 7, an essential matrix 3 and 5.
+//! Torr's criterion ("Geometric motion segmentation and model selection", Phil. Trans. R. Soc. A
+//! 356, 1998): GRIC = Σ min(e²/σ², 2 (r - d)) + n d ln r + k ln(r n), lower is better. A pair of
+//! points is one datum of r = 4 numbers. A homography constrains it to a surface of d = 2
+//! dimensions and has k = 8 parameters, a fundamental matrix 3 and 7, an essential matrix 3 and 5.
 //!
-//! Both models are compared by the same measure over the same data: e is the Sampson distance in the space of those four numbers for both (transfer
-//! errors are not, and would favour the epipolar relation), and the data are the inliers of either. A pair of neither model says nothing of which is
-//! right, but would cost the one with the smaller d less, and many would decide.
+//! Both models are compared by the same measure on the same data. e is the Sampson distance in the
+//! space of the four numbers for both (transfer errors are not, and would favour the epipolar
+//! relation). The data are the inliers of either model. A pair of neither says nothing about which
+//! is right, but would cost the model with the smaller d less, and many of them would decide.
 //!
-//! A pair with the homography's distances beyond two sigmas speaks for relief, one within them for a plane: the epipolar relation wins as soon as
-//! about a sixth of the pairs is off the plane. A plane, and a camera that only turned, are a homography's.
+//! A pair farther than two sigmas from the homography indicates relief, a closer one a plane. The
+//! epipolar relation wins once about a sixth of the pairs is off the plane. A single plane and pure
+//! camera rotation are homographies.
 
 use nalgebra::Matrix3;
 
@@ -19,36 +22,40 @@ use super::homography::{Homography, PointPair};
 use super::noise::{self, Dimensions};
 use super::robust::RobustModel;
 
-/// Numbers of a datum (r).
+/// Numbers per datum (r).
 const NUMBERS: f64 = 4.0;
-/// Noise cannot be below this share of the threshold by which inliers were taken, a tenth of a pixel of three: nothing in a picture is found much more
-/// precisely, and one wrong pair within the threshold moves a model by about as much. Raised, small relief is lost.
+/// Minimum noise as a fraction of the inlier threshold, a tenth of a pixel for three. Hardly
+/// anything in a picture is located more precisely, and one wrong pair within the threshold shifts
+/// a model by about as much. Raised, small relief is lost.
 const LEAST_NOISE: f64 = 1.0 / 30.0;
-/// Two estimates of one noise differ by less than this factor: each is known to about a tenth from a hundred pairs. Raised, relief of the noise's size
-/// is taken for noise; lowered, chance decides which one is taken.
+/// Maximum ratio between two estimates of the same noise: a hundred pairs determine each to about a
+/// tenth. Raised, relief of the noise's size is taken for noise; lowered, chance decides which
+/// estimate is used.
 const SAME_NOISE: f64 = 1.25;
-/// Other pairs whose points each point is paired with to make wrong pairs. Raised, the chance that a wrong pair agrees is known better.
+/// Number of other pairs that each point is mispaired with. Raised, the chance that a wrong pair
+/// agrees is estimated better.
 const MISPAIRINGS: usize = 8;
 
 /// The two explanations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TwoViewModel {
-    /// One plane, or a camera that only turned.
+    /// One plane, or pure camera rotation.
     Homography,
-    /// Relief.
+    /// A scene with relief.
     Epipolar,
 }
 
-/// Which epipolar relation is compared.
+/// The epipolar relation to compare.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum EpipolarKind {
     /// Seven parameters.
     Fundamental,
-    /// Five: an essential matrix, as the fundamental matrix of its cameras' pixels.
+    /// Five parameters: an essential matrix, converted to a fundamental matrix for the cameras'
+    /// pixels.
     Essential,
 }
 
-/// The choice and what it was made by.
+/// The choice and its basis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ModelChoice {
     /// The model with the lower criterion.
@@ -57,17 +64,19 @@ pub struct ModelChoice {
     pub homography: f64,
     /// GRIC of the epipolar relation.
     pub epipolar: f64,
-    /// Noise of one coordinate of a point, pixels, from what both models leave of their inliers.
+    /// Noise of one coordinate, pixels, estimated from both models' inlier residuals.
     pub sigma: f64,
-    /// Pairs that were compared by, counted by how surely they are inliers.
+    /// Number of pairs compared, weighted by how certainly they are inliers.
     pub data: f64,
 }
 
-/// Chooses between the refined models of the same pairs (in pixels), whose inliers are nearer than `threshold` pixels. Relief below `relief` pixels
-/// is none: real planes are bent, and lenses that nobody measured bend what is straight.
+/// Chooses between the refined models of the same pairs (in pixels), whose inliers are nearer than
+/// `threshold` pixels. Relief below `relief` pixels is ignored: real planes are bent, and so are
+/// straight lines under uncalibrated lenses.
 ///
-/// Some wrong pairs agree with an epipolar relation by chance, because its band crosses the whole picture. Their number is estimated by pairing
-/// points wrongly on purpose, and inliers of the epipolar relation alone count only as far as they are more than that.
+/// Some wrong pairs agree with an epipolar relation by chance, because its band crosses the whole
+/// picture. Their number is estimated by deliberate mispairing. Inliers of the epipolar relation
+/// alone count only as far as they exceed that number.
 pub fn choose_model(
     pairs: &[PointPair],
     homography: &RobustModel<Homography>,
@@ -104,13 +113,14 @@ pub fn choose_model(
         EpipolarKind::Essential => 5.0,
     };
     let (plane, epipolar) = (gric(&on_plane, 2.0, 8.0), gric(&on_line, 3.0, parameters));
-    // On a tie the simpler one.
+    // On a tie, the simpler model.
     let model = if epipolar < plane { TwoViewModel::Epipolar } else { TwoViewModel::Homography };
     ModelChoice { model, homography: plane, epipolar, sigma, data }
 }
 
-/// The noise that both models leave, by the numbers that each is known from: two a pair of a plane, one a pair of lines. Where the plane leaves more
-/// than the lines by more than [`SAME_NOISE`], that is relief and no noise, and the lines' alone is given.
+/// Pools the noise estimates of both models, weighted by their residual counts: two per pair for a
+/// plane, one per pair for lines. If the plane's exceeds the lines' by more than [`SAME_NOISE`],
+/// the excess is relief, and only the lines' estimate is used.
 fn pooled([plane, lines]: [f64; 2], [of_plane, of_lines]: [usize; 2]) -> f64 {
     let numbers = (of_plane + of_lines) as f64;
     if plane > SAME_NOISE * lines || numbers == 0.0 {
@@ -119,14 +129,15 @@ fn pooled([plane, lines]: [f64; 2], [of_plane, of_lines]: [usize; 2]) -> f64 {
     ((of_plane as f64 * plane * plane + of_lines as f64 * lines * lines) / numbers).sqrt()
 }
 
-/// How many of the pairs that are off the plane would agree with the epipolar relation if they were all wrong.
+/// Estimates how many of the pairs off the plane would agree with the epipolar relation if they
+/// were all wrong.
 fn wrong_pairs_that_agree(pairs: &[PointPair], plane: &RobustModel<Homography>, f: &Matrix3<f64>, threshold: f64) -> f64 {
     let usable: Vec<&PointPair> = pairs.iter().filter(|p| p.is_usable()).collect();
     let n = usable.len();
     if n < 2 {
         return 0.0;
     }
-    // Steps that are spread over the list, so that neighbours in it are not what is paired.
+    // Steps spread over the list, so that neighbours are not paired.
     let steps = (1..=MISPAIRINGS).map(|k| (k * n / (MISPAIRINGS + 1)).max(1));
     let (mut agree, mut made) = (0, 0);
     for step in steps {
@@ -155,8 +166,8 @@ mod tests {
 
     const FOCAL: f64 = 700.0;
 
-    /// A scene of 150 points behind a plane by up to `relief` of its distance, seen before and after a move, with noise in both pictures and 100
-    /// wrong pairs.
+    /// A scene of 150 points behind a plane by up to `relief` of its distance, seen before and
+    /// after a move, with noise in both pictures and 100 wrong pairs.
     fn seen(relief: f64, t: Vector3<f64>, noise: f64, seed: u64) -> Vec<PointPair> {
         let mut random = Pcg64Mcg::seed_from_u64(seed);
         let rotation = UnitQuaternion::from_euler_angles(0.05, -0.15, 0.1);
@@ -164,10 +175,10 @@ mod tests {
         let mut pairs = Vec::new();
         while pairs.len() < 150 {
             let ray = Vector3::new(random.random_range(-0.5..0.5), random.random_range(-0.4..0.4), 1.0);
-            // The plane leans to one side.
+            // The plane is tilted sideways.
             let p = ray * (4.0 / (1.0 - 0.3 * ray.x)) * (1.0 + relief * random.random_range(0.0..1.0));
             let q = rotation * p + t;
-            // Noise of that standard deviation, nearly normal.
+            // Nearly normal noise of that standard deviation.
             let mut jitter = || Vector2::from_fn(|_, _| (0..12).map(|_| random.random_range(-0.5..0.5)).sum::<f64>()) * noise;
             let (from, to) = (p.xy() / p.z * FOCAL + middle + jitter(), q.xy() / q.z * FOCAL + middle + jitter());
             pairs.push(PointPair { from, to });
@@ -179,7 +190,7 @@ mod tests {
         pairs
     }
 
-    /// The choice without cameras and with them.
+    /// The choice without and with cameras.
     fn chosen(pairs: &[PointPair], noise: f64, seed: u64) -> [ModelChoice; 2] {
         let options = RobustOptions { threshold: (3.0 * noise).max(1.5), seed, max_samples: 2000, ..RobustOptions::default() };
         let h = robust_homography(pairs, &options).expect("a homography");
@@ -201,7 +212,8 @@ mod tests {
         let sideways = Vector3::new(0.8, 0.1, 0.1);
         for noise in [0.3, 1.0, 2.0] {
             for seed in 0..3 {
-                // Points behind the plane by the share s move by about s / (1 + s) of the parallax, 140 px.
+                // Points behind the plane by the fraction s move by about s / (1 + s) of the
+                // parallax, 140 px.
                 let scenes = [
                     ("a plane", 0.0, sideways, TwoViewModel::Homography),
                     ("nearly a plane: moves below the noise", 0.005 * noise, sideways, TwoViewModel::Homography),

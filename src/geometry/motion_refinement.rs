@@ -1,4 +1,5 @@
-//! Refinement of a motion between two views on Sampson distances: five degrees of freedom, no drift off the essential matrices.
+//! Refinement of a two-view motion on Sampson distances: five degrees of freedom, always a valid
+//! essential matrix.
 
 use nalgebra::{Matrix3, Matrix5, SVector, UnitQuaternion, Vector3};
 
@@ -9,7 +10,8 @@ use super::relative_pose::{RayPair, TwoViewMotion};
 use super::robust_kernel::{geman_mcclure_cost, geman_mcclure_weight};
 use super::sampson_refinement::{Relation, SampsonFit};
 
-/// Refines a motion on Sampson distances of all pairs (5 degrees of freedom, Geman-McClure at `sigma`, normalised units).
+/// Refines a motion on Sampson distances of all pairs (5 degrees of freedom, Geman-McClure at
+/// `sigma`, normalised units).
 pub fn refine_motion(start: &TwoViewMotion, pairs: &[RayPair], sigma: f64, iterations: usize) -> TwoViewMotion {
     let options = Options { iterations, damping: Damping { now: 1e-4, least: 1e-12, most: 1e6 }, least_gain: LEAST_GAIN_OF_PAIRS };
     minimise(&mut SampsonDistances { pairs, c2: (3.0 * sigma).powi(2) }, *start, &options).0
@@ -17,7 +19,7 @@ pub fn refine_motion(start: &TwoViewMotion, pairs: &[RayPair], sigma: f64, itera
 
 struct SampsonDistances<'a> {
     pairs: &'a [RayPair],
-    /// Squared distance of half the cost.
+    /// Squared distance at which the cost is one half.
     c2: f64,
 }
 
@@ -40,7 +42,8 @@ impl Problem for SampsonDistances<'_> {
     }
 }
 
-/// Two directions across t, and the step [δθ (3), δt (2)]: R <- Exp(δθ) R, t <- t + B δt, normalised.
+/// Returns two directions perpendicular to t; they define the step [δθ (3), δt (2)]: R <- Exp(δθ)
+/// R, t <- t + B δt, normalised.
 fn tangent(t: &Vector3<f64>) -> [Vector3<f64>; 2] {
     let least = t.abs().imin();
     let mut axis = Vector3::zeros();
@@ -55,7 +58,6 @@ fn moved(m: &TwoViewMotion, step: &SVector<f64, 5>) -> TwoViewMotion {
     TwoViewMotion { rotation: turn * m.rotation, direction: (m.direction + a * step[3] + b * step[4]).normalize() }
 }
 
-/// The derivatives of E by the step.
 fn derivatives(m: &TwoViewMotion) -> [Matrix3<f64>; 5] {
     let r = m.rotation.to_rotation_matrix().into_inner();
     let [ta, tb] = tangent(&m.direction);
@@ -78,7 +80,7 @@ fn motion_normal_equations(m: &TwoViewMotion, pairs: &[RayPair], c2: f64) -> (Ma
         let denominator = ((e * a).xy().norm_squared() + (e.transpose() * b).xy().norm_squared()).max(1e-300).sqrt();
         let residual = b.dot(&(e * a)) / denominator;
         let w = geman_mcclure_weight(residual * residual, c2);
-        // Gauss-Newton with the denominator held, as usual for Sampson distances.
+        // Gauss-Newton with the denominator held constant, as usual for Sampson distances.
         let j = SVector::<f64, 5>::from_iterator(derivatives.iter().map(|d| b.dot(&(d * a)) / denominator));
         normal += w * j * j.transpose();
         gradient += w * j * residual;
@@ -86,8 +88,8 @@ fn motion_normal_equations(m: &TwoViewMotion, pairs: &[RayPair], c2: f64) -> (Ma
     (normal, gradient)
 }
 
-/// Refines a motion on Sampson distances in pixels of two pictures with these focal lengths (first, second), by their exact derivatives; beyond three
-/// `sigma` (pixels) pairs lose weight.
+/// Refines a motion on Sampson distances in pixels of two pictures with these focal lengths (first,
+/// second), by exact derivatives. Pairs beyond three `sigma` (pixels) lose weight.
 pub fn refine_motion_in_pixels(start: &TwoViewMotion, pairs: &[RayPair], focals: [f64; 2], sigma: f64, iterations: usize) -> TwoViewMotion {
     let fit = SampsonFit {
         pairs: pairs.iter().map(|p| [p.first.push(1.0), p.second.push(1.0)]).collect(),
@@ -157,7 +159,8 @@ mod tests {
 
     #[test]
     fn distances_are_counted_in_the_pixels_of_each_picture() {
-        // The second picture is ten times as coarse: its noise, a pixel, is ten times the first's in rays.
+        // The second picture is ten times as coarse: one pixel of noise is ten times the first's in
+        // rays.
         let (mut random, focals) = (Pcg64Mcg::seed_from_u64(4), [1000.0, 100.0]);
         let mut pairs = scene(80, 0.0, false, 4);
         for p in &mut pairs {
@@ -171,7 +174,7 @@ mod tests {
             pixels.map(|p| squared_sampson(&f, &p)).sum::<f64>()
         };
         let [right, wrong] = [focals, [1000.0, 1000.0]].map(|f| squares(&refine_motion_in_pixels(&truth(), &pairs, f, 1e3, 50)));
-        // 80 pairs, five of whose numbers were fitted; even noise over ±1 has a variance of a third.
+        // 80 pairs with five fitted parameters; uniform noise over ±1 has a variance of a third.
         assert!(right < wrong - 1e-6 && (15.0..40.0).contains(&right), "{right} {wrong}");
     }
 }

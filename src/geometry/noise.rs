@@ -1,14 +1,17 @@
-//! The noise of what agrees: from distances that a threshold has cut.
+//! Noise of inliers, from distances truncated by a threshold.
 
-/// The standard deviation σ of one coordinate, from squared distances below a threshold's square. A distance has `dimensions` coordinates: 1 from an
-/// epipolar line, 2 from a transferred point.
+/// Estimates the standard deviation σ of one coordinate from squared distances below a threshold's
+/// square. A distance has `dimensions` coordinates: 1 from an epipolar line, 2 from a transferred
+/// point.
 ///
-/// The median of the distances is that of noise cut at the threshold, which is solved for σ; so neither the cut nor up to half of wrong pairs bends
-/// it far. Where the distances fill the range up to the threshold evenly, the noise cannot be known and the threshold itself is given. 0 of nothing.
+/// Solves for the σ whose noise, truncated at the threshold, has the distances' median; so neither
+/// the truncation nor up to half of wrong pairs biases it much. If the distances fill the range up
+/// to the threshold evenly, the noise cannot be determined and the threshold is returned. Returns 0
+/// for no distances.
 pub fn of_inliers(squared: &mut [f64], threshold: f64, dimensions: Dimensions) -> f64 {
     let Some(median) = super::robust_kernel::median(squared).map(f64::sqrt) else { return 0.0 };
     let share = |sigma: f64| dimensions.within(median / sigma) / dimensions.within(threshold / sigma);
-    // The share of the cut noise below the median falls as σ grows.
+    // The fraction of truncated noise below the median falls as σ grows.
     if median.is_nan() || median >= threshold || share(threshold) >= 0.5 {
         return threshold;
     }
@@ -24,17 +27,17 @@ pub fn of_inliers(squared: &mut [f64], threshold: f64, dimensions: Dimensions) -
     0.5 * (low + high)
 }
 
-/// In how many coordinates a distance has noise.
+/// Number of noisy coordinates in a distance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Dimensions {
-    /// A point and a line.
+    /// Point to line.
     One,
-    /// Two points.
+    /// Point to point.
     Two,
 }
 
 impl Dimensions {
-    /// Chance that a distance is below `u` standard deviations.
+    /// Probability that a distance is below `u` standard deviations.
     fn within(self, u: f64) -> f64 {
         match self {
             Self::One => error_function(u / std::f64::consts::SQRT_2),
@@ -43,7 +46,7 @@ impl Dimensions {
     }
 }
 
-/// The error function for x >= 0, to 1.5e-7 (Abramowitz and Stegun, 7.1.26).
+/// The error function for x >= 0, accurate to 1.5e-7 (Abramowitz and Stegun, 7.1.26).
 pub(super) fn error_function(x: f64) -> f64 {
     let t = 1.0 / (1.0 + 0.327_591_1 * x);
     let series = t * (0.254_829_592 + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));

@@ -1,8 +1,10 @@
-//! Hartley's normalisation ("In defense of the eight-point algorithm", PAMI 1997): what makes linear solutions in pixels well conditioned.
+//! Hartley's normalisation ("In defense of the eight-point algorithm", PAMI 1997), which makes
+//! linear solutions in pixels well conditioned.
 
 use nalgebra::{Matrix3, Vector2};
 
-/// The map of points that takes their centroid to the origin and their mean distance from it to √2; `None` where all are one.
+/// Returns the map that moves the points' centroid to the origin and scales their mean distance
+/// from it to √2; `None` if all points coincide.
 pub fn normalising(points: impl Iterator<Item = Vector2<f64>> + Clone) -> Option<Matrix3<f64>> {
     let n = points.clone().count() as f64;
     let mean = points.clone().sum::<Vector2<f64>>() / n;

@@ -1,16 +1,18 @@
 //! The two poses that a view of one plane allows.
 //!
-//! Seen from afar, a plane tilted one way looks almost like the same plane tilted the other way. The
-//! closed form of Collins & Bartoli ("Infinitesimal plane-based pose estimation", IJCV 2014) gives both
-//! from the homography's first derivative at one point; refinement and the picture decide between them.
+//! From afar, a plane tilted one way looks almost like the same plane tilted the other way. The
+//! closed form of Collins & Bartoli ("Infinitesimal plane-based pose estimation", IJCV 2014) gives
+//! both poses from the homography's first derivative at one point. Refinement and the picture
+//! decide between them.
 
 use nalgebra::{Matrix2, Matrix3, Rotation3, SMatrix, Unit, Vector2, Vector3};
 
 use super::homography::{Homography, PointPair};
 use super::pose::{Camera, Pose, SurfaceFrame};
 
-/// Both poses `T_camera_surface` of a plane whose homography from metres on the plane to normalised camera coordinates is
-/// given, expanded about the centroid of `pairs` (same units), better fit first. Poses behind the camera are left out.
+/// Returns both poses `T_camera_surface` of a plane, better fit first; poses behind the camera are
+/// left out. `metric` maps metres on the plane to normalised camera coordinates, `pairs` are in the
+/// same units, and the expansion is about their centroid.
 pub fn planar_poses(metric: &Homography, pairs: &[PointPair]) -> Vec<Pose<Camera, SurfaceFrame>> {
     if pairs.is_empty() {
         return Vec::new();
@@ -30,7 +32,7 @@ pub fn planar_poses(metric: &Homography, pairs: &[PointPair]) -> Vec<Pose<Camera
     found.into_iter().map(|(_, pose)| pose).collect()
 }
 
-/// The two rotations that the derivative of the map at `centre` allows.
+/// Returns the two rotations that the map's derivative at `centre` allows.
 fn rotations_at(metric: &Homography, centre: Vector2<f64>) -> Option<[Matrix3<f64>; 2]> {
     let h = metric.0;
     let w = h * centre.push(1.0);
@@ -42,7 +44,7 @@ fn rotations_at(metric: &Homography, centre: Vector2<f64>) -> Option<[Matrix3<f6
     let bottom = h.fixed_view::<1, 2>(2, 0);
     let j: Matrix2<f64> = (rows - v * bottom) / w.z;
 
-    // Rv takes the optical axis to the ray of the centre.
+    // Rv rotates the optical axis to the ray of the centre.
     let ray = v.push(1.0).normalize();
     let axis = Vector3::z().cross(&ray);
     let rv = match Unit::try_new(axis, 1e-12) {
@@ -68,7 +70,7 @@ fn rotations_at(metric: &Homography, centre: Vector2<f64>) -> Option<[Matrix3<f6
     }))
 }
 
-/// The least-squares translation for a known rotation.
+/// Returns the least-squares translation for a known rotation.
 fn translation_for(r: &Matrix3<f64>, pairs: &[PointPair]) -> Option<Vector3<f64>> {
     let mut ata = Matrix3::zeros();
     let mut atb = Vector3::zeros();
@@ -125,7 +127,8 @@ mod tests {
                 let h = Homography::from_pairs(&pairs, None).expect("regular");
                 let poses = planar_poses(&h, &pairs);
                 assert!(!poses.is_empty());
-                // Head-on, the tilt is the root of a difference that vanishes: rounding alone moves it by its own root.
+                // Head-on, the tilt is the square root of a vanishing difference, so rounding
+                // errors grow to their square root.
                 let tolerance = if tilt < 1.0 { 5e-3 } else { 1e-5 };
                 assert!(poses[0].angle_to(&truth) < tolerance, "tilt {tilt}: {}", poses[0].angle_to(&truth));
                 assert!((poses[0].translation - truth.translation).norm() < 10.0 * tolerance);

@@ -1,32 +1,33 @@
-//! Rigid transforms SE(3) whose type says from which frame to which frame they lead.
+//! Rigid transforms SE(3) whose type names the frames they map between.
 
 use std::marker::PhantomData;
 use std::ops::Mul;
 
 use nalgebra::{Matrix3, Matrix4, Point3, Rotation3, UnitQuaternion, Vector3};
 
-/// The stage: right-handed, metres, x right as seen from the house, y upstage, z up.
+/// The stage frame: right-handed, metres, x right as seen from the house, y upstage, z up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {}
 /// The optical camera frame: x right, y down, z forward, origin at the projection centre.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Camera {}
-/// The optical frame of the camera whose picture goes on air, mounted beside the tracking one; axes as [`Camera`]'s.
+/// The optical frame of the camera on air, mounted beside the tracking one; axes as [`Camera`]'s.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FilmingCamera {}
-/// A rigid body made of surfaces; the stage's own body frame is the stage frame.
+/// The frame of a rigid body made of surfaces; the stage's own body frame is the stage frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Body {}
-/// A flat surface: x right and y up in its picture, z out of its face, origin at its centre.
+/// The frame of a flat surface: x right and y up in its picture, z out of its face, origin at its
+/// centre.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SurfaceFrame {}
-/// The camera that "took" the reference picture (C3 `essential`).
+/// The frame of the camera that "took" the reference picture (C3 `essential`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ReferenceCamera {}
 
 /// The rigid transform `T_to_from`: `x_to = R x_from + t`, metres.
 ///
-/// The translation is the origin of `From` seen in `To`; for `Pose<Stage, Camera>` it is the camera
+/// The translation is the origin of `From` in `To`; for `Pose<Stage, Camera>` it is the camera
 /// centre in the stage.
 #[derive(Debug)]
 pub struct Pose<To, From> {
@@ -50,22 +51,22 @@ impl<To, From> PartialEq for Pose<To, From> {
 }
 
 impl<To, From> Pose<To, From> {
-    /// The transform with rotation R and translation t (metres, in `To`).
+    /// Creates the transform with rotation R and translation t (metres, in `To`).
     pub fn new(rotation: UnitQuaternion<f64>, translation: Vector3<f64>) -> Self {
         Self { rotation, translation, frames: PhantomData }
     }
 
-    /// From a rotation matrix that is orthonormal up to rounding.
+    /// Creates a pose from a rotation matrix that is orthonormal up to rounding.
     pub fn from_matrix(rotation: &Matrix3<f64>, translation: Vector3<f64>) -> Self {
         Self::new(quaternion(rotation), translation)
     }
 
-    /// No rotation, no translation.
+    /// Returns the identity: no rotation, no translation.
     pub fn identity() -> Self {
         Self::new(UnitQuaternion::identity(), Vector3::zeros())
     }
 
-    /// `T_from_to`.
+    /// Returns `T_from_to`.
     pub fn inverse(&self) -> Pose<From, To> {
         let rotation = self.rotation.inverse();
         Pose::new(rotation, -(rotation * self.translation))
@@ -76,22 +77,22 @@ impl<To, From> Pose<To, From> {
         self.rotation * point + self.translation
     }
 
-    /// R as a matrix.
+    /// Returns R as a matrix.
     pub fn rotation_matrix(&self) -> Matrix3<f64> {
         self.rotation.to_rotation_matrix().into_inner()
     }
 
-    /// The homogeneous 4x4 matrix.
+    /// Returns the homogeneous 4x4 matrix.
     pub fn matrix(&self) -> Matrix4<f64> {
         self.rotation.to_homogeneous().append_translation(&self.translation)
     }
 
-    /// The same numbers under other frame names. Say at the call why the frames coincide.
+    /// Returns the same transform under other frame names. Say at the call why the frames coincide.
     pub fn renamed<To2, From2>(&self) -> Pose<To2, From2> {
         Pose::new(self.rotation, self.translation)
     }
 
-    /// The quaternion x, y, z, w with w >= 0, as the pose record writes it.
+    /// Returns the quaternion x, y, z, w with w >= 0, as written in the pose record.
     pub fn orientation_xyzw(&self) -> [f64; 4] {
         let q = self.rotation.quaternion();
         let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
@@ -99,22 +100,23 @@ impl<To, From> Pose<To, From> {
         [q.i, q.j, q.k, q.w].map(|v| sign * v + 0.0)
     }
 
-    /// The pose after its origin moved by `shift` (metres, axes of `To`) and it turned by `turn` (radians, axes of `From`).
+    /// Returns the pose with its origin shifted by `shift` (metres, axes of `To`) and rotated by
+    /// `turn` (radians, axes of `From`).
     pub fn moved(&self, shift: &Vector3<f64>, turn: &Vector3<f64>) -> Self {
         Self::new(self.rotation * UnitQuaternion::from_scaled_axis(*turn), self.translation + shift)
     }
 
-    /// The shift and the turn by which [`moved`](Self::moved) leads to another pose.
+    /// Returns the shift and turn with which [`moved`](Self::moved) leads to another pose.
     pub fn step_to(&self, other: &Self) -> [Vector3<f64>; 2] {
         [other.translation - self.translation, (self.rotation.inverse() * other.rotation).scaled_axis()]
     }
 
-    /// Rotation angle in radians between two poses.
+    /// Returns the rotation angle between two poses, radians.
     pub fn angle_to(&self, other: &Self) -> f64 {
         self.rotation.angle_to(&other.rotation)
     }
 
-    /// True when every number is finite.
+    /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
         self.translation.iter().chain(self.rotation.coords.iter()).all(|v| v.is_finite())
     }
@@ -127,14 +129,14 @@ impl<A, B, C> Mul<Pose<B, C>> for Pose<A, B> {
     }
 }
 
-/// The unit quaternion of a rotation matrix that is orthonormal up to rounding, by the closed form (iterative ones stall at
-/// half turns).
+/// Converts a rotation matrix that is orthonormal up to rounding to a unit quaternion, in closed
+/// form (iterative methods stall at half turns).
 pub fn quaternion(rotation: &Matrix3<f64>) -> UnitQuaternion<f64> {
     let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation));
     UnitQuaternion::new_normalize(q.into_inner())
 }
 
-/// The cross-product matrix: `skew(a) b = a x b`.
+/// Returns the cross-product matrix: `skew(a) b = a x b`.
 pub fn skew(v: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::new(0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0)
 }

@@ -1,28 +1,30 @@
-//! Robust search by random samples (RANSAC, Fischler and Bolles 1981), one driver for all models: samples drawn evenly or in the order of
-//! the data's quality (PROSAC, Chum and Matas 2005), each new best model improved locally (Chum, Matas and Kittler 2003).
+//! Random sampling search (RANSAC, Fischler and Bolles 1981), one driver for all models. Samples
+//! are drawn uniformly or in order of data quality (PROSAC, Chum and Matas 2005), and each new best
+//! model is optimised locally (Chum, Matas and Kittler 2003).
 //!
-//! A sample has no datum twice. A sample without a model, or whose model nothing agrees with, is one sample spent and no more. The generator is
-//! seeded, so the same data give the same models.
+//! A sample never contains a datum twice. A sample without a model, or whose model has no support,
+//! just counts as one sample. The generator is seeded, so the same data give the same models.
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-/// What is searched for, from samples of `N` data.
+/// The model to search for, from samples of `N` data.
 pub trait Estimator<const N: usize> {
     /// A model of the data.
     type Model;
 
-    /// How many data there are.
+    /// Returns the number of data.
     fn count(&self) -> usize;
 
-    /// The models that pass through a sample, as indices of data.
+    /// Returns the models that fit a sample, given as indices of data.
     fn models(&self, sample: [usize; N]) -> impl Iterator<Item = Self::Model>;
 
-    /// How well a model explains all data, higher is better; `None` may stand for any score that is not above `bar`, which lets scoring end where
-    /// the rest of the data could not lift it that high.
+    /// Returns how well a model explains all data; higher is better. May return `None` for any
+    /// score not above `bar`, so that scoring can stop once the remaining data cannot lift it that
+    /// high.
     fn score(&self, model: &Self::Model, bar: f64) -> Option<f64>;
 
-    /// A model that beats all before, improved by the data that agree with it; with its score.
+    /// Improves a new best model with the data that agree with it; returns it with its score.
     fn improved(&self, model: Self::Model, score: f64) -> (Self::Model, f64) {
         (model, score)
     }
@@ -31,55 +33,63 @@ pub trait Estimator<const N: usize> {
     fn agrees(&self, model: &Self::Model, datum: usize) -> bool;
 }
 
-/// What a search may spend, and what it gives.
+/// Limits and settings of a search.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Options {
-    /// Samples at most.
+    /// Maximum number of samples.
     pub samples: usize,
-    /// Stop when the chance of having missed a better model is below 1 - this; `None` draws all samples.
+    /// Stop when the chance of having missed a better model is below 1 - this; `None` draws all
+    /// samples.
     pub confidence: Option<f64>,
-    /// In which order samples are drawn.
+    /// Order in which samples are drawn.
     pub order: Order,
-    /// Scores up to this are no model.
+    /// Models must score above this.
     pub least_score: f64,
-    /// Models to give.
+    /// Number of models to return.
     pub keep: usize,
     /// Seed of the sampler.
     pub seed: u64,
 }
 
-/// In which order samples are drawn.
+/// Order in which samples are drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
-    /// Every sample is as likely as any other.
+    /// All samples are equally likely.
     Even,
-    /// The data are sorted, best first: samples are drawn from the best of them first.
+    /// Data must be sorted best first; samples are drawn from the best data first.
     BestFirst {
-        /// Samples after which all data are drawn from evenly. Raised, the search stays longer with the best.
+        /// Number of samples after which all data are sampled uniformly. Raised, the search stays
+        /// with the best data longer.
         even_after: usize,
-        /// Samples at least before the pool of best data grows by one. The paper has 1, with which a pool of a few dozen, the best there is where few
-        /// data agree, is drawn from a few dozen times only.
+        /// Minimum number of samples before the pool of best data grows by one. The paper has 1;
+        /// then a pool of a few dozen data, the best available if few agree, is sampled only a few
+        /// dozen times.
         draws_each: usize,
-        /// Whether the chance of having missed a model is that among the best data, as many of them as make it smallest (PROSAC's rule), or that
-        /// among all of them (which draws far more samples where few agree).
+        /// If true, the chance of having missed a model is evaluated among the best data, as many
+        /// as minimise it (PROSAC's rule); if false, among all data (which needs far more samples
+        /// if few agree).
         stops_by_best: bool,
     },
 }
 
 impl Order {
-    /// Best first: as the paper has it, 200,000 samples until all data are drawn from evenly, and its rule to stop; but thirty draws from every pool (of
-    /// searches among 1000 data of which 50 agree, moderately sorted, 97 of 100 succeed with it, 56 with one; well sorted ones succeed as fast).
+    /// Best first, as in the paper: 200,000 samples until uniform sampling, and its stopping rule;
+    /// but thirty samples from every pool. In searches among 1000 moderately sorted data of which
+    /// 50 agree, 97 of 100 succeed with thirty, 56 with one; well sorted data succeed as fast.
     pub const PROSAC: Self = Self::BestFirst { even_after: 200_000, draws_each: 30, stops_by_best: true };
 }
 
-/// A stretch of best data says how many samples are enough only if at least this many data beyond its sample agree, and ...
+/// Minimum number of agreeing data beyond the sample for a prefix of best data to decide how many
+/// samples are enough. Raised, the search runs longer.
 const LEAST_BEYOND_SAMPLE: f64 = 5.0;
-/// ... by this many standard deviations of what agrees by chance, where a wrong datum agrees with a wrong model by this chance: a band of three
-/// pixels about a line takes one or two hundredths of a small picture. Raised, the search goes on longer before it believes a model.
+/// The agreeing data must also exceed the number expected by chance by this many standard
+/// deviations, where a wrong datum agrees with a wrong model with this probability (a three-pixel
+/// band about a line covers one or two hundredths of a small picture). Raised, the search runs
+/// longer before it trusts a model.
 const LEAST_DEVIATIONS: f64 = 3.0;
 const CHANCE_OF_AGREEING: f64 = 0.05;
 
-/// The best models with their scores, best first.
+/// Returns the best models with their scores, best first.
 pub fn search<const N: usize, E: Estimator<N>>(estimator: &E, options: &Options) -> Vec<(f64, E::Model)> {
     let mut best: Vec<(f64, E::Model)> = Vec::new();
     if estimator.count() < N || options.keep == 0 {
@@ -107,7 +117,8 @@ pub fn search<const N: usize, E: Estimator<N>>(estimator: &E, options: &Options)
     best
 }
 
-/// How many samples are enough to have met a model of this many agreeing data, and from how many of the data they are to be drawn.
+/// Returns how many samples are enough to find a model with this much agreement, and how many of
+/// the best data to draw them from.
 fn samples_needed<const N: usize, E: Estimator<N>>(estimator: &E, model: &E::Model, confidence: f64, order: &Order) -> (usize, usize) {
     let count = estimator.count();
     let enough = |chance_of_sample: f64| {
@@ -132,14 +143,14 @@ fn samples_needed<const N: usize, E: Estimator<N>>(estimator: &E, model: &E::Mod
     least
 }
 
-/// Draws samples, from a pool that grows from the best data to all of them.
+/// Draws samples from a pool that grows from the best data to all of them.
 struct Sampler<const N: usize> {
     pool: usize,
-    /// The pool grows no further: more data would only dilute it.
+    /// Maximum pool size: more data would only dilute it.
     limit: usize,
-    /// T_n of the paper: expected samples from the first n of all that are drawn.
+    /// T_n of the paper: expected number of samples from the first n data among all that are drawn.
     average: f64,
-    /// T'_n: the draw after which the pool grows.
+    /// T'_n: the number of draws after which the pool grows.
     grow_at: usize,
     draws_each: f64,
     drawn: usize,
@@ -186,7 +197,7 @@ impl<const N: usize> Sampler<N> {
 mod tests {
     use super::*;
 
-    /// Lines y = a x + b through points, of which two make a sample.
+    /// Lines y = a x + b through points; two of them make a sample.
     struct Line(Vec<[f64; 2]>);
 
     fn near(model: &[f64; 2], [x, y]: &[f64; 2]) -> bool {
@@ -215,7 +226,7 @@ mod tests {
         }
     }
 
-    /// 40 points on one line, 25 on another, 60 anywhere.
+    /// 40 points on one line, 25 on another, 60 random.
     fn points() -> Line {
         let mut random = Pcg64Mcg::seed_from_u64(3);
         let mut at = |k: usize| {
@@ -270,13 +281,15 @@ mod tests {
         assert!(reach(&samples[..20]) < reach(&samples[480..]));
     }
 
-    /// Thesis error E23: the search that the source used ended with its first sample if nothing agreed with that.
+    /// Thesis error E23: the source's search ended with its first sample if nothing agreed with
+    /// that.
     #[test]
     fn e23_a_first_sample_without_inliers_is_one_sample_spent() {
         for (order, seeds) in [(Order::Even, 200), (Order::PROSAC, 10)] {
             for seed in 0..seeds {
                 let options = Options { samples: 200_000, order, seed, confidence: Some(0.999), ..OPTIONS };
-                // Of 100 data the 40 that agree come last: the first samples in order cannot find their line.
+                // Of 100 data, the 40 that agree come last: the first samples in order cannot find
+                // their line.
                 let mut data = points();
                 data.0.drain(40..65);
                 data.0.reverse();
@@ -292,7 +305,8 @@ mod tests {
 
     #[test]
     fn the_best_data_say_when_to_stop() {
-        // 30 of the best 40 agree, and none of the 1000 others: their share alone would ask for ten thousand samples.
+        // 30 of the best 40 agree, and none of the other 1000: their overall share alone would
+        // require ten thousand samples.
         let mut random = Pcg64Mcg::seed_from_u64(7);
         let data = Line(
             (0..1040)
@@ -307,7 +321,7 @@ mod tests {
         let (best, among_best) = needed(Order::PROSAC);
         assert!(all > 5000 && among_all == 1040, "{all} {among_all}");
         assert!(best < 30 && (12..=40).contains(&among_best), "{best} {among_best}");
-        // What nothing agrees with asks for all there are.
+        // A model without support requires all samples.
         assert!(samples_needed(&data, &[0.0, 1e6], 0.9999, &Order::PROSAC).0 > 1_000_000);
     }
 

@@ -1,4 +1,4 @@
-//! The pose of one view relative to another, as far as two pictures tell it: up to scale.
+//! Relative pose of two views, up to scale.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 
@@ -23,7 +23,7 @@ pub struct TwoViewMotion {
 }
 
 impl TwoViewMotion {
-    /// E = \[t\]x R.
+    /// Returns E = \[t\]x R.
     pub fn essential(&self) -> Matrix3<f64> {
         skew(&self.direction) * self.rotation.to_rotation_matrix().into_inner()
     }

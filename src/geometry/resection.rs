@@ -1,7 +1,8 @@
-//! Resection: the six degrees of freedom of a body from its points in one picture, distortion included.
+//! Resection: the six degrees of freedom of a body from its points in one picture, including lens
+//! distortion.
 //!
-//! Levenberg-Marquardt on robustly weighted reprojection errors. Each correspondence brings its own
-//! information matrix, so that a point on an edge holds the pose only across that edge.
+//! Levenberg-Marquardt on robustly weighted reprojection errors. Each correspondence has its own
+//! information matrix, so a point on an edge constrains the pose only across that edge.
 
 use std::cell::{Cell, RefCell};
 use std::ops::ControlFlow;
@@ -12,38 +13,40 @@ use super::least_squares::{Damping, Options, Problem, minimise};
 use super::pose::{Body, Camera, Pose, skew};
 use super::robust_kernel::{tukey_cost, tukey_weight};
 
-/// How rays become pixels; the camera room implements it.
+/// Projection of rays to pixels; the camera module implements it.
 pub trait Projection {
-    /// The pixel of the normalised point (x/z, y/z) and its 2x2 derivative.
+    /// Returns the pixel of the normalised point (x/z, y/z) and its 2x2 derivative.
     fn pixel_and_jacobian(&self, normalized: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>);
 }
 
-/// A known point of a body and where it was seen.
+/// A known point of a body and the pixel where it was seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
-    /// In the body frame, metres.
+    /// Position in the body frame, metres.
     pub point: Point3<f64>,
     /// Raw pixel.
     pub pixel: Vector2<f64>,
     /// Inverse covariance of the pixel, 1/px².
     pub information: Matrix2<f64>,
-    /// When its row was exposed, seconds after the middle row (negative above it; 0 for a global shutter).
+    /// Exposure time of its row, seconds after the middle row (negative above it; 0 for a global
+    /// shutter).
     pub delay_s: f64,
-    /// A number that groups correlated observations (a tile of the picture); for the covariance only.
+    /// Groups correlated observations (a tile of the picture); used only for the covariance.
     pub group: u32,
 }
 
-/// How a body moves in the camera: rate of the left perturbation [δt, δθ] of `T_camera_body`, per second, camera axes.
+/// A body's motion in the camera: rate of the left perturbation [δt, δθ] of `T_camera_body`, per
+/// second, camera axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Twist(pub Vector6<f64>);
 
 impl Twist {
-    /// No motion.
+    /// Returns zero motion.
     pub fn still() -> Self {
         Self(Vector6::zeros())
     }
 
-    /// The motion that leads from one pose to another in `dt_s` seconds.
+    /// Returns the motion that leads from one pose to another in `dt_s` seconds.
     pub fn between(before: &Pose<Camera, Body>, after: &Pose<Camera, Body>, dt_s: f64) -> Self {
         let turn = after.rotation * before.rotation.inverse();
         let shift = after.translation - turn * before.translation;
@@ -51,7 +54,8 @@ impl Twist {
         Self(Vector6::new(shift.x, shift.y, shift.z, angle.x, angle.y, angle.z) / dt_s)
     }
 
-    /// A point in camera axes, `delay_s` later; to second order in the angle, which a readout keeps small.
+    /// Moves a point in camera axes by `delay_s`, to second order in the angle, which is small
+    /// during a readout.
     fn carried(&self, c: Vector3<f64>, delay_s: f64) -> Vector3<f64> {
         let shift = Vector3::new(self.0[0], self.0[1], self.0[2]) * delay_s;
         let angle = Vector3::new(self.0[3], self.0[4], self.0[5]) * delay_s;
@@ -60,7 +64,7 @@ impl Twist {
     }
 }
 
-/// A camera in motion: how it projects, and how the body moved while its rows were read.
+/// A moving camera: its projection, and the body's motion while its rows are read.
 #[derive(Debug, Clone, Copy)]
 pub struct MovingCamera<'a, P> {
     /// The lens.
@@ -70,42 +74,45 @@ pub struct MovingCamera<'a, P> {
 }
 
 impl<'a, P> MovingCamera<'a, P> {
-    /// A camera that stands still, or whose rows are exposed all at once.
+    /// Creates a camera at rest, or one that exposes all rows at once.
     pub fn still(lens: &'a P) -> Self {
         Self { lens, twist: Twist::still() }
     }
 }
 
-/// A refined pose, and how sure it is.
+/// A refined pose and its uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Resection {
     /// `T_camera_body`.
     pub pose: Pose<Camera, Body>,
     /// Robust cost: sum of ρ over the observations.
     pub cost: f64,
-    /// Scale of the residuals in sigmas (1 when the information matrices are honest).
+    /// Scale of the residuals in sigmas (1 if the information matrices are accurate).
     pub scale: f64,
-    /// J^T W J at the solution, of the left perturbation [δt, δθ] of `T_camera_body` in camera axes.
+    /// J^T W J at the solution, for the left perturbation [δt, δθ] of `T_camera_body` in camera
+    /// axes.
     pub normal: Matrix6<f64>,
 }
 
-/// Steps below this are none: radians, and as a share of the distance. Far below what any picture tells and far above rounding.
-/// Raised to what is measured, poses stop short; lowered, each takes iterations that change nothing.
+/// Step size at which the iteration has converged: radians, and relative to the distance. Far below
+/// what a picture can resolve and far above rounding. Raised to measurement accuracy, poses stop
+/// short; lowered, iterations are wasted.
 const SMALLEST_STEP: f64 = 1e-9;
 
-/// Squared Mahalanobis residuals of a pose; a buffer that may be kept.
+/// Squared Mahalanobis residuals of a pose; a reusable buffer.
 #[derive(Debug, Clone, Default)]
 pub struct SquaredResiduals {
-    /// Whose they are; `None` before the first.
+    /// The pose they belong to; `None` before the first.
     pose: Option<Pose<Camera, Body>>,
-    /// Of each observation; `None` behind the camera.
+    /// One per observation; `None` behind the camera.
     each: Vec<Option<f64>>,
-    /// Those that are there, to find their median.
+    /// The existing ones, for finding their median.
     sorted: Vec<f64>,
 }
 
 impl SquaredResiduals {
-    /// Of no pose yet, with room for this many observations, so that none is allocated later.
+    /// Creates an empty buffer with capacity for this many observations, to avoid later
+    /// allocations.
     pub fn with_room_for(observations: usize) -> Self {
         Self { pose: None, each: Vec::with_capacity(observations), sorted: Vec::with_capacity(observations) }
     }
@@ -116,7 +123,8 @@ impl SquaredResiduals {
         self.pose = Some(*pose);
     }
 
-    /// Median of |r|, divided by what it is for two-dimensional Gaussian noise (sqrt(2 ln 2)); at least 1. `None` of fewer than four.
+    /// Returns the median of |r| divided by its value for two-dimensional Gaussian noise (sqrt(2 ln
+    /// 2)); at least 1. `None` for fewer than four.
     fn scale(&mut self) -> Option<f64> {
         self.sorted.clear();
         self.sorted.extend(self.each.iter().flatten());
@@ -129,7 +137,7 @@ impl SquaredResiduals {
     }
 }
 
-/// Squared Mahalanobis residual of one observation; `None` behind the camera.
+/// Returns the squared Mahalanobis residual of one observation; `None` behind the camera.
 pub fn squared_residual<P: Projection>(pose: &Pose<Camera, Body>, camera: &MovingCamera<P>, o: &Observation) -> Option<f64> {
     let c = camera.twist.carried(pose.transform(&o.point).coords, o.delay_s);
     if c.z < 1e-6 {
@@ -140,7 +148,8 @@ pub fn squared_residual<P: Projection>(pose: &Pose<Camera, Body>, camera: &Movin
     Some((r.transpose() * o.information * r).x)
 }
 
-/// The pixel residual and its 2x6 derivative by a left perturbation [δt, δθ]: T <- (Exp δθ, δt) T, in camera axes.
+/// Returns the pixel residual and its 2x6 derivative by a left perturbation [δt, δθ]: T <- (Exp δθ,
+/// δt) T, in camera axes; `None` behind the camera.
 pub fn residual_and_jacobian<P: Projection>(
     pose: &Pose<Camera, Body>,
     camera: &MovingCamera<P>,
@@ -167,10 +176,10 @@ pub fn perturbed(pose: &Pose<Camera, Body>, step: &Vector6<f64>) -> Pose<Camera,
     Pose::new(turn * pose.rotation, turn * pose.translation + Vector3::new(step[0], step[1], step[2]))
 }
 
-/// Refines `start` over all observations; `None` when they do not determine a pose.
+/// Refines `start` over all observations; `None` if they do not determine a pose.
 ///
-/// The residual scale is re-estimated in every iteration from the median, never below 1 sigma; Tukey's biweight
-/// removes what lies beyond 4.7 of it.
+/// The residual scale is re-estimated in every iteration from the median, and is at least 1 sigma;
+/// Tukey's biweight removes residuals beyond 4.7 times it.
 pub fn resect<P: Projection>(
     start: &Pose<Camera, Body>,
     camera: &MovingCamera<P>,
@@ -180,7 +189,7 @@ pub fn resect<P: Projection>(
     resect_within(start, camera, observations, iterations, &mut SquaredResiduals::default())
 }
 
-/// [`resect`] with a buffer of the caller's.
+/// Like [`resect`], with a caller-owned buffer.
 pub fn resect_within<P: Projection>(
     start: &Pose<Camera, Body>,
     camera: &MovingCamera<P>,
@@ -203,14 +212,15 @@ pub fn resect_within<P: Projection>(
     pose.is_finite().then_some(Resection { pose, cost, scale, normal })
 }
 
-/// Squared Mahalanobis residuals of all observations, by Tukey's biweight at a scale that each step estimates anew.
+/// Squared Mahalanobis residuals of all observations, under Tukey's biweight at a scale that is
+/// re-estimated at each step.
 struct ReprojectionErrors<'a, P: Projection> {
     camera: &'a MovingCamera<'a, P>,
     observations: &'a [Observation],
     scale: f64,
-    /// Of the pose that the cost was asked of last: where it is taken, they are asked again.
+    /// Residuals of the last pose evaluated; if that pose is accepted, they are needed again.
     squared: RefCell<&'a mut SquaredResiduals>,
-    /// Set where the observations do not determine a pose.
+    /// Set if the observations do not determine a pose.
     is_singular: Cell<bool>,
 }
 
@@ -238,7 +248,7 @@ impl<P: Projection> Problem for ReprojectionErrors<'_, P> {
     }
 
     fn taken(&mut self, before: &Self::State, pose: &Self::State, _: f64) -> ControlFlow<f64, f64> {
-        // Its cost was asked just now: the residuals are there.
+        // Its cost has just been computed, so the residuals are current.
         let Some(scale) = self.squared.get_mut().scale() else {
             self.is_singular.set(true);
             return ControlFlow::Break(f64::INFINITY);
@@ -255,7 +265,8 @@ impl<P: Projection> Problem for ReprojectionErrors<'_, P> {
     }
 }
 
-/// The scale of the residuals of a pose, sigmas: median of |r|, divided by what it is for two-dimensional Gaussian noise; at least 1. `None` of fewer than four observations.
+/// Returns the scale of a pose's residuals in sigmas: the median of |r| divided by its value for
+/// two-dimensional Gaussian noise; at least 1. `None` for fewer than four observations.
 pub fn residual_scale<P: Projection>(
     pose: &Pose<Camera, Body>,
     camera: &MovingCamera<P>,
@@ -287,10 +298,11 @@ fn normal_equations<P: Projection>(
     (normal, gradient)
 }
 
-/// Covariance of the left perturbation [δt, δθ] of `T_camera_body`: measurement noise, plus the excess that observations of
-/// one group share (White's sandwich over groups), whichever direction has more of it.
+/// Computes the covariance of the left perturbation [δt, δθ] of `T_camera_body`: in each direction
+/// the larger of measurement noise and the scatter that observations of one group share (White's
+/// sandwich estimator over groups).
 ///
-/// `None` when the observations leave a direction free.
+/// `None` if the observations leave a direction undetermined, or there are fewer than three groups.
 pub fn sandwich_covariance<P: Projection>(
     resection: &Resection,
     camera: &MovingCamera<P>,
@@ -318,7 +330,8 @@ pub fn sandwich_covariance<P: Projection>(
     larger_covariance(&noise, &(bread * meat * bread))
 }
 
-/// The larger of noise and scatter in every direction that noise whitens; `None` where noise is not positive definite.
+/// Returns the larger of noise and scatter in every direction, after whitening by noise; `None` if
+/// noise is not positive definite.
 pub fn larger_covariance(noise: &Matrix6<f64>, scatter: &Matrix6<f64>) -> Option<Matrix6<f64>> {
     let root = noise.cholesky()?.l();
     let inverse_root = root.try_inverse()?;
@@ -328,8 +341,8 @@ pub fn larger_covariance(noise: &Matrix6<f64>, scatter: &Matrix6<f64>) -> Option
     Some((covariance + covariance.transpose()) * 0.5)
 }
 
-/// Where the observation's point would be seen if its row were exposed with the middle one: the pixel, less what the motion moved
-/// it by.
+/// Returns the pixel where the observation's point would be seen if its row were exposed with the
+/// middle one, i.e. without the shift due to motion.
 pub fn rolling_shutter_corrected_px<P: Projection>(pose: &Pose<Camera, Body>, camera: &MovingCamera<P>, o: &Observation) -> Vector2<f64> {
     let project = |c: Vector3<f64>| camera.lens.pixel_and_jacobian(Vector2::new(c.x / c.z, c.y / c.z)).0;
     let middle = pose.transform(&o.point).coords;
@@ -337,7 +350,8 @@ pub fn rolling_shutter_corrected_px<P: Projection>(pose: &Pose<Camera, Body>, ca
     if middle.z < 1e-6 || then.z < 1e-6 { o.pixel } else { o.pixel - (project(then) - project(middle)) }
 }
 
-/// How much the pose changes with the motion that was assumed while the rows were read: d[δt, δθ] / d twist at the solution.
+/// Returns how much the pose changes with the motion assumed during readout: d[δt, δθ] / d twist at
+/// the solution.
 pub fn pose_by_twist<P: Projection>(resection: &Resection, camera: &MovingCamera<P>, observations: &[Observation]) -> Option<Matrix6<f64>> {
     let mut mixed = Matrix6::zeros();
     for o in observations {
@@ -358,7 +372,7 @@ mod tests {
     struct Pinhole;
     impl Projection for Pinhole {
         fn pixel_and_jacobian(&self, n: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
-            // A mild bend, so that the chain rule is exercised.
+            // Mild distortion, to test the chain rule.
             let r2 = n.norm_squared();
             let bent = n * (1.0 - 0.1 * r2);
             let j = Matrix2::identity() * (1.0 - 0.1 * r2) - 0.2 * n * n.transpose();
@@ -431,7 +445,7 @@ mod tests {
         assert!((expected.translation - blind.pose.translation).norm() < 0.1 * (blind.pose.translation - truth().translation).norm());
     }
 
-    /// Exact observations of the scene through a shutter of 12 ms, the body moving by `twist`.
+    /// Exact observations of the scene with 12 ms readout while the body moves by `twist`.
     fn rolled(twist: &Twist) -> Vec<Observation> {
         scene(0.0, 0, 3)
             .into_iter()

@@ -1,23 +1,27 @@
-//! What the robust estimators have in common: what a search may spend, and what it found.
+//! Common parts of the robust estimators: options and results.
 
 use super::correspondence::Correspondence;
 use super::noise::{self, Dimensions};
 use super::ransac::Order;
 
-/// What the search may spend and what counts as agreement.
+/// Search limits and the inlier threshold.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RobustOptions {
-    /// Largest distance of an inlier, in pixels: transfer error in the second picture for a homography, Sampson distance for epipolar relations.
-    /// Default 3, about three to four times the noise of a corner that was found on a coarse scale. Raised, more wrong pairs agree.
+    /// Maximum distance of an inlier, pixels: transfer error in the second picture for a
+    /// homography, Sampson distance for epipolar relations. Default 3, about three to four times
+    /// the noise of a corner found at a coarse scale. Raised, more wrong pairs agree.
     pub threshold: f64,
-    /// Samples at most; default 20,000. Raised, fewer inliers suffice and failures take longer.
+    /// Maximum number of samples; default 20,000. Raised, fewer inliers suffice and failures take
+    /// longer.
     pub max_samples: usize,
     /// Stop when the chance of having missed a better model is below 1 - this; default 0.9999.
     pub confidence: f64,
-    /// In which order samples are drawn; default [`Order::Even`]. [`Order::PROSAC`] for pairs that are sorted, best first.
+    /// Order in which samples are drawn; default [`Order::Even`]. Use [`Order::PROSAC`] for pairs
+    /// sorted best first.
     pub order: Order,
-    /// Whether the last step of a homography is least squares over the inliers, all alike, rather than with less weight for far ones; default true.
-    /// A fiftieth more precise where the inliers are true, less where many are not.
+    /// Whether the last step of a homography is ordinary least squares over the inliers instead of
+    /// down-weighting far ones; default true. A fiftieth more precise if the inliers are true, less
+    /// precise if many are not.
     pub weighs_alike: bool,
     /// Seed of the sampler; default 1.
     pub seed: u64,
@@ -36,14 +40,15 @@ pub struct RobustModel<M> {
     pub model: M,
     /// Indices of the inliers, ascending.
     pub inliers: Vec<usize>,
-    /// Score: sum of 1 - d²/t² over the inliers; higher is better.
+    /// Sum of 1 - d²/t² over the inliers; higher is better. (`homography_of_unknown_noise` reports
+    /// its own marginal score instead.)
     pub score: f64,
     /// Standard deviation of one coordinate of the inliers' distances, pixels.
     pub sigma: f64,
 }
 
 impl<M> RobustModel<M> {
-    /// Judges a model by the squared distances of all pairs.
+    /// Builds the result for a model from the squared distances of all pairs.
     pub(super) fn judged(model: M, squared: impl Iterator<Item = f64>, threshold: f64, dimensions: Dimensions) -> Self {
         let t2 = threshold * threshold;
         let (mut inliers, mut distances, mut score) = (Vec::new(), Vec::new(), 0.0);
@@ -55,24 +60,24 @@ impl<M> RobustModel<M> {
         Self { model, inliers, score, sigma: noise::of_inliers(&mut distances, threshold, dimensions) }
     }
 
-    /// The same with another model.
+    /// Replaces the model.
     pub fn map<N>(self, other: impl FnOnce(M) -> N) -> RobustModel<N> {
         RobustModel { model: other(self.model), inliers: self.inliers, score: self.score, sigma: self.sigma }
     }
 
-    /// The same, found among some of the pairs; their indices among all are given.
+    /// Converts inlier indices from a subset of the pairs to indices among all.
     pub(super) fn among(mut self, indices: &[usize]) -> Self {
         self.inliers.iter_mut().for_each(|k| *k = indices[*k]);
         self
     }
 }
 
-/// Indices of the pairs that can be computed with.
+/// Returns the indices of the usable pairs.
 pub(super) fn usable<C: Correspondence>(pairs: &[C]) -> Vec<usize> {
     (0..pairs.len()).filter(|&k| pairs[k].is_usable()).collect()
 }
 
-/// Whether options can be searched by at all.
+/// Whether the options' threshold is finite and positive.
 pub(super) fn is_sound(options: &RobustOptions) -> bool {
     options.threshold.is_finite() && options.threshold > 0.0
 }

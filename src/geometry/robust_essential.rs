@@ -1,5 +1,6 @@
-//! Robust estimation of the motion between two views of cameras that are known: five-point samples, truncated squares (MSAC) of Sampson distances in
-//! pixels, refined on the inliers whenever a better one is found.
+//! Robust estimation of the motion between two calibrated views: five-point samples scored by
+//! truncated squared (MSAC) Sampson distances in pixels, refined on the inliers whenever a better
+//! one is found.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -14,17 +15,19 @@ use super::relative_pose::RayPair;
 use super::robust::{self, RobustModel, RobustOptions};
 use super::scoring::Scorer;
 
-/// A motion that hardly more than its own sample agrees with is none: five pairs always do.
+/// Minimum score of a motion: its own five pairs always score 5, so this demands support beyond the
+/// sample. Raised, more support is required.
 const LEAST_SCORE: f64 = 5.5;
-/// Steps of a refinement in the search, and of the last one, as for the fundamental matrix.
+/// Refinement iterations during the search and at its end, as for the fundamental matrix.
 const STEPS_IN_SEARCH: usize = 4;
 const LAST_STEPS: usize = 20;
 
-/// Finds the motion that most pairs agree with; `None` when no more than a sample ever do.
+/// Finds the motion with the most support; `None` if no more pairs than a sample agree.
 ///
-/// `focals` are the focal lengths of the first and the second picture in pixels, which make the rays' distances pixels: the options' threshold is in
-/// pixels as everywhere. The motion's [`essential`](super::relative_pose::TwoViewMotion::essential) is the matrix. A flat scene allows a second
-/// motion with the same matrix distances; `decompose_homography` gives both.
+/// `focals` are the focal lengths of the first and the second picture in pixels. They scale the
+/// rays' distances to pixels, so the options' threshold is in pixels as everywhere. The motion's
+/// [`essential`](super::relative_pose::TwoViewMotion::essential) is the matrix. A flat scene allows
+/// a second motion with equal distances; `decompose_homography` returns both.
 pub fn robust_essential(pairs: &[RayPair], focals: [f64; 2], options: &RobustOptions) -> Option<RobustModel<JudgedMotion>> {
     let RobustOptions { threshold, max_samples, confidence, order, seed, .. } = *options;
     if !robust::is_sound(options) || !focals.iter().all(|f| f.is_finite() && *f > 0.0) {
@@ -44,7 +47,8 @@ pub fn robust_essential(pairs: &[RayPair], focals: [f64; 2], options: &RobustOpt
     (found.inliers.len() > 5).then(|| found.map(|()| motion).among(&indices))
 }
 
-/// Rays seen in two views, of which five make up to ten essential matrices, and the same as pixels from the principal points.
+/// Rays seen in two views, five of which give up to ten essential matrices, and the same in pixels
+/// relative to the principal points.
 struct Views<'a> {
     rays: &'a [RayPair],
     pixels: &'a [PointPair],
@@ -78,24 +82,24 @@ impl Estimator<5> for Views<'_> {
 }
 
 impl Views<'_> {
-    /// The relation of the pixels.
+    /// Converts the relation to pixels.
     fn in_pixels(&self, e: &Matrix3<f64>) -> Matrix3<f64> {
         let [first, second] = self.focals.map(|focal| Matrix3::from_diagonal(&Vector3::new(1.0 / focal, 1.0 / focal, 1.0)));
         second * e * first
     }
 
-    /// Noise of a ray, radians: a third of the threshold, over the shorter lens.
+    /// Noise of a ray, radians: a third of the threshold, over the shorter focal length.
     fn ray_noise(&self) -> f64 {
         self.threshold / 3.0 / self.focals[0].min(self.focals[1])
     }
 
-    /// Pairs within this multiple of the threshold.
+    /// Returns pairs within this multiple of the threshold.
     fn near(&self, e: &Matrix3<f64>, thresholds: f64) -> Vec<RayPair> {
         let (f, within) = (self.in_pixels(e), (thresholds * self.threshold).powi(2));
         self.rays.iter().zip(self.pixels).filter(|(_, p)| squared_sampson(&f, *p) < within).map(|(r, _)| *r).collect()
     }
 
-    /// Refined on the pairs near it, the wider net first; the best that was met.
+    /// Refines on nearby pairs, first within twice the threshold; keeps the best model.
     fn refined(&self, mut e: Matrix3<f64>, mut score: f64, steps: usize) -> (Matrix3<f64>, f64) {
         for thresholds in [2.0, 1.0] {
             let near = self.near(&e, thresholds);
@@ -118,7 +122,7 @@ mod tests {
     use super::*;
     use crate::geometry::test_views::{FOCALS, errors_deg, scene};
 
-    /// True pairs with noise of half a pixel, then wrong ones.
+    /// True pairs with half a pixel of noise, then wrong ones.
     fn mixture(good: usize, wrong: usize, seed: u64) -> Vec<RayPair> {
         let mut random = Pcg64Mcg::seed_from_u64(seed);
         let mut pairs = scene(good, 0.001, false, seed);
@@ -129,7 +133,8 @@ mod tests {
         pairs
     }
 
-    /// Thesis error E9: what was calibrated never reached the pose. Here the rays are the calibrated cameras' and give it.
+    /// Thesis error E9: the calibration never reached the pose. Here the calibrated rays determine
+    /// it.
     #[test]
     fn e9_calibrated_rays_give_the_motion_among_wrong_pairs() {
         for (good, wrong, seed) in [(200, 60, 1), (150, 150, 2), (100, 150, 3)] {
@@ -165,7 +170,7 @@ mod tests {
         assert_eq!(robust_essential(&pairs, [800.0, f64::NAN], &options), None);
         let broken = RayPair { first: Vector2::new(f64::NAN, 0.0), second: Vector2::zeros() };
         assert_eq!(robust_essential(&[broken; 30], FOCALS, &options), None);
-        // Thirty times the same pair: no panic, whatever is found.
+        // Thirty copies of one pair: no panic, whatever the result.
         let _ = robust_essential(&[pairs[0]; 30], FOCALS, &options);
         assert_eq!(robust_essential(&pairs, FOCALS, &options), robust_essential(&pairs, FOCALS, &options));
     }

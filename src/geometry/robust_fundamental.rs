@@ -1,5 +1,5 @@
-//! Robust estimation of the fundamental matrix: seven-point samples, truncated squares (MSAC) of Sampson distances in pixels, refined on the inliers
-//! whenever a better one is found.
+//! Robust estimation of the fundamental matrix: seven-point samples scored by truncated squared
+//! (MSAC) Sampson distances in pixels, refined on the inliers whenever a better one is found.
 
 use nalgebra::Matrix3;
 use rand::{Rng, SeedableRng};
@@ -15,20 +15,24 @@ use super::robust::{self, RobustModel, RobustOptions};
 use super::scoring::Scorer;
 use super::seven_point::{is_oriented, seven_point};
 
-/// A relation that hardly more than its own sample agrees with is none: seven points always do.
+/// Minimum score of a relation: its own seven pairs always score 7, so this demands support beyond
+/// the sample. Raised, more support is required.
 const LEAST_SCORE: f64 = 7.5;
-/// Steps of a refinement in the search, and of the last one. Raised, the search takes longer; the last one has converged by then.
+/// Refinement iterations during the search, and in the last refinement, which has converged by
+/// then. Raised, the search takes longer.
 const STEPS_IN_SEARCH: usize = 4;
 const LAST_STEPS: usize = 20;
 
-/// Pairs of a sample among the inliers, and how many such samples, as the paper has it. More pairs are less often all right; fewer are farther off.
+/// Number of pairs per inner sample of inliers, and number of such samples, as in the paper. Larger
+/// samples are less often free of wrong pairs; smaller ones are less accurate.
 const INNER_SAMPLE: usize = 14;
 const INNER_SAMPLES: usize = 20;
 
-/// Finds the fundamental matrix (pixels to pixels, rank two, norm 1) that most pairs agree with; `None` when no more than a sample ever do.
+/// Finds the fundamental matrix (pixels to pixels, rank two, norm 1) with the most support; `None`
+/// if no more pairs than a sample agree.
 ///
-/// All pairs on one plane, or a camera that only turned, leave F open: what is found then explains the pairs and no move.
-/// `choose_model` says so.
+/// If all pairs are on one plane, or the camera only rotated, F is not determined: the result
+/// explains the pairs but no motion. `choose_model` detects this.
 pub fn robust_fundamental<C: Correspondence + Copy>(pairs: &[C], options: &RobustOptions) -> Option<RobustModel<Matrix3<f64>>> {
     let RobustOptions { threshold, max_samples, confidence, order, seed, .. } = *options;
     if !robust::is_sound(options) {
@@ -45,7 +49,7 @@ pub fn robust_fundamental<C: Correspondence + Copy>(pairs: &[C], options: &Robus
     (found.inliers.len() > 7).then(|| found.among(&indices))
 }
 
-/// Pairs in two views, of which seven make up to three fundamental matrices.
+/// Pairs in two views; seven of them give up to three fundamental matrices.
 struct Views<'a, C> {
     pairs: &'a [C],
     scorer: Scorer,
@@ -80,20 +84,21 @@ impl<C: Correspondence + Copy> Estimator<7> for Views<'_, C> {
 }
 
 impl<C: Correspondence + Copy> Views<'_, C> {
-    /// Pairs within this multiple of the threshold.
+    /// Returns pairs within this multiple of the threshold.
     fn near(&self, f: &Matrix3<f64>, thresholds: f64) -> Vec<C> {
         let within = (thresholds * self.threshold).powi(2);
         self.pairs.iter().filter(|p| squared_sampson(f, *p) < within).copied().collect()
     }
 
-    /// The best of what samples among the inliers alone lead to (the inner search of Chum, Matas and Kittler 2003): a few wrong pairs that agree by
-    /// chance hold the refinement in a poor place, which samples without them leave.
+    /// Returns the best result of samples drawn from the inliers alone (the inner search of Chum,
+    /// Matas and Kittler 2003). A few wrong pairs that agree by chance can trap the refinement in a
+    /// poor optimum; samples without them escape it.
     fn resampled(&self, mut f: Matrix3<f64>, mut score: f64, seed: u64) -> (Matrix3<f64>, f64) {
         let mut inliers = self.near(&f, 1.0);
         let size = INNER_SAMPLE.min(inliers.len() / 2);
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
         for _ in 0..INNER_SAMPLES {
-            // The first of a shuffle (Fisher and Yates): none is drawn twice.
+            // A partial Fisher-Yates shuffle: no pair is drawn twice.
             for k in 0..size {
                 let other = rng.random_range(k..inliers.len());
                 inliers.swap(k, other);
@@ -108,7 +113,7 @@ impl<C: Correspondence + Copy> Views<'_, C> {
         (f, score)
     }
 
-    /// Refined on the pairs near it, the wider net first; the best that was met.
+    /// Refines on nearby pairs, first within twice the threshold; keeps the best model.
     fn refined(&self, mut f: Matrix3<f64>, mut score: f64, steps: usize) -> (Matrix3<f64>, f64) {
         for thresholds in [2.0, 1.0] {
             let next = refine_fundamental(&f, &self.near(&f, thresholds), self.threshold / 3.0, steps);
@@ -131,7 +136,7 @@ mod tests {
     use crate::geometry::ransac::Order;
     use crate::geometry::test_views::{pixels, scene, true_fundamental};
 
-    /// True pairs with noise of half a pixel, and wrong ones spread among them.
+    /// True pairs with half a pixel of noise, mixed with wrong ones.
     pub fn mixture(good: usize, wrong: usize, seed: u64) -> (Vec<PointPair>, Vec<bool>) {
         let mut random = Pcg64Mcg::seed_from_u64(seed);
         let mut rows: Vec<(f64, PointPair, bool)> =
@@ -145,7 +150,7 @@ mod tests {
         (rows.iter().map(|r| r.1).collect(), rows.iter().map(|r| r.2).collect())
     }
 
-    /// RMS of the distances of exact pairs from an estimate.
+    /// RMS distance of exact pairs from an estimate.
     fn error(f: &Matrix3<f64>) -> f64 {
         let exact = pixels(&scene(300, 0.0, false, 99));
         (exact.iter().map(|p| squared_sampson(f, p)).sum::<f64>() / 300.0).sqrt()
@@ -163,7 +168,7 @@ mod tests {
                 let of_truth: Vec<PointPair> = pairs.iter().zip(&labels).filter(|(_, good)| **good).map(|(p, _)| *p).collect();
                 let oracle = error(&refine_fundamental(&true_fundamental(), &of_truth, 100.0, 50).expect("regular"));
                 assert!(error(&found.model) < 1.5 * oracle + 0.2, "{good} of {wrong}, {seed}: {} {oracle}", error(&found.model));
-                // The noise is even over ±0.8 px.
+                // The noise is uniform over ±0.8 px.
                 assert!((0.25..0.75).contains(&found.sigma), "{}", found.sigma);
             }
         }

@@ -1,7 +1,7 @@
-//! Robust homography estimation: samples drawn in the order of match quality, scored by truncated squares (MSAC), improved
-//! locally whenever a better one is found.
+//! Robust homography estimation: samples drawn in order of match quality, scored by truncated
+//! squares (MSAC), and locally optimised whenever a better one is found.
 //!
-//! The generator is seeded, so the same matches give the same answer.
+//! The generator is seeded, so the same matches give the same result.
 
 use super::homography::{Homography, PointPair};
 use super::noise::Dimensions;
@@ -9,13 +9,16 @@ use super::ransac::{self, Estimator};
 use super::robust::{self, RobustModel, RobustOptions};
 use super::scoring::Scorer;
 
-/// A homography that little more than its own sample agrees with is none.
+/// Minimum score of a homography. A sample's own four pairs score 4, so this rejects only
+/// numerically bad samples; raised above 4, it demands support beyond the sample.
 const LEAST_SCORE: f64 = 3.5;
 
-/// Noise in thresholds at which the robust kernel weighs all inliers alike, to a millionth.
+/// Noise, in thresholds, at which the robust kernel weights all inliers equally, to a millionth.
+/// Lowered, far inliers lose weight.
 const ALL_ALIKE: f64 = 1e3;
 
-/// Finds the homography that most pairs agree with, or `None` when fewer than four ever do. Distances are transfer errors in the second picture.
+/// Finds the homography with the most support, or `None` if fewer than four pairs agree. Distances
+/// are transfer errors in the second picture.
 pub fn robust_homography(pairs: &[PointPair], options: &RobustOptions) -> Option<RobustModel<Homography>> {
     let RobustOptions { threshold, max_samples, confidence, order, seed, .. } = *options;
     if !robust::is_sound(options) {
@@ -34,7 +37,7 @@ pub fn robust_homography(pairs: &[PointPair], options: &RobustOptions) -> Option
     (found.inliers.len() >= 4).then(|| found.among(&indices))
 }
 
-/// Pairs of points on two planes, of which four make a homography.
+/// Pairs of points on two planes; four of them define a homography.
 struct Plane<'a> {
     pairs: &'a [PointPair],
     scorer: Scorer,
@@ -70,7 +73,7 @@ fn inliers_of(h: &Homography, pairs: &[PointPair], t2: f64) -> Vec<PointPair> {
 }
 
 impl Plane<'_> {
-    /// Refits to the inliers, widening the net first so that a rough sample can grow.
+    /// Refits to the inliers, first with wider thresholds so that a rough model can grow.
     fn locally_optimised(&self, mut h: Homography, mut s: f64) -> (Homography, f64) {
         let t2 = self.threshold * self.threshold;
         for widen in [3.0, 2.0, 1.0] {
@@ -93,7 +96,8 @@ mod tests {
 
     use crate::geometry::ransac::Order;
 
-    /// `good` true pairs mixed into random ones; the true ones tend to come first, as a ratio test orders them.
+    /// `good` true pairs mixed with random ones; true ones tend to come first, as a ratio test
+    /// sorts them.
     fn mixture(n: usize, good: usize, seed: u64) -> (Homography, Vec<PointPair>, Vec<bool>) {
         let truth = Homography(Matrix3::new(0.9, -0.1, 200.0, 0.15, 0.8, 90.0, 5e-5, -1e-4, 1.0));
         let mut rng = Pcg64Mcg::seed_from_u64(seed);

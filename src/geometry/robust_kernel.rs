@@ -1,19 +1,20 @@
-//! Robust kernels: how a residual's cost and weight fall behind its square, so that outliers do not pull (Zhang 1997, table 1);
-//! and the median, which half of the values may be wild for.
+//! Robust kernels, which reduce a residual's cost and weight so that outliers do not pull (Zhang
+//! 1997, table 1); and the median, which tolerates up to half of arbitrary values.
 //!
-//! Residuals are squared and whitened: in variances of their noise.
+//! Residuals are squared and whitened: in units of their noise variance.
 
-/// Tukey's biweight: residuals beyond this many sigmas count nothing. At 4.685, here rounded, it is 95 % as efficient as least
-/// squares where all noise is normal. Raised, outliers pull more; lowered, good residuals are lost.
+/// Tukey's biweight: residuals beyond this many sigmas have no weight. At 4.685, here rounded, it
+/// is 95 % as efficient as least squares under normal noise. Raised, outliers pull more; lowered,
+/// good residuals are lost.
 pub const TUKEY: f64 = 4.7;
 
-/// Tukey's weight of a squared residual (in sigmas of `scale`).
+/// Returns Tukey's weight of a squared residual (in sigmas of `scale`).
 pub fn tukey_weight(squared: f64, scale: f64) -> f64 {
     let u = squared / (TUKEY * scale).powi(2);
     if u < 1.0 { (1.0 - u).powi(2) } else { 0.0 }
 }
 
-/// Tukey's cost of a squared residual; that of an outlier for `None`.
+/// Returns Tukey's cost of a squared residual; `None` costs as much as an outlier.
 pub fn tukey_cost(squared: Option<f64>, scale: f64) -> f64 {
     let c2 = (TUKEY * scale).powi(2);
     match squared {
@@ -22,17 +23,17 @@ pub fn tukey_cost(squared: Option<f64>, scale: f64) -> f64 {
     }
 }
 
-/// Geman's and McClure's cost: it grows to 1; one half at `c2`.
+/// Returns the Geman-McClure cost, which approaches 1; one half at `c2`.
 pub fn geman_mcclure_cost(squared: f64, c2: f64) -> f64 {
     squared / (squared + c2)
 }
 
-/// Geman's and McClure's weight, 1 for none.
+/// Returns the Geman-McClure weight, 1 at a zero residual.
 pub fn geman_mcclure_weight(squared: f64, c2: f64) -> f64 {
     (c2 / (squared + c2)).powi(2)
 }
 
-/// The median, or `None` of nothing; reorders in place.
+/// Returns the median, or `None` for no values; reorders in place.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     if values.is_empty() {
         return None;
@@ -45,7 +46,7 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// A weight is twice the slope of the cost over the squared residual, up to a factor that is the same for all residuals.
+    /// A weight is twice the derivative of the cost by the squared residual, up to a common factor.
     #[test]
     fn weights_are_the_slopes_of_costs() {
         const STEP: f64 = 1e-6;

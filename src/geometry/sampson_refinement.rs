@@ -1,4 +1,5 @@
-//! Least squares of Sampson distances in pixels, for relations of any parameters: what the refinements of F and of a motion share.
+//! Least squares of Sampson distances in pixels for arbitrary relations; shared by the refinements
+//! of F and of a motion.
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
@@ -7,29 +8,29 @@ use super::robust_kernel::{geman_mcclure_cost, geman_mcclure_weight};
 
 /// A relation `x2^T M x1 = 0` with `P` degrees of freedom.
 pub trait Relation<const P: usize>: Clone {
-    /// M.
+    /// Returns M.
     fn matrix(&self) -> Matrix3<f64>;
 
-    /// The relation after a step.
+    /// Returns the relation after a step.
     fn stepped(&self, step: &SVector<f64, P>) -> Self;
 
-    /// The derivatives of M by the step, at no step.
+    /// Returns the derivatives of M by the step, at step zero.
     fn derivatives(&self) -> [Matrix3<f64>; P];
 }
 
-/// Pairs that a relation is fitted to, and how far they may be trusted.
+/// The pairs to fit a relation to, and their noise.
 #[derive(Debug, Clone)]
 pub struct SampsonFit {
-    /// Points of both pictures in the relation's coordinates, homogeneous.
+    /// Homogeneous points of both pictures in the relation's coordinates.
     pub pairs: Vec<[Vector3<f64>; 2]>,
-    /// The size of a pixel of the first and of the second picture in those coordinates.
+    /// Size of a pixel of the first and of the second picture in those coordinates.
     pub pixel: [f64; 2],
-    /// Noise of a distance, pixels: beyond about three of it pairs lose weight (Geman and McClure).
+    /// Noise of a distance, pixels; pairs beyond about three times it lose weight (Geman-McClure).
     pub sigma: f64,
 }
 
 impl SampsonFit {
-    /// Refines a relation by Gauss-Newton steps with Levenberg's damping.
+    /// Refines a relation by Levenberg-Marquardt.
     pub fn refined<const P: usize, R: Relation<P>>(&self, start: R, iterations: usize) -> R {
         let options = Options { iterations, damping: Damping { now: 1e-4, least: 1e-12, most: 1e6 }, least_gain: 1e-9 };
         minimise(&mut Fit { fit: self, relation: std::marker::PhantomData }, start, &options).0
@@ -40,7 +41,8 @@ impl SampsonFit {
     }
 }
 
-/// The signed Sampson distance of a pair in pixels, c / g; with g, M a, and the first two of Mᵀ b.
+/// Returns the signed Sampson distance of a pair in pixels, c / g; also g, M a, and the first two
+/// entries of Mᵀ b.
 fn distance(m: &Matrix3<f64>, [a, b]: &[Vector3<f64>; 2], pixel: &[f64; 2]) -> (f64, f64, Vector3<f64>, Vector2<f64>) {
     let ma = m * a;
     let mtb = Vector2::new(m.column(0).dot(b), m.column(1).dot(b));
@@ -49,11 +51,12 @@ fn distance(m: &Matrix3<f64>, [a, b]: &[Vector3<f64>; 2], pixel: &[f64; 2]) -> (
     (b.dot(&ma) / g, g, ma, mtb)
 }
 
-/// The distance and its derivative by the nine entries of M, row by row.
+/// Returns the distance and its derivative by the nine entries of M, row by row.
 fn distance_and_slope(m: &Matrix3<f64>, pair: &[Vector3<f64>; 2], pixel: &[f64; 2]) -> (f64, SVector<f64, 9>) {
     let (r, g, ma, mtb) = distance(m, pair, pixel);
     let [a, b] = pair;
-    // d(c / g) = dc / g - c dg / g², with g dg = Σ (M a)_i dM_ij a_j p2² + Σ (Mᵀ b)_j dM_ij b_i p1².
+    // d(c / g) = dc / g - c dg / g², with g dg = Σ (M a)_i dM_ij a_j p2² + Σ (Mᵀ b)_j dM_ij b_i
+    // p1².
     let (p1, p2) = (r / g * pixel[0] * pixel[0], r / g * pixel[1] * pixel[1]);
     let slope = SVector::<f64, 9>::from_fn(|k, _| {
         let (i, j) = (k / 3, k % 3);
@@ -78,7 +81,7 @@ impl<const P: usize, R: Relation<P>> Problem for Fit<'_, P, R> {
         self.fit.pairs.iter().map(|pair| geman_mcclure_cost(distance(&m, pair, &self.fit.pixel).0.powi(2), c2)).sum()
     }
 
-    /// The sums over pairs are made in the nine entries of M, which all parameters share.
+    /// Sums over pairs in the nine entries of M, which all parameters share.
     fn linearised(&self, relation: &R) -> Self::Normal {
         let (m, c2) = (relation.matrix(), self.fit.c2());
         let mut normal = SMatrix::<f64, 9, 9>::zeros();
@@ -109,7 +112,8 @@ pub mod tests {
 
     use super::*;
 
-    /// Holds the derivatives of a relation, and of the distances by its parameters, to differences.
+    /// Checks the derivatives of a relation, and of the distances by its parameters, against finite
+    /// differences.
     pub fn derivatives_agree_with_differences<const P: usize, R: Relation<P>>(relation: &R, fit: &SampsonFit) {
         const STEP: f64 = 1e-6;
         let (m, derivatives) = (relation.matrix(), relation.derivatives());

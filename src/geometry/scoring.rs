@@ -1,7 +1,8 @@
-//! How well a relation explains all pairs: truncated squares (MSAC, Torr and Zisserman, CVIU 2000), eight pairs at a time.
+//! Scores a relation over all pairs: truncated squares (MSAC, Torr and Zisserman, CVIU 2000), eight
+//! pairs at a time.
 //!
-//! The score is the sum of 1 - d²/t² over the pairs within the threshold t. Scoring ends as soon as the pairs that are left could not lift it over
-//! the bar any more; no result changes by that.
+//! The score is the sum of 1 - d²/t² over the pairs within the threshold t. Scoring stops once the
+//! remaining pairs cannot lift the score above the bar; this changes no result.
 
 use nalgebra::Matrix3;
 
@@ -9,12 +10,14 @@ use super::correspondence::Correspondence;
 use super::homography::Homography;
 use crate::simd::multiversion;
 
-/// Pairs that are scored together: a whole register of doubles, or two, or four.
+/// Pairs scored together: one, two or four registers of doubles, depending on the processor.
 const LANES: usize = 8;
-/// Blocks between two looks at the bar. Raised, hopeless models are scored longer; lowered, the sum over the lanes costs more than it saves.
+/// Blocks between two checks against the bar. Raised, hopeless models are scored longer; lowered,
+/// summing the lanes costs more than it saves.
 const BLOCKS_BETWEEN_LOOKS: usize = 4;
 
-/// Pairs as their coordinates in the first picture (x, y) and in the second (u, v). What fills the last block is no number and agrees with nothing.
+/// Pairs as coordinates in the first picture (x, y) and in the second (u, v). The last block is
+/// padded with NaN, which agrees with nothing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Block {
     x: [f64; LANES],
@@ -33,7 +36,8 @@ pub struct Scorer {
 }
 
 impl Scorer {
-    /// `threshold`: the distance of a pair that just does not agree, in the pairs' units.
+    /// Lays out the pairs. `threshold`: distance from which a pair no longer agrees, in the pairs'
+    /// units.
     pub fn new<C: Correspondence>(pairs: &[C], threshold: f64) -> Self {
         let block = |pairs: &[C]| {
             let of = |coordinate: fn(&C) -> f64| std::array::from_fn(|k| pairs.get(k).map_or(f64::NAN, coordinate));
@@ -42,21 +46,22 @@ impl Scorer {
         Self { blocks: pairs.chunks(LANES).map(block).collect(), count: pairs.len(), t2: threshold * threshold }
     }
 
-    /// Score of a homography by transfer errors in the second picture; `None` if it is not above `bar`.
+    /// Scores a homography by transfer errors in the second picture; `None` if not above `bar`.
     pub fn homography(&self, h: &Homography, bar: f64) -> Option<f64> {
         let score = homography_score(&row_major(&h.0), &self.blocks, self.t2, self.hopeless(bar));
         Some(score).filter(|score| *score > bar)
     }
 
-    /// Score of a fundamental matrix by Sampson distances; `None` if it is not above `bar`.
+    /// Scores a fundamental matrix by Sampson distances; `None` if not above `bar`.
     pub fn epipolar(&self, f: &Matrix3<f64>, bar: f64) -> Option<f64> {
         let score = epipolar_score(&row_major(f), &self.blocks, self.t2, self.hopeless(bar));
         Some(score).filter(|score| *score > bar)
     }
 
-    /// Where score minus pairs done is below this, the pairs that are left cannot lift the score over the bar.
+    /// Returns the limit of score minus processed pairs below which the remaining pairs cannot lift
+    /// the score above the bar.
     fn hopeless(&self, bar: f64) -> f64 {
-        // More than rounding can take from a sum of that length of numbers up to 1.
+        // More than the rounding error of a sum of that many numbers up to 1.
         let rounding = 1e-9 * self.count as f64;
         bar - rounding - (self.blocks.len() * LANES) as f64
     }
@@ -67,16 +72,19 @@ fn row_major(m: &Matrix3<f64>) -> [f64; 9] {
 }
 
 multiversion! {
-    /// The score; something too low where it falls behind: where score minus pairs done is below `hopeless`.
+    /// Returns the score, or negative infinity once score minus processed pairs is below
+    /// `hopeless`.
     fn homography_score(h: &[f64; 9], blocks: &[Block], t2: f64, hopeless: f64) -> f64;
     ["avx2"] => homography_score_lanes, else homography_score_lanes
 }
 
-/// Only pairs that are near without a division are divided for, in order and as [`Homography::squared_error`] does, so that the sum is the same to
-/// every digit as that over all pairs one by one.
+/// Divides only for pairs that are close by a division-free test, in order and as
+/// [`Homography::squared_error`] does, so that the sum is bit-identical to that over all pairs one
+/// by one.
 #[inline(always)]
 fn homography_score_lanes(h: &[f64; 9], blocks: &[Block], t2: f64, hopeless: f64) -> f64 {
-    // The allowance is more than rounding between the two forms, for coordinates up to a million thresholds.
+    // The tolerance exceeds the rounding difference between the two forms, for coordinates up to a
+    // million thresholds.
     let reach = t2 * (1.0 + 1e-9);
     let (mut score, mut done) = (0.0, 0.0);
     for block in blocks {
@@ -106,7 +114,7 @@ fn homography_score_lanes(h: &[f64; 9], blocks: &[Block], t2: f64, hopeless: f64
 }
 
 multiversion! {
-    /// The score; something too low where it falls behind, as above.
+    /// Returns the score, or negative infinity once it falls behind, as above.
     fn epipolar_score(f: &[f64; 9], blocks: &[Block], t2: f64, hopeless: f64) -> f64;
     ["avx2"] => epipolar_score_lanes, else epipolar_score_lanes
 }
@@ -123,7 +131,7 @@ fn epipolar_score_lanes(f: &[f64; 9], blocks: &[Block], t2: f64, hopeless: f64) 
                 let (mx, my) = (f[0] * u + f[3] * v + f[6], f[1] * u + f[4] * v + f[7]);
                 let c = u * lx + v * ly + lz;
                 let agreement = 1.0 - c * c / ((lx * lx + ly * ly + mx * mx + my * my) * t2);
-                // Written so that no number (of a filling) counts nothing.
+                // Written so that NaN (padding) counts nothing.
                 *sum += if agreement > 0.0 { agreement } else { 0.0 };
             }
         }

@@ -1,5 +1,6 @@
-//! The seven-point solver of the fundamental matrix (Hartley and Zisserman, "Multiple View Geometry", section 11.1.2): seven equations leave a pencil
-//! of matrices, in which the determinant vanishes for one or three of them.
+//! Seven-point solver of the fundamental matrix (Hartley and Zisserman, "Multiple View Geometry",
+//! section 11.1.2): seven equations leave a pencil of matrices, of which one or three have a
+//! vanishing determinant.
 
 use nalgebra::{Matrix3, SVector};
 
@@ -7,12 +8,15 @@ use super::correspondence::Correspondence;
 use super::epipolar::null_direction;
 use super::normalisation::normalising;
 
-/// A pivot below this share of the first says that the seven equations are fewer: a pair twice, or a sample that fits more than a pencil.
+/// A pivot below this fraction of the first means dependent equations: a repeated pair, or a sample
+/// that leaves more than a pencil. Raised, more samples are rejected.
 const DEPENDENT: f64 = 1e-10;
-/// A cubic below this, for matrices of norm 1, vanishes everywhere: all of the pencil is singular, and nothing is determined.
+/// If the determinant is at most this for matrices of norm 1, the whole pencil is singular and
+/// nothing is determined. Raised, more samples are rejected.
 const ALL_SINGULAR: f64 = 1e-12;
 
-/// All F of rank two (norm 1) with `x2^T F x1 = 0` for seven pairs: one to three of them, none of a degenerate sample.
+/// Returns all F of rank two (norm 1) with `x2^T F x1 = 0` for seven pairs: one to three, or none
+/// for a degenerate sample.
 pub fn seven_point<C: Correspondence>(pairs: &[C; 7]) -> Vec<Matrix3<f64>> {
     solved(pairs).unwrap_or_default()
 }
@@ -36,7 +40,8 @@ fn solved<C: Correspondence>(pairs: &[C; 7]) -> Option<Vec<Matrix3<f64>>> {
     Some(f.collect())
 }
 
-/// Two directions that all rows are at right angles to: Gaussian elimination with full pivoting, then orthonormal. `None` where there are more.
+/// Returns two orthonormal directions orthogonal to all rows, by Gaussian elimination with full
+/// pivoting. `None` if there are more.
 fn null_space(mut rows: [[f64; 9]; 7]) -> Option<[Matrix3<f64>; 2]> {
     let mut columns: [usize; 9] = std::array::from_fn(|k| k);
     let mut first_pivot = 0.0;
@@ -73,9 +78,11 @@ fn null_space(mut rows: [[f64; 9]; 7]) -> Option<[Matrix3<f64>; 2]> {
     Some([a, b].map(|v| Matrix3::from_row_slice(v.as_slice())))
 }
 
-/// Two matrices f, g of the same pencil so that g is far from singular: then every singular one is f + z g with a root z that is not far away.
+/// Returns two matrices f, g of the same pencil with g far from singular: then every singular one
+/// is f + z g with a root z of moderate size.
 fn pencil([a, b]: [Matrix3<f64>; 2]) -> Option<[Matrix3<f64>; 2]> {
-    // At most three of all angles are singular, so of these four one is at least a quarter of their distance away.
+    // At most three angles are singular, so one of these four is at least a quarter of their
+    // spacing away.
     let turned = [0.0_f64, 45.0, 90.0, 135.0].map(|angle| {
         let (s, c) = angle.to_radians().sin_cos();
         [a * c + b * s, b * c - a * s]
@@ -84,7 +91,7 @@ fn pencil([a, b]: [Matrix3<f64>; 2]) -> Option<[Matrix3<f64>; 2]> {
     (best[1].determinant().abs() > ALL_SINGULAR).then_some(best)
 }
 
-/// det(f + z g) as a polynomial in z, lowest power first.
+/// Returns det(f + z g) as a polynomial in z, lowest power first.
 fn determinants(f: &Matrix3<f64>, g: &Matrix3<f64>) -> [f64; 4] {
     let column = |m: &Matrix3<f64>, k: usize| m.column(k).into_owned();
     // The determinant with some of f's columns replaced by g's.
@@ -100,11 +107,12 @@ fn determinants(f: &Matrix3<f64>, g: &Matrix3<f64>) -> [f64; 4] {
     ]
 }
 
-/// The real roots of a cubic (lowest power first, the highest not 0), by Viète's and Cardano's formulas and two steps of Newton's. A double root is
-/// given twice, or where rounding has parted it from the real axis not at all.
+/// Returns the real roots of a cubic (lowest power first, the highest not 0), by Viète's and
+/// Cardano's formulas and two Newton steps. A double root is returned twice, or not at all if
+/// rounding has moved it off the real axis.
 fn roots([d, c, b, a]: [f64; 4]) -> Vec<f64> {
     let (b, c, d) = (b / a, c / a, d / a);
-    // z = t - b / 3 makes it t³ + p t + q.
+    // z = t - b / 3 turns it into t³ + p t + q.
     let p = c - b * b / 3.0;
     let q = 2.0 * b.powi(3) / 27.0 - b * c / 3.0 + d;
     let discriminant = (q / 2.0).powi(2) + (p / 3.0).powi(3);
@@ -113,7 +121,7 @@ fn roots([d, c, b, a]: [f64; 4]) -> Vec<f64> {
         let angle = (-q / (2.0 * r.powi(3))).clamp(-1.0, 1.0).acos() / 3.0;
         [0.0, 1.0, 2.0].map(|k| 2.0 * r * (angle - k * std::f64::consts::TAU / 3.0).cos()).to_vec()
     } else {
-        // The larger of the two summands first, so that nothing cancels.
+        // Compute the larger of the two summands first, to avoid cancellation.
         let u = -q.signum() * (q.abs() / 2.0 + discriminant.sqrt()).cbrt();
         vec![if u == 0.0 { 0.0 } else { u - p / (3.0 * u) }]
     };
@@ -130,9 +138,10 @@ fn roots([d, c, b, a]: [f64; 4]) -> Vec<f64> {
     polished.filter(|z| z.is_finite()).collect()
 }
 
-/// Whether all pairs of a sample can lie in front of both cameras that F describes: e2 x x2 and F x1 are the same line, and point the same way for
-/// all of them or the opposite way for all of them (Chum, Werner and Matas, "Epipolar geometry estimation via RANSAC benefits from the oriented
-/// epipolar constraint", ICPR 2004).
+/// Whether all pairs of a sample can be in front of both cameras that F describes: e2 x x2 and F x1
+/// are the same line, and must point the same way for all pairs or the opposite way for all (Chum,
+/// Werner and Matas, "Epipolar geometry estimation via RANSAC benefits from the oriented epipolar
+/// constraint", ICPR 2004).
 pub fn is_oriented<C: Correspondence>(f: &Matrix3<f64>, sample: &[C]) -> bool {
     let Some(epipole) = null_direction(&f.transpose()) else { return false };
     let side = |p: &C| epipole.cross(&p.second().push(1.0)).dot(&(f * p.first().push(1.0)));
@@ -202,7 +211,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever seven pairs there are: every solution meets them all, is singular, and there are at most three.
+        /// For any seven pairs: there are at most three solutions, and each fits all pairs and is
+        /// singular.
         #[test]
         fn every_solution_meets_its_pairs(numbers in proptest::collection::vec(-500.0..500.0_f64, 28)) {
             let sample: [PointPair; 7] = std::array::from_fn(|k| PointPair {

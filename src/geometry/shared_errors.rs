@@ -1,34 +1,36 @@
-//! Errors that neighbours share. Noise of keypoints is independent; a surface that is not quite
-//! flat, or a lens that is not quite known, puts all pairs of a patch off alike, so that a hundred
-//! of them say little more than one.
+//! Errors shared by neighbours. Keypoint noise is independent, but a surface that is not quite flat
+//! or an imperfectly known lens shifts all pairs of a patch alike, so that a hundred of them say
+//! little more than one.
 //!
 //! The correlation of neighbours' errors is estimated from the errors themselves (the intraclass
-//! correlation), and each pair is weighted by the design effect of its patch, 1 + (n - 1) ρ, by
-//! which a cluster of n data counts less than n independent ones (Kish, Survey Sampling, 1965,
-//! section 5.4). Where a scene is flat, ρ is 0 and all pairs count alike.
+//! correlation). Each pair is weighted by the inverse design effect of its patch, 1 + (n - 1) ρ,
+//! the factor by which a cluster of n data counts less than n independent ones (Kish, Survey
+//! Sampling, 1965, section 5.4). In a flat scene ρ is 0 and all pairs count equally.
 
 use nalgebra::Vector2;
 
-/// Radius of a patch, mean distances of the places from their middle: a twentieth of the diagonal
-/// of a picture that is filled evenly. Raised, bends of a smaller size go unseen; lowered, patches
-/// have too few pairs to show what they share.
+/// Radius of a patch, in units of the positions' mean distance from their centre: a twentieth of
+/// the diagonal of an evenly filled picture. Raised, smaller bends go unnoticed; lowered, patches
+/// have too few pairs to show a correlation.
 const PATCH: f64 = 0.18;
 
-/// Which places are in a patch together.
+/// Which positions share a patch.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Patches {
     places: Vec<Vector2<f64>>,
-    /// Indices of the places, from left to right.
+    /// Indices of the positions, from left to right.
     from_left: Vec<usize>,
-    /// Radius of a patch and the distance within which two places are one, in the places' units.
+    /// Radius of a patch, and the distance within which two positions count as one, in the
+    /// positions' units.
     radius: f64,
     same: f64,
-    /// How many other places are within the radius of each.
+    /// Number of other positions within the radius of each.
     neighbours: Vec<f64>,
 }
 
 impl Patches {
-    /// `same`: distance within which two places are one, whose errors are alike for other reasons.
+    /// Builds the neighbourhoods. `same`: distance within which two positions count as one; their
+    /// errors are alike for other reasons.
     pub fn new(places: Vec<Vector2<f64>>, same: f64) -> Self {
         let n = places.len() as f64;
         let middle = places.iter().sum::<Vector2<f64>>() / n;
@@ -46,7 +48,7 @@ impl Patches {
         patches
     }
 
-    /// Calls `with` for each two neighbours and their squared distance.
+    /// Calls `with` for each pair of neighbours and their squared distance.
     fn each_two(&self, mut with: impl FnMut(usize, usize, f64)) {
         for (k, &a) in self.from_left.iter().enumerate() {
             for &b in &self.from_left[k + 1..] {
@@ -62,8 +64,8 @@ impl Patches {
         }
     }
 
-    /// The correlation of neighbours' errors, 0 to 1. `errors` have unit covariance times a common
-    /// factor, and a weight each: 0 for what is no error but a wrong pair.
+    /// Estimates the correlation of neighbours' errors, 0 to 1. `errors` have unit covariance times
+    /// a common factor, and a weight each: 0 for wrong pairs.
     pub fn correlation(&self, errors: &[(Vector2<f64>, f64)]) -> f64 {
         let (mut shared, mut whole) = (0.0, 0.0);
         self.each_two(|a, b, squared| {
@@ -76,7 +78,7 @@ impl Patches {
         if whole > 0.0 { (shared / whole).clamp(0.0, 1.0) } else { 0.0 }
     }
 
-    /// What each pair counts where the errors of neighbours have this correlation.
+    /// Returns the weight of each pair for this correlation of neighbours' errors.
     pub fn shares(&self, correlation: f64) -> Vec<f64> {
         self.neighbours.iter().map(|n| 1.0 / (1.0 + n * correlation)).collect()
     }
@@ -89,7 +91,7 @@ mod tests {
 
     use super::*;
 
-    /// Places all over a picture, and errors of which neighbours share this part.
+    /// Positions all over a picture, with errors of which neighbours share this fraction.
     fn errors(shared: f64) -> (Patches, Vec<(Vector2<f64>, f64)>) {
         let mut random = Pcg64Mcg::seed_from_u64(4);
         let mut uniform = |size: f64| random.random_range(-0.5 * size..0.5 * size);

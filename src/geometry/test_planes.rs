@@ -1,4 +1,4 @@
-//! Pairs on a known plane, for the tests of several solvers.
+//! Pairs on a known plane, for tests of several solvers.
 
 use nalgebra::{Matrix3, Vector2};
 use rand::{Rng, SeedableRng};

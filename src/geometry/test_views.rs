@@ -1,4 +1,4 @@
-//! Rays of a known scene in two views, for the tests of several solvers.
+//! Rays of a known scene in two views, for tests of several solvers.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 use rand::{Rng, SeedableRng};
@@ -32,13 +32,13 @@ pub fn errors_deg(m: &TwoViewMotion) -> (f64, f64) {
 /// Focal lengths of the two pictures that [`pixels`] makes, pixels.
 pub const FOCALS: [f64; 2] = [800.0, 800.0];
 
-/// The rays as pixels of two pictures of 1000 x 800.
+/// Converts the rays to pixels of two 1000 x 800 pictures.
 pub fn pixels(rays: &[RayPair]) -> Vec<PointPair> {
     let middle = Vector2::new(500.0, 400.0);
     rays.iter().map(|r| PointPair { from: r.first * FOCALS[0] + middle, to: r.second * FOCALS[1] + middle }).collect()
 }
 
-/// The fundamental matrix of those, norm 1.
+/// Returns the fundamental matrix of those, norm 1.
 pub fn true_fundamental() -> Matrix3<f64> {
     let k_inverse = Matrix3::new(800.0, 0.0, 500.0, 0.0, 800.0, 400.0, 0.0, 0.0, 1.0).try_inverse().expect("regular");
     (k_inverse.transpose() * truth().essential() * k_inverse).normalize()

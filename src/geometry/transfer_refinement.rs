@@ -1,4 +1,5 @@
-//! Refinement of a homography on the transfer error in the second plane: for maps whose first plane is known exactly, an artwork or a board.
+//! Refinement of a homography on the transfer error in the second plane: for maps whose first plane
+//! is known exactly, such as an artwork or a board.
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
@@ -8,9 +9,11 @@ use super::normalisation::normalising;
 use super::robust_kernel::{geman_mcclure_cost, geman_mcclure_weight};
 
 impl Homography {
-    /// Gauss-Newton with Levenberg's damping on the robust transfer error in the second plane (8 parameters).
+    /// Refines by Levenberg-Marquardt on the robust transfer error in the second plane (8
+    /// parameters).
     ///
-    /// `sigma` is the pixel noise; residuals beyond about three of it lose weight (Geman-McClure).
+    /// `sigma` is the pixel noise; residuals beyond about three times it lose weight
+    /// (Geman-McClure). `None` for degenerate pairs.
     pub fn refined(&self, pairs: &[PointPair], sigma: f64, iterations: usize) -> Option<Self> {
         let (from, to) = (normalising(pairs.iter().map(|p| p.from))?, normalising(pairs.iter().map(|p| p.to))?);
         let (from_inv, to_inv) = (from.try_inverse()?, to.try_inverse()?);
@@ -25,16 +28,16 @@ impl Homography {
     }
 }
 
-/// Transfer errors in the second plane, of pairs that are normalised by `from` and `to`.
+/// Transfer errors in the second plane, of pairs normalised by `from` and `to`.
 struct TransferErrors<'a> {
     pairs: &'a [PointPair],
     from: Matrix3<f64>,
     to: Matrix3<f64>,
-    /// Squared error of half the cost.
+    /// Squared error at which the cost is one half.
     c2: f64,
 }
 
-/// A point as a matrix of [`normalising`] maps it, which scales and shifts.
+/// Applies a matrix of [`normalising`], which only scales and shifts.
 fn scaled(by: &Matrix3<f64>, point: &Vector2<f64>) -> Vector2<f64> {
     Vector2::new(by[(0, 0)] * point.x + by[(0, 2)], by[(1, 1)] * point.y + by[(1, 2)])
 }
@@ -52,7 +55,8 @@ impl Problem for TransferErrors<'_> {
     }
 
     fn linearised(&self, h: &Matrix3<f64>) -> Self::Normal {
-        // A pair's derivatives are its point in the first plane times 1, 0 and -q for each of H's rows: the normal matrix is made of four sums of outer products.
+        // A pair's derivatives are its first-plane point times 1, 0 and -q for H's rows: the normal
+        // matrix consists of four sums of outer products.
         let [mut plain, mut across, mut down, mut both] = [Matrix3::zeros(); 4];
         let [mut by_first, mut by_second, mut by_third] = [Vector3::zeros(); 3];
         for p in self.pairs {
@@ -92,17 +96,17 @@ impl Problem for TransferErrors<'_> {
     }
 }
 
-/// The normal equations of a homography, row by row, with its scale, which is free, pinned by a unit
-/// constraint along `h` itself.
+/// Adds a unit constraint along `h` to the normal equations of a homography (row by row), which
+/// pins its free scale.
 pub(super) fn with_pinned_scale(normal: &SMatrix<f64, 9, 9>, h: &Matrix3<f64>) -> SMatrix<f64, 9, 9> {
     let along = SVector::<f64, 9>::from_iterator(h.transpose().iter().copied());
     normal + along * along.transpose() * normal.trace()
 }
 
-/// The homography of norm 1 after a damped step of equations with a pinned scale; `None` where they
-/// are singular.
+/// Returns the homography of norm 1 after a damped step of equations with a pinned scale; `None` if
+/// they are singular.
 pub(super) fn damped_step(h: &Matrix3<f64>, normal: &SMatrix<f64, 9, 9>, gradient: &SVector<f64, 9>, damping: f64) -> Option<Matrix3<f64>> {
-    // The constraint adds the trace once: half of it is the data's.
+    // The constraint adds the trace once: half of the total is the data's.
     let share = damping * 0.5 * normal.trace() / 9.0;
     let damped = normal + SMatrix::<f64, 9, 9>::identity() * share;
     let next = h - Matrix3::from_row_slice(damped.cholesky()?.solve(gradient).as_slice());
@@ -156,7 +160,8 @@ mod tests {
         }
         let start = Homography(truth().0 + Matrix3::new(1e-3, 0.0, 1.0, 0.0, 1e-3, -1.0, 0.0, 0.0, 0.0));
         let h = start.refined(&p, 0.5, 20).expect("regular");
-        // Half a pixel of noise over 170 pairs leaves about half a pixel at the extrapolated corners.
+        // Half a pixel of noise over 170 pairs leaves about half a pixel at the extrapolated
+        // corners.
         assert!(corner_error(&h) < 1.0, "{}", corner_error(&h));
     }
 }

@@ -1,11 +1,12 @@
-//! Where a point is that two cameras see: its depths, and the least correction that makes its rays meet.
+//! Triangulation: a point's depths in two cameras, and the smallest correction that makes its rays
+//! meet.
 
 use nalgebra::{Matrix2, Vector2};
 
 use super::relative_pose::{RayPair, TwoViewMotion};
 
-/// Depths along both optical axes, in units of the baseline, by least squares on `d2 x2 = d1 R x1 + t`; `None` for
-/// parallel rays.
+/// Computes the depths along both optical axes, in units of the baseline, by least squares on
+/// `d2 x2 = d1 R x1 + t`; `None` for parallel rays.
 pub fn depths(motion: &TwoViewMotion, pair: &RayPair) -> Option<(f64, f64)> {
     let a = motion.rotation * pair.first.push(1.0);
     let b = pair.second.push(1.0);
@@ -19,13 +20,14 @@ pub fn depths(motion: &TwoViewMotion, pair: &RayPair) -> Option<(f64, f64)> {
     Some((d.x, d.y))
 }
 
-/// The pair nearest to the measured one whose rays meet: the least sum of squared moves in both views, to within rounding (Lindstrom, "Triangulation
-/// made easy", CVPR 2010, `niter2`). Its [`depths`] are exact. Noise is taken as equal in the normalised coordinates of both views.
+/// Returns the pair nearest to the measured one whose rays meet: the minimum sum of squared shifts
+/// in both views, to within rounding (Lindstrom, "Triangulation made easy", CVPR 2010, `niter2`).
+/// Its [`depths`] are exact. Assumes equal noise in the normalised coordinates of both views.
 pub fn corrected(motion: &TwoViewMotion, pair: &RayPair) -> RayPair {
     let e = motion.essential();
     let upper = e.fixed_view::<2, 2>(0, 0).into_owned();
     let (a, b) = (pair.first.push(1.0), pair.second.push(1.0));
-    // The slopes of bᵀ E a by the second and the first point.
+    // The derivatives of bᵀ E a by the second and the first point.
     let (second, first) = ((e * a).xy(), (e.transpose() * b).xy());
     let quadratic = second.dot(&(upper * first));
     let half = 0.5 * (first.norm_squared() + second.norm_squared());
@@ -35,7 +37,7 @@ pub fn corrected(motion: &TwoViewMotion, pair: &RayPair) -> RayPair {
     let (by_second, by_first) = (second - upper * first * step, first - upper.transpose() * second * step);
     let step = step * 2.0 * root / (by_first.norm_squared() + by_second.norm_squared());
     let moved = RayPair { first: pair.first - by_first * step, second: pair.second - by_second * step };
-    // At an epipole there is no slope, and nothing to correct by.
+    // At an epipole the derivative vanishes, and no correction is possible.
     if moved.first.iter().chain(&moved.second).all(|v| v.is_finite()) { moved } else { *pair }
 }
 
