@@ -1,7 +1,8 @@
-//! Exact matching of two pictures' descriptors: every one is compared with every other.
+//! Exact matching of two pictures' descriptors: all pairs are compared.
 //!
-//! Three rules decide what is a match: the nearest; Lowe's ratio (2004, section 7.1) of its distance to that of the nearest that lies elsewhere;
-//! and the mutual test, that the nearest of the other is this one again. The matches come best ratio first, which is the order that PROSAC wants.
+//! Three rules decide what is a match: the nearest descriptor; Lowe's ratio (2004, section 7.1) of
+//! its distance to that of the nearest one elsewhere in the picture; and the mutual test, that the
+//! nearest of the other is this one. Matches are sorted by ratio, best first, as PROSAC needs.
 
 use nalgebra::{DMatrixView, DMatrixViewMut};
 use rayon::prelude::*;
@@ -12,12 +13,13 @@ use super::rival::Nearest;
 use crate::features::{Descriptor, Descriptors, Features, Keypoint};
 use crate::simd::multiversion;
 
-/// What is a match.
+/// Matching criteria.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExactOptions {
-    /// Largest ratio of the distance to that of the nearest elsewhere; 1 lets all pass. Raised, there are more matches and more wrong ones.
+    /// Maximum ratio of the distance to that of the nearest descriptor elsewhere; 1 accepts all.
+    /// Raised, there are more matches and more wrong ones.
     pub ratio: f32,
-    /// Whether the nearest of the nearest must be where it began.
+    /// Whether matching back from the second picture must return to the same keypoint.
     pub is_mutual: bool,
 }
 
@@ -28,31 +30,35 @@ impl Default for ExactOptions {
     }
 }
 
-/// A keypoint of the first picture with one of the second.
+/// A matched pair of keypoints from the first and the second picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExactMatch {
     /// Index into the first picture's keypoints.
     pub first: u32,
     /// Index into the second picture's keypoints.
     pub second: u32,
-    /// Distance of the descriptors: Euclidean, or Hamming's.
+    /// Distance of the descriptors: Euclidean or Hamming.
     pub distance: f32,
-    /// Distance over that of the nearest elsewhere.
+    /// Distance divided by that of the nearest descriptor elsewhere.
     pub ratio: f32,
 }
 
-/// Keypoints of the second picture closer together than this, in sigmas of the larger, show the same place: one is no rival of the other. A keypoint
-/// with two directions, or seen in two simulated views, comes twice. Raised, neighbours that could be mistaken for each other are no rivals either.
+/// Keypoints of the second picture closer together than this, in sigmas of the larger, show the
+/// same place and are not rivals. A keypoint with two orientations, or seen in two simulated views,
+/// occurs twice. Raised, neighbours that could be confused stop being rivals too.
 const SAME_PLACE: f64 = 0.8;
-/// The same between a keypoint and the one that the mutual test leads back to.
+/// The same, between a keypoint and the one that the mutual test returns to. Raised, more matches
+/// pass that test.
 const SAME_PLACE_BACK: f64 = 1.0;
 
-/// Matches of two pictures' features, best ratio first; none where their descriptors are of different kinds.
+/// Matches two pictures' features, best ratio first; returns none if their descriptors are of
+/// different kinds.
 pub fn match_exactly(first: &Features, second: &Features, options: &ExactOptions) -> Vec<ExactMatch> {
     match_watched(first, second, options, &|| true).unwrap_or_default()
 }
 
-/// The same; `goes_on` is asked a few times a second and ends the work with false. Then there is nothing.
+/// Like [`match_exactly`]. `goes_on` is called a few times a second; when it returns false, the
+/// work stops and the result is `None`.
 pub fn match_watched(first: &Features, second: &Features, options: &ExactOptions, goes_on: &dyn Fn() -> bool) -> Option<Vec<ExactMatch>> {
     let Some(Compared { forth, back }) = compared(first, second, goes_on)? else { return Some(Vec::new()) };
     let mut matches: Vec<ExactMatch> = Vec::new();
@@ -72,7 +78,7 @@ fn same_place(a: &Keypoint, b: &Keypoint, sigmas: f64) -> bool {
     (a.position - b.position).norm_squared() < near * near
 }
 
-/// The nearest descriptor of the other picture, with the rival's ratio.
+/// The nearest descriptor of the other picture, with its ratio.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Found {
     index: usize,
@@ -80,7 +86,7 @@ struct Found {
     ratio: f32,
 }
 
-/// Every descriptor of one picture compared with every one of the other.
+/// The result of comparing every descriptor of one picture with every one of the other.
 struct Compared {
     /// For each of the first picture's, the nearest of the second's.
     forth: Vec<Option<Found>>,
@@ -88,7 +94,7 @@ struct Compared {
     back: Vec<usize>,
 }
 
-/// Nothing where there is nothing to compare; `None` where the work was ended.
+/// Returns `Some(None)` if there is nothing to compare, `None` if the work was stopped.
 fn compared(first: &Features, second: &Features, goes_on: &dyn Fn() -> bool) -> Option<Option<Compared>> {
     if first.keypoints.is_empty() || second.keypoints.is_empty() {
         return goes_on().then_some(None);
@@ -97,7 +103,7 @@ fn compared(first: &Features, second: &Features, goes_on: &dyn Fn() -> bool) -> 
         (Descriptors::Vectors { length: n, values: a }, Descriptors::Vectors { length: m, values: b }) if n == m && *n > 0 => {
             compared_vectors(a, b, *n, &second.keypoints, goes_on).map(Some)
         }
-        // Bits are compared so fast that it is enough to ask in between.
+        // Bits are compared so fast that checking in between suffices.
         (Descriptors::Bits(a), Descriptors::Bits(b)) => {
             let back = goes_on().then(|| nearest_bits(b, a, None))?;
             let back = back.into_iter().map(|found| found.map_or(0, |found| found.index)).collect();
@@ -108,26 +114,29 @@ fn compared(first: &Features, second: &Features, goes_on: &dyn Fn() -> bool) -> 
     }
 }
 
-/// Queries that one thread takes at a time, whose nearest for each target are kept: some megabytes for the largest pictures. Raised, threads wait
-/// for each other at the end; lowered, more is kept.
+/// Number of queries a thread takes at a time; the nearest of them is stored per target: some
+/// megabytes for the largest pictures. Raised, threads wait for each other at the end; lowered,
+/// more is stored.
 const A_TURN: usize = 256;
-/// Targets that are multiplied with a turn's queries at once. Raised, the products, 256 kB, fall out of the second cache; lowered, the queries are read more often.
+/// Number of targets multiplied with a turn's queries at once. Raised, the products (256 kB) no
+/// longer fit the second-level cache; lowered, the queries are read more often.
 const TARGETS: usize = 256;
-/// Turns between two questions whether to go on, of all threads together: a quarter of a second for some ten thousand vectors of 128 on one thread. Raised, an
-/// interrupt waits longer; lowered, threads wait for each other more often.
+/// Turns between two calls of `goes_on`, over all threads: a quarter of a second for some ten
+/// thousand vectors of 128 on one thread. Raised, an interrupt takes longer; lowered, threads wait
+/// for each other more often.
 const TURNS_BETWEEN: usize = 8;
 
-/// The nearest of the queries to one target: the distance's part that depends on the query, and its index.
+/// The query nearest to one target: the query-dependent part of the distance, and its index.
 type NearestQuery = (f32, u32);
 
-/// `None` where the work was ended.
+/// Returns `None` if the work was stopped.
 fn compared_vectors(queries: &[f32], targets: &[f32], length: usize, places: &[Keypoint], goes_on: &dyn Fn() -> bool) -> Option<Compared> {
     let squares = squares_of(targets, length);
     let turn = |(turn, queries): (usize, &[f32])| {
         let mut asked = Queries::new(queries, length);
         let count = asked.own.len();
         let mut back: Vec<NearestQuery> = Vec::with_capacity(squares.len());
-        // The product is fast where neither of its sides is to be transposed.
+        // The product is fast if neither factor needs transposing.
         let rows = DMatrixView::from_slice(queries, length, count).transpose();
         let mut products = vec![0.0; count * TARGETS.min(squares.len())];
         for targets in targets.chunks(TARGETS * length) {
@@ -152,7 +161,7 @@ fn compared_vectors(queries: &[f32], targets: &[f32], length: usize, places: &[K
         let turns: Vec<(Vec<Option<Found>>, Vec<NearestQuery>)> = some.par_iter().copied().map(turn).collect();
         for (nearest, of_turn) in turns {
             forth.extend(nearest);
-            // Turns come in the order of their queries: of equals the first stays.
+            // Turns come in query order, so ties keep the first.
             back.iter_mut().zip(of_turn).filter(|(best, other)| other.0 < best.0).for_each(|(best, other)| *best = other);
         }
     }
@@ -163,12 +172,13 @@ fn squares_of(vectors: &[f32], length: usize) -> Vec<f32> {
     vectors.chunks_exact(length).map(|vector| vector.iter().map(|v| v * v).sum()).collect()
 }
 
-/// The queries of a turn, and what is known of them.
+/// The queries of a turn, with their nearest targets so far.
 struct Queries {
-    /// Their squares.
+    /// Their squared norms.
     own: Vec<f32>,
     nearest: Vec<Nearest>,
-    /// What each one's nearest takes: beside each other, as they are all asked for each target.
+    /// The distance each one's candidates must beat: contiguous, since all are checked for each
+    /// target.
     bars: Vec<f32>,
 }
 
@@ -178,11 +188,12 @@ impl Queries {
         Self { nearest: vec![Nearest::default(); own.len()], bars: vec![f32::INFINITY; own.len()], own }
     }
 
-    /// Takes target `k`, by its square and its products with all queries. The query that is nearest to it, with the distance's part that depends on the query:
-    /// the largest number where no product is a number.
+    /// Processes target `k`, given its squared norm and its products with all queries. Returns the
+    /// nearest query, with the query-dependent part of the distance; infinity if all products are
+    /// NaN.
     fn take(&mut self, k: usize, square: f32, products: &[f32], places: &[Keypoint]) -> (f32, usize) {
         let Self { own, nearest, bars } = self;
-        // Squared distances, each less the square that is the same for all that are compared.
+        // Squared distances, each without the square that is common to all compared.
         let (is_any_below, least) = scan(products, square, bars, own);
         if is_any_below {
             for ((nearest, bar), product) in nearest.iter_mut().zip(bars).zip(products) {
@@ -195,10 +206,10 @@ impl Queries {
     }
 }
 
-/// The answer for one query, whose rival is looked up again where it may have been missed.
+/// Builds the result for one query; searches the rival again if it may have been missed.
 fn found(query: &[f32], targets: &[f32], places: &[Keypoint], nearest: Nearest) -> Option<Found> {
     let length = query.len();
-    // Differences are squared here, which rounds less than the products of large vectors do.
+    // Squaring differences here rounds less than products of large vectors do.
     let distance = |k: usize| query.iter().zip(&targets[k * length..]).map(|(a, b)| (a - b) * (a - b)).sum::<f32>().sqrt();
     let (_, best) = nearest.best()?;
     let elsewhere = |k: &usize| !same_place(&places[best], &places[*k], SAME_PLACE);
@@ -213,10 +224,10 @@ fn found(query: &[f32], targets: &[f32], places: &[Keypoint], nearest: Nearest) 
     own.is_finite().then_some(Found { index: best, distance: own, ratio })
 }
 
-/// The ratio of a match without any rival: it may pass, but comes after those that beat one clearly.
+/// Ratio assigned to a match without any rival: it may pass, but ranks below clear winners.
 const NO_RIVAL: f32 = 0.5;
 
-/// For each query the nearest target, and its rival where places are given.
+/// Finds the nearest target of each query, and its rival if places are given.
 fn nearest_bits(queries: &[Descriptor], targets: &[Descriptor], places: Option<&[Keypoint]>) -> Vec<Option<Found>> {
     let mut blocks = Vec::new();
     kernels::pack_into(targets.iter().copied(), &mut blocks);
@@ -228,7 +239,7 @@ fn nearest_bits(queries: &[Descriptor], targets: &[Descriptor], places: Option<&
             rival = if is_same(best, k) { rival } else { Some(distance) };
             rival.unwrap_or(u32::MAX)
         });
-        // One is added to both, so that two exact copies are rivals (0 / 0).
+        // Adding one to both makes two exact copies rivals (0 / 0).
         let ratio = rival.map_or(NO_RIVAL, |rival| (own + 1) as f32 / (rival + 1) as f32);
         Some(Found { index: best, distance: own as f32, ratio })
     };
@@ -243,12 +254,13 @@ fn nearest_bits(queries: &[Descriptor], targets: &[Descriptor], places: Option<&
 }
 
 multiversion! {
-    /// Of one target's products with many queries: whether any squared distance, less the query's own square, is below the query's bar; and the least of
-    /// them, less the target's `square`.
+    /// For one target's products with many queries, returns whether any squared distance, without
+    /// the query's own square, is below the query's bar; and the smallest one, without the target's
+    /// `square`.
     fn scan(products: &[f32], square: f32, bars: &[f32], own: &[f32]) -> (bool, f32); ["avx2"] => scan_lanes, else scan_lanes
 }
 
-/// Numbers that are looked at side by side: the lanes of two registers.
+/// Numbers processed side by side: the lanes of two registers.
 const LANES: usize = 16;
 
 #[inline(always)]
@@ -259,7 +271,7 @@ fn scan_lanes(products: &[f32], square: f32, bars: &[f32], own: &[f32]) -> (bool
         for (((product, bar), own), (below, least)) in products.iter().zip(bars).zip(own).zip(below.iter_mut().zip(&mut least)) {
             *below |= square - 2.0 * product < *bar;
             let from_here = own - 2.0 * product;
-            // A product that is no number is not the least.
+            // Written so that a NaN product is never the minimum.
             *least = if from_here < *least { from_here } else { *least };
         }
     }
@@ -281,7 +293,7 @@ mod tests {
         Features { keypoints, descriptors: Descriptors::Vectors { length, values: (0..n * length).map(|_| rng.random()).collect() } }
     }
 
-    /// All distances, one after the other, and the rule in its own words.
+    /// All distances one by one, with the rules written out.
     fn plain(first: &Features, second: &Features, options: &ExactOptions) -> Vec<(u32, u32, f32)> {
         let distance = |a: usize, b: usize| match (&first.descriptors, &second.descriptors) {
             (Descriptors::Vectors { length: n, values: p }, Descriptors::Vectors { values: q, .. }) => {
@@ -322,7 +334,7 @@ mod tests {
         }
     }
 
-    /// Thesis error E12: the source keeps a stale second best, so that its ratio test lets too much pass.
+    /// Thesis error E12: the source keeps a stale second best, so its ratio test accepts too much.
     #[test]
     fn e12_the_second_nearest_is_exact() {
         for seed in 0..20 {
@@ -335,7 +347,7 @@ mod tests {
         }
     }
 
-    /// More than a turn takes, and more than are multiplied at once.
+    /// More than one turn holds, and more than are multiplied at once.
     #[test]
     fn many_are_compared_as_few_are() {
         for length in [3, 8, 64, 129] {

@@ -1,17 +1,18 @@
-//! Hamming distances of binary descriptors, eight at a time: plain functions, and the same functions compiled for wider registers where the
-//! processor has them (asked at run time).
+//! Hamming distances of binary descriptors, eight at a time: plain functions, also compiled for
+//! wider registers if the processor has them (detected at run time).
 
 use crate::features::Descriptor;
 use crate::simd::multiversion;
 
-/// Descriptors whose distances are computed side by side: one AVX-512 register of 64-bit words.
+/// Descriptors compared side by side: one AVX-512 register of 64-bit words.
 pub const LANES: usize = 8;
 
 /// Eight descriptors, word by word, so that one register holds the same word of all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Block(pub [[u64; LANES]; 4]);
 
-/// Packs descriptors into blocks; the last one is filled up with copies of the last descriptor, which are no nearer to anything than that.
+/// Packs descriptors into blocks. The last block is padded with copies of the last descriptor,
+/// which are never nearer than the original.
 pub fn pack_into(all: impl Iterator<Item = Descriptor>, blocks: &mut Vec<Block>) {
     blocks.clear();
     for (k, d) in all.enumerate() {
@@ -26,7 +27,7 @@ pub fn pack_into(all: impl Iterator<Item = Descriptor>, blocks: &mut Vec<Block>)
     }
 }
 
-/// Gathers what is compared together; the last group is filled up.
+/// Groups items that are compared together; the last group is padded with defaults.
 pub fn group_into<T: Copy + Default>(all: impl Iterator<Item = T>, groups: &mut Vec<[T; QUERIES]>) {
     groups.clear();
     for (k, one) in all.enumerate() {
@@ -39,31 +40,34 @@ pub fn group_into<T: Copy + Default>(all: impl Iterator<Item = T>, groups: &mut 
     }
 }
 
-/// Queries that go through the packed descriptors together: a bank of views is larger than the nearest cache, and each block is fetched once for all of them.
-/// Chosen: their words fill half of AVX-512's registers. Raised, they no longer fit.
+/// Number of queries compared with the packed descriptors at once. A set of views exceeds the
+/// nearest cache, so each block is fetched once for all of them. Chosen: their words fill half of
+/// the AVX-512 registers; raised, they no longer fit.
 pub const QUERIES: usize = 4;
 
-/// Pieces of the packed descriptors at most. Raised, less is looked at twice, and more is remembered of each query.
+/// Maximum number of pieces of the packed descriptors. Raised, less is compared twice, and more is
+/// stored per query.
 pub const PIECES: usize = 256;
-/// Blocks of a piece at least. Chosen: finding the least of a piece's distances in a register then takes a tenth of computing them. Raised, more is looked at twice.
+/// Minimum number of blocks per piece. Chosen: the minimum over a piece's distances then takes a
+/// tenth of the time of computing them. Raised, more is compared twice.
 const LEAST_PIECE_BLOCKS: usize = 8;
 
-/// How many blocks make a piece, where there are `blocks` in all.
+/// Returns the number of blocks per piece for `blocks` in all.
 pub fn piece_blocks(blocks: usize) -> usize {
     blocks.div_ceil(PIECES).max(LEAST_PIECE_BLOCKS)
 }
 
-/// The least distances of a query.
+/// The minimum distances of a query.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LeastDistances {
-    /// Of all, and the first piece that has it; none yet where it is larger than 256.
+    /// Overall minimum, and the first piece that has it; above 256 means none yet.
     pub nearest: (u16, usize),
-    /// To each piece.
+    /// Minimum for each piece.
     pub to_piece: [u16; PIECES],
 }
 
 impl LeastDistances {
-    /// To nothing.
+    /// Initial value, before any comparison.
     pub const NONE: Self = Self { nearest: (u16::MAX, 0), to_piece: [u16::MAX; PIECES] };
 
     #[inline(always)]
@@ -76,7 +80,8 @@ impl LeastDistances {
 }
 
 multiversion! {
-    /// Notes for each query the least distance to each piece; `piece_blocks` blocks make a piece, the last one may be shorter.
+    /// Stores each query's minimum distance to each piece of `piece_blocks` blocks; the last piece
+    /// may be shorter.
     pub fn least_distances(queries: &[Descriptor; QUERIES], all: &[Block], piece_blocks: usize, least: &mut [LeastDistances; QUERIES]);
     ["avx512f" "avx512vpopcntdq"] => least_distances_avx512, else least_distances_avx2
 }
@@ -105,7 +110,8 @@ fn least_distances_plain(queries: &[Descriptor; QUERIES], all: &[Block], piece_b
     }
 }
 
-/// The same, told register by register: compilers prefer half of AVX-512's, and spill what the queries need.
+/// The same with explicit registers: compilers use only half-width AVX-512 registers and spill the
+/// queries.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512vpopcntdq")]
 #[inline]
@@ -142,7 +148,8 @@ fn least_distances_avx512(queries: &[Descriptor; QUERIES], all: &[Block], piece_
 }
 
 multiversion! {
-    /// Calls `visit(index, distance)` for every packed descriptor that is nearer to a query than `bar`, in order; the bar is from then on what this returns.
+    /// Calls `visit(index, distance)` for every packed descriptor nearer to a query than `bar`, in
+    /// order; its return value becomes the new bar.
     pub fn visit_nearer(query: &Descriptor, all: &[Block], bar: u32, visit: impl FnMut(usize, u32) -> u32);
     ["avx512f" "avx512vpopcntdq"] => visit_nearer_avx512, else visit_nearer_avx2
 }
@@ -168,7 +175,8 @@ fn visit_nearer_plain(query: &Descriptor, all: &[Block], mut bar: u32, mut visit
     }
 }
 
-/// The same, told register by register: compilers do not see that a comparison tells which lanes are nearer.
+/// The same with explicit registers: compilers do not use the comparison mask that shows which
+/// lanes are nearer.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512vpopcntdq")]
 #[inline]
@@ -202,7 +210,7 @@ fn visit_nearer_avx512(query: &Descriptor, all: &[Block], mut bar: u32, mut visi
     }
 }
 
-/// Bits in which a descriptor differs from each of a block.
+/// Number of bits in which a descriptor differs from each of a block.
 #[inline(always)]
 fn distances(query: &Descriptor, block: &Block) -> [u64; LANES] {
     let mut distances = [0u64; LANES];

@@ -1,8 +1,9 @@
-//! Which feature of the frame is which feature of the reference pictures.
+//! Matches features of the frame with features of the reference pictures.
 //!
-//! Brute force over binary descriptors: the two nearest by Hamming distance, Lowe's ratio between the
-//! nearest and the nearest that lies elsewhere, and the mutual test. Dark corners are compared with dark ones alone, and
-//! bright ones with bright ones, which halves the work. The survivors come best first, which is the order that PROSAC wants.
+//! Brute force over binary descriptors: the two nearest by Hamming distance, Lowe's ratio between
+//! the nearest and the nearest elsewhere, and the mutual test. Dark corners are compared only with
+//! dark ones and bright with bright, which halves the work. Matches are sorted best first, as
+//! PROSAC needs.
 
 mod exact;
 mod kernels;
@@ -19,42 +20,42 @@ use neighbours::Neighbours;
 /// A described corner of a reference picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReferenceFeature {
-    /// Which surface it lies on.
+    /// The surface it lies on.
     pub surface: u32,
-    /// Artwork pixels of that surface.
+    /// Position in artwork pixels of that surface.
     pub position: Vector2<f64>,
-    /// Artwork pixels per pixel of the level it was found on.
+    /// Artwork pixels per pixel of the pyramid level it was found on.
     pub scale: f64,
-    /// From the axes of its description, in pixels of that level, to the artwork's.
+    /// Map from its descriptor's axes, in pixels of that level, to the artwork's.
     pub shape: Matrix2<f64>,
     /// Whether it is dark or bright.
     pub polarity: Polarity,
 }
 
-/// All reference features, with their descriptors side by side.
+/// All reference features, with their descriptors.
 #[derive(Debug, Clone, Default)]
 pub struct ReferenceIndex {
     features: Vec<ReferenceFeature>,
     descriptors: Vec<Descriptor>,
-    /// The dark ones and the bright ones, in the order of [`Polarity::ALL`].
+    /// The dark and the bright ones, in the order of [`Polarity::ALL`].
     halves: [Half; 2],
 }
 
 /// The entries of one polarity.
 #[derive(Debug, Clone, Default)]
 struct Half {
-    /// Their numbers in the index.
+    /// Their indices in the whole index.
     entries: Vec<usize>,
-    /// Where they are, close together in memory: rivals are looked at here and there.
+    /// Their places, contiguous in memory because rivals are accessed randomly.
     places: Vec<Place>,
-    /// Their descriptors side by side.
+    /// Their packed descriptors.
     blocks: Vec<kernels::Block>,
 }
 
-/// Where an entry is.
+/// Place of an entry.
 #[derive(Debug, Clone, Copy)]
 struct Place {
-    /// Artwork pixels.
+    /// Position, artwork pixels.
     position: [f32; 2],
     /// Artwork pixels per pixel of the level it was found on.
     scale: f32,
@@ -66,7 +67,7 @@ impl Place {
         Self { position: [feature.position.x as f32, feature.position.y as f32], scale: feature.scale as f32, surface: feature.surface }
     }
 
-    /// Whether another entry shows the same, so that the one is no rival of the other.
+    /// Whether another entry shows the same place, so that the two are not rivals.
     fn is_same(&self, other: &Self) -> bool {
         let near = 6.0 * self.scale.max(other.scale);
         let [x, y] = [self.position[0] - other.position[0], self.position[1] - other.position[1]];
@@ -74,53 +75,56 @@ impl Place {
     }
 }
 
-/// A pair that passed the ratio and the mutual test.
+/// A pair that passed the ratio test and the mutual test.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Match {
     /// Index into the frame's features.
     pub frame: u32,
     /// Index into the reference index.
     pub reference: u32,
-    /// Hamming distance over second distance; lower is better.
+    /// Hamming distance divided by the rival's; lower is better.
     pub ratio: f32,
 }
 
-/// Buffers of the matcher.
+/// Reusable buffers of the matcher.
 #[derive(Debug, Clone, Default)]
 pub struct MatchBuffers {
     queries: Vec<[Descriptor; QUERIES]>,
     found: Vec<[Option<NearestEntry>; QUERIES]>,
     asked_back: Vec<[Descriptor; QUERIES]>,
     back: Vec<[usize; QUERIES]>,
-    /// The frame's features of one polarity: their numbers, and their descriptors side by side.
+    /// The frame's features of one polarity: their indices and packed descriptors.
     numbers: Vec<usize>,
     frame: Vec<kernels::Block>,
 }
 
-/// Hamming distances above this never match: chance pairs lie around 128 +- 8, so this is six sigma below. Raised, chance
-/// matches pass the ratio test more often; lowered, matches under blur and steep angles are lost.
+/// Maximum Hamming distance of a match: random pairs are around 128 +- 8, so this is six sigma
+/// below. Raised, random matches pass the ratio test more often; lowered, matches under blur and
+/// steep angles are lost.
 const LARGEST_DISTANCE: u32 = 80;
-/// Rivals at this distance and beyond count as one at this distance. No match would pass for another one: at [`LARGEST_DISTANCE`] its ratio is 0.85. Raised, more
-/// entries must be looked at one by one; lowered, weak matches pass the ratio test.
+/// Maximum distance considered for rivals; farther ones count as this far. It changes no decision:
+/// at [`LARGEST_DISTANCE`] the ratio is then 0.85. Raised, more entries must be checked one by one;
+/// lowered, weak matches pass the ratio test.
 const FARTHEST_RIVAL: u32 = 95;
 
 /// An entry that passed the ratio test.
 #[derive(Debug, Clone, Copy)]
 struct NearestEntry {
-    /// Its number in the index.
+    /// Its index.
     entry: usize,
     /// See [`Match::ratio`].
     ratio: f32,
 }
 
 impl ReferenceIndex {
-    /// Adds the features of a surface; `transform` maps a feature's position into artwork pixels.
+    /// Adds the features of a surface; `transform` maps a feature's position to artwork pixels.
     pub fn add(&mut self, surface: u32, features: &[Feature], transform: impl Fn(Vector2<f64>) -> Vector2<f64>, artwork_scale: f64) {
         self.add_views(surface, std::iter::once((features, Matrix2::identity() * artwork_scale)), transform);
     }
 
-    /// The same of several views of a surface, each with the map from its shapes to the artwork's. Along the direction that a view compresses that is as large as the artwork, and smaller along the
-    /// other (`TiltedViews::shape_in_picture`).
+    /// Like [`add`](Self::add) for several views of a surface, each with the map from its shapes to
+    /// the artwork's. Along the direction that a view compresses, that map scales to the artwork's
+    /// full size; along the other by less (`TiltedViews::shape_in_picture`).
     pub fn add_views<'a>(
         &mut self,
         surface: u32,
@@ -144,7 +148,8 @@ impl ReferenceIndex {
         self.pack();
     }
 
-    /// Takes in the features of another index whose surfaces are wanted, in their order, and forgets its own.
+    /// Replaces its features by those of another index whose surfaces are wanted, keeping their
+    /// order.
     pub fn take_from(&mut self, other: &Self, is_wanted: impl Fn(u32) -> bool) {
         self.features.clear();
         self.descriptors.clear();
@@ -165,17 +170,17 @@ impl ReferenceIndex {
         }
     }
 
-    /// The features, in the order of their indices.
+    /// Returns the features, by index.
     pub fn features(&self) -> &[ReferenceFeature] {
         &self.features
     }
 
-    /// Each query's nearest entry of a half, where it passes the ratio test.
+    /// Returns each query's nearest entry of a half, if it passes the ratio test.
     fn nearest(half: &Half, queries: &[Descriptor; QUERIES], ratio: f32) -> [Option<NearestEntry>; QUERIES] {
         let neighbours = Neighbours::of(queries, &half.blocks, half.entries.len());
         std::array::from_fn(|n| {
             let (distance, nearest) = neighbours.nearest(n).filter(|(distance, _)| *distance <= LARGEST_DISTANCE)?;
-            // One is added to both, so that two exact copies are rivals (0 / 0).
+            // Adding one to both makes two exact copies rivals (0 / 0).
             let ratio_to = |rival: u32| (distance + 1) as f32 / (rival + 1) as f32;
             let is_elsewhere = |k: usize| !half.places[nearest].is_same(&half.places[k]);
             // Most fail by the first rival that is near enough.
@@ -192,7 +197,7 @@ impl ReferenceIndex {
                     rival
                 });
             }
-            // The farthest rival may be too near, too.
+            // The farthest rival considered may still be too near.
             let own = NearestEntry { entry: half.entries[nearest], ratio: ratio_to(rival) };
             (passes && own.ratio < ratio).then_some(own)
         })
@@ -211,7 +216,8 @@ impl ReferenceIndex {
         matches.sort_unstable_by(|a, b| a.ratio.total_cmp(&b.ratio).then(a.frame.cmp(&b.frame)));
     }
 
-    /// Appends the matches of the frame's features in `buffers.numbers` with the entries of their polarity.
+    /// Appends the matches of the frame's features in `buffers.numbers` with the entries of their
+    /// polarity.
     fn match_half(
         &self,
         half: &Half,
@@ -231,14 +237,16 @@ impl ReferenceIndex {
         self.keep_mutual(first, frame, workers, buffers, matches);
     }
 
-    /// Of the matches from `first` on, drops those whose entry has another nearest feature, elsewhere in the frame, among those in `buffers.numbers`.
+    /// Drops matches from `first` on whose entry is nearest to another feature elsewhere in the
+    /// frame, among those in `buffers.numbers`.
     fn keep_mutual(&self, first: usize, frame: &[Feature], workers: &Workers, buffers: &mut MatchBuffers, matches: &mut Vec<Match>) {
         let MatchBuffers { numbers, frame: packed, asked_back, back, .. } = buffers;
         kernels::pack_into(numbers.iter().map(|k| frame[*k].descriptor), packed);
         kernels::group_into(matches[first..].iter().map(|m| self.descriptors[m.reference as usize]), asked_back);
         workers.map_into(asked_back, back, |asked| nearest_frame_features(asked, packed, numbers));
         let mut back = back.iter().flatten();
-        // Two frame features of the same place (neighbouring levels) may both claim a reference feature.
+        // Two frame features at the same place (neighbouring levels) may both match a reference
+        // feature.
         let mut is_mutual = |m: &Match| {
             back.next().is_some_and(|&b| {
                 let (claimed, nearest) = (&frame[m.frame as usize], &frame[b]);
@@ -257,10 +265,11 @@ impl ReferenceIndex {
     }
 }
 
-/// The numbers of the features that are nearest to what is asked; `numbers`: of those that are packed.
+/// Returns the features nearest to the given descriptors; `numbers` are the indices of the packed
+/// ones.
 fn nearest_frame_features(asked: &[Descriptor; QUERIES], packed: &[kernels::Block], numbers: &[usize]) -> [usize; QUERIES] {
     let neighbours = Neighbours::of(asked, packed, numbers.len());
-    // There is one at least.
+    // There is at least one.
     std::array::from_fn(|n| neighbours.nearest(n).map_or(0, |(_, k)| numbers[k]))
 }
 
@@ -337,7 +346,8 @@ mod tests {
     fn no_rival_is_forgotten() {
         let mut random = Pcg64Mcg::seed_from_u64(9);
         for _ in 0..2000 {
-            // Few places close together, and distances that differ by little: places chain, and the best changes often.
+            // Few places close together and similar distances: places chain, and the best changes
+            // often.
             let (query, polarity) = (Descriptor([0; 4]), Polarity::Bright);
             let mut index = ReferenceIndex::default();
             let entries: Vec<Feature> = (0..30)

@@ -1,7 +1,8 @@
-//! Neighbours among binary descriptors, found without looking at most of them one by one.
+//! Finds neighbours among binary descriptors without checking most of them individually.
 //!
-//! The distances of four queries to all are computed in registers, and of each piece of a few dozen descriptors only the least is kept. Then every question is asked of
-//! the few pieces that can answer it. Most frame features match nothing, and find that out by the first rival.
+//! The distances from four queries to all descriptors are computed in registers, keeping only the
+//! minimum for each piece of a few dozen descriptors. Each question is then answered from the few
+//! pieces that matter. Most frame features match nothing, which the first rival already shows.
 
 use super::kernels::{self, Block, LANES, LeastDistances, QUERIES};
 use crate::features::Descriptor;
@@ -10,21 +11,22 @@ use crate::features::Descriptor;
 pub(super) struct Neighbours<'a> {
     queries: &'a [Descriptor; QUERIES],
     blocks: &'a [Block],
-    /// Of the packed descriptors.
+    /// Number of packed descriptors.
     count: usize,
     piece_blocks: usize,
     least: [LeastDistances; QUERIES],
 }
 
 impl<'a> Neighbours<'a> {
-    /// `count`: of the packed descriptors.
+    /// Compares the queries with `count` packed descriptors.
     pub fn of(queries: &'a [Descriptor; QUERIES], blocks: &'a [Block], count: usize) -> Self {
         let (piece_blocks, mut least) = (kernels::piece_blocks(blocks.len()), [LeastDistances::NONE; QUERIES]);
         kernels::least_distances(queries, blocks, piece_blocks, &mut least);
         Self { queries, blocks, count, piece_blocks, least }
     }
 
-    /// Distance and index of the one that is nearest to a query, of equal ones the first; none of none.
+    /// Returns distance and index of the descriptor nearest to a query, the first on ties; `None`
+    /// if there are none.
     pub fn nearest(&self, query: usize) -> Option<(u32, usize)> {
         let (distance, piece) = self.least[query].nearest;
         let mut nearest = None;
@@ -35,7 +37,8 @@ impl<'a> Neighbours<'a> {
         nearest
     }
 
-    /// Calls `visit(index, distance)` for every one that is nearer to a query than `bar`, in order; the bar is from then on what this returns.
+    /// Calls `visit(index, distance)` for every descriptor nearer to a query than `bar`, in order;
+    /// its return value becomes the new bar.
     pub fn visit_nearer(&self, query: usize, mut bar: u32, mut visit: impl FnMut(usize, u32) -> u32) {
         let pieces = self.blocks.len().div_ceil(self.piece_blocks);
         for (piece, least) in self.least[query].to_piece[..pieces].iter().enumerate() {
@@ -45,12 +48,12 @@ impl<'a> Neighbours<'a> {
         }
     }
 
-    /// The same of a piece; the last bar.
+    /// The same for one piece; returns the last bar.
     fn visit_piece(&self, query: usize, piece: usize, mut bar: u32, mut visit: impl FnMut(usize, u32) -> u32) -> u32 {
         let blocks = self.blocks.chunks(self.piece_blocks).nth(piece).unwrap_or_default();
         let (first, first_bar) = (piece * self.piece_blocks * LANES, bar);
         kernels::visit_nearer(&self.queries[query], blocks, first_bar, |k, distance| {
-            // The last block is filled up.
+            // The last block is padded.
             if first + k < self.count {
                 bar = visit(first + k, distance);
             }

@@ -1,14 +1,15 @@
-//! The nearest descriptor and its rival: the nearest that lies elsewhere.
+//! Keeps the nearest descriptor and its rival: the nearest one elsewhere.
 //!
-//! Candidates come one after the other. Those beside the best are no rivals, and the best changes on the way; where a rival may have been
-//! forgotten with that, it says so, and whoever asks looks through all again.
+//! Candidates arrive one by one. Those at the best one's place are not rivals, and the best changes
+//! on the way. If a rival may have been dropped by that, this is reported, and the caller searches
+//! all candidates again.
 
-/// The nearest so far; an infinite distance is none.
+/// The nearest so far; an infinite distance means none.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Nearest {
     best: (f32, usize),
     second: (f32, usize),
-    /// Whether candidates were left out because they lie beside the best one.
+    /// Whether candidates were dropped because they are at the best one's place.
     has_left_out: bool,
     may_miss_rival: bool,
 }
@@ -21,11 +22,10 @@ impl Default for Nearest {
 }
 
 impl Nearest {
-    /// Takes a candidate; `same_place` says of two whether they show the same place.
+    /// Offers a candidate; `same_place` tells whether two show the same place.
     #[inline]
     pub fn offer(&mut self, k: usize, distance: f32, same_place: impl Fn(usize, usize) -> bool) {
-        // Most candidates are further away than both.
-        // A distance that is no number is not nearer.
+        // Most candidates are farther than both. NaN is never nearer.
         let is_nearer = distance < self.second.0;
         if !is_nearer && self.second.1 != usize::MAX {
             return;
@@ -33,10 +33,10 @@ impl Nearest {
         let none = (f32::INFINITY, usize::MAX);
         if distance < self.best.0 {
             if self.best.1 == usize::MAX || !same_place(self.best.1, k) {
-                // The old best is nearer than all that was left out beside it.
+                // The old best is nearer than everything dropped at its place.
                 (self.second, self.has_left_out) = (self.best, false);
             } else {
-                // What lay beside the old best may lie elsewhere from the new one.
+                // What was at the old best's place may be elsewhere relative to the new one.
                 self.may_miss_rival |= self.has_left_out;
                 self.has_left_out = true;
             }
@@ -45,7 +45,7 @@ impl Nearest {
                 (self.second, self.may_miss_rival) = (none, true);
             }
         } else if self.best.1 == usize::MAX {
-            // Not a number, or the largest: no candidate.
+            // Not a number, or infinite: no candidate.
         } else if same_place(self.best.1, k) {
             self.has_left_out = true;
         } else if distance < self.second.0 {
@@ -53,22 +53,23 @@ impl Nearest {
         }
     }
 
-    /// Candidates that are not below this change nothing.
+    /// Returns the bar: candidates not below it change nothing.
     pub fn bar(&self) -> f32 {
         self.second.0
     }
 
-    /// Distance and index of the nearest.
+    /// Returns distance and index of the nearest.
     pub fn best(&self) -> Option<(f32, usize)> {
         (self.best.1 != usize::MAX).then_some(self.best)
     }
 
-    /// Distance and index of the nearest elsewhere, unless it [may be another](Self::may_miss_rival).
+    /// Returns distance and index of the nearest elsewhere, unless it
+    /// [may be another](Self::may_miss_rival).
     pub fn rival(&self) -> Option<(f32, usize)> {
         (self.second.1 != usize::MAX).then_some(self.second)
     }
 
-    /// Whether a nearer rival may have been forgotten.
+    /// Whether a nearer rival may have been dropped.
     pub fn may_miss_rival(&self) -> bool {
         self.may_miss_rival
     }
