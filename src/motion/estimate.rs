@@ -1,7 +1,7 @@
-//! A motion and how sure it is, carried from frame to frame by white jerk.
+//! A motion and its uncertainty, propagated from frame to frame with white-noise jerk.
 //!
-//! It gives alignment its start, tells how the camera moved while the rows of a frame were read and while its
-//! shutter was open, and is solved jointly with the picture: velocity and acceleration are what the filter says,
+//! It initialises alignment and describes how the camera moved during a frame's readout and
+//! exposure. It is solved jointly with the picture: velocity and acceleration are the filter's,
 //! corrected by what the rows show.
 
 use nalgebra::Matrix3;
@@ -10,25 +10,28 @@ use super::process_noise::{Innovation, ProcessNoise};
 use super::state::{Motion, MotionError, MotionMatrix};
 use crate::geometry::{Body, Camera, Pose};
 
-/// What may be expected of a motion not seen yet, one sigma: m/s at `UNSEEN_DISTANCE_M`, rad/s, m/s² there, rad/s². A hand that shakes a
-/// camera does as much; less would pass for knowledge of what a single frame with a rolling shutter leaves open. Raised, first poses of
-/// such cameras are less sure.
+/// Prior of an unobserved motion, one sigma: m/s at `UNSEEN_DISTANCE_M`, rad/s, m/s² at that
+/// distance, rad/s². A hand-held camera moves about this much. Lowered, a single rolling-shutter
+/// frame claims to know more than it shows; raised, first poses of such cameras are less certain.
 const UNSEEN: [f64; 4] = [0.8, 1.0, 10.0, 30.0];
 pub(super) const UNSEEN_DISTANCE_M: f64 = 4.0;
-/// Tilt that a stretched picture is taken for, by the angle of the stretch over the frame. Assumed, somewhat above 1. Raised, a pose that
-/// features found binds alignment less; lowered, it pulls it where the camera moves.
+/// Tilt error caused by a stretched picture, as a multiple of the stretch angle over the frame.
+/// Assumed, somewhat above 1. Raised, a pose found from features constrains alignment less;
+/// lowered, it pulls alignment while the camera moves.
 const STRETCH_TO_TILT: f64 = 1.5;
-/// How long a velocity is remembered, seconds; beyond that it fades, over `FADES_IN_S`, into what may be expected unseen, as a hand's does.
-/// Chosen: cameras from 20 frames a second on fade nothing. Raised, slow cameras are expected where an old velocity leads; lowered, their
-/// motion is as unsure as a new one's.
+/// How long a velocity is remembered, seconds; beyond that it fades over `FADES_IN_S` into the
+/// prior of an unobserved motion. Chosen: cameras at 20 frames per second or faster fade nothing.
+/// Raised, slow cameras are predicted along outdated velocities; lowered, their motion is as
+/// uncertain as a new one's.
 const REMEMBERED_S: f64 = 0.05;
 const FADES_IN_S: f64 = 0.1;
 
-/// Least share of an expected variance that a frame must take away for its innovation to count. Chosen. Raised, bodies that show little teach nothing; lowered to 0, what
-/// is small by rounding, or by the picture's curvature, counts as a motion.
+/// Minimum fraction of a predicted variance that a frame must remove for its innovation to count.
+/// Chosen. Raised, bodies that show little are not learnt from; lowered to 0, values that are small
+/// due to rounding or the picture's curvature count as motion.
 const LEAST_GAIN: f64 = 0.2;
 
-/// A motion and how sure it is.
+/// A motion and its uncertainty.
 #[derive(Debug, Clone, Copy)]
 pub struct MotionEstimate {
     /// Best estimate.
@@ -38,14 +41,16 @@ pub struct MotionEstimate {
 }
 
 impl MotionEstimate {
-    /// How far off a pose that features found may be, one sigma, m at a distance and rad: features know nothing of the shutter, and
-    /// what moved meanwhile stretches their picture, which looks like a tilt.
+    /// Returns the possible error of a pose found from features, one sigma, m at a distance and
+    /// rad: features ignore the rolling shutter, and motion during readout stretches their picture,
+    /// which looks like a tilt.
     pub fn off_by_readout(readout_s: f64, distance_m: f64) -> [f64; 2] {
         let turn = STRETCH_TO_TILT * UNSEEN[1] * readout_s;
         [turn * distance_m, turn]
     }
 
-    /// A pose whose motion nobody saw yet. `shift` and `turn`: one sigma of the pose, metres and radians.
+    /// Creates the estimate for a pose whose motion is unobserved. `shift` and `turn`: one sigma of
+    /// the pose, metres and radians.
     pub fn unseen(pose: Pose<Body, Camera>, distance_m: f64, shift: f64, turn: f64) -> Self {
         let mut covariance = MotionMatrix::zeros();
         for (block, sigma) in [shift, turn].into_iter().enumerate() {
@@ -57,10 +62,13 @@ impl MotionEstimate {
         Self { motion: Motion::still(pose), covariance }
     }
 
-    /// Innovations of shift and turn, where the frame changed what was expected to `found`. `None` where the frame told next to nothing, or a covariance is singular.
+    /// Returns the innovations of shift and turn when a frame changes this prediction to `found`.
+    /// `None` if the frame adds almost no information, or a covariance is singular.
     ///
-    /// By a frame, an expectation of covariance P becomes an estimate of covariance C: by chance alone the change has the covariance P - C (Kalman 1960). Of a body that is seen well that is P; of
-    /// one that shows little of its tilt it is far less, and a change as small as that is no sign of a smooth motion.
+    /// A frame turns a prediction of covariance P into an estimate of covariance C; under the model
+    /// the change has covariance P - C (Kalman 1960). For a well observed body that is about P. For
+    /// one that shows little of its tilt it is far less, and a small change is then no sign of
+    /// smooth motion.
     pub fn innovations(&self, found: &Self) -> [Option<Innovation>; 2] {
         let error = self.motion.error_to(&found.motion);
         [0, 3].map(|first| {
@@ -76,14 +84,14 @@ impl MotionEstimate {
         })
     }
 
-    /// What an error of the motion becomes `dt_s` later.
+    /// Propagates an error of the motion by `dt_s`.
     pub fn error_after(&self, error: &MotionError, dt_s: f64) -> MotionError {
         self.step_to(&self.motion.after(dt_s), dt_s) * error
     }
 
-    /// How an error of this motion is carried to where it leads within `dt_s`.
+    /// Returns the transition matrix of errors from this motion to `motion`, `dt_s` later.
     fn step_to(&self, motion: &Motion, dt_s: f64) -> MotionMatrix {
-        // The rotation error is told in the camera's axes, which turned meanwhile.
+        // The rotation error is expressed in the camera's axes, which rotated meanwhile.
         let turned = (motion.pose.rotation.inverse() * self.motion.pose.rotation).to_rotation_matrix().into_inner();
         let mut step = MotionMatrix::identity();
         let i = Matrix3::identity();
@@ -95,27 +103,29 @@ impl MotionEstimate {
         step
     }
 
-    /// What is expected `dt_s` later, at a distance from the stage.
+    /// Predicts the estimate `dt_s` ahead, at a distance from the stage.
     pub fn after(&self, dt_s: f64, distance_m: f64, process_noise: &ProcessNoise) -> Self {
         let motion = self.motion.after(dt_s);
         let step = self.step_to(&motion, dt_s);
         let mut covariance = step * self.covariance * step.transpose();
         add_jerk(&mut covariance, 0, process_noise.of_shift(distance_m), dt_s);
         add_jerk(&mut covariance, 3, process_noise.of_turn(), dt_s);
-        // Between the frames of a slow camera jerk is no random walk any more: the motion is as good as new.
+        // Between a slow camera's frames, jerk is no longer a random walk: the motion is as
+        // uncertain as a new one.
         let faded = ((dt_s - REMEMBERED_S).max(0.0) / FADES_IN_S).powi(2);
         add_unseen(&mut covariance, distance_m, 1.0 - (-faded).exp());
         Self { motion, covariance: (covariance + covariance.transpose()) * 0.5 }
     }
 }
 
-/// What may be expected of a motion not seen yet at a distance from the stage, one sigma: m/s, rad/s, m/s², rad/s².
+/// Returns the prior of an unobserved motion at a distance from the stage, one sigma: m/s, rad/s,
+/// m/s², rad/s².
 pub fn unseen(distance_m: f64) -> [f64; 4] {
     let d = distance_m / UNSEEN_DISTANCE_M;
     [UNSEEN[0] * d, UNSEEN[1], UNSEEN[2] * d, UNSEEN[3]]
 }
 
-/// Adds a share of what may be expected of velocities and accelerations that nobody saw.
+/// Adds a fraction of the prior of unobserved velocities and accelerations.
 fn add_unseen(covariance: &mut MotionMatrix, distance_m: f64, share: f64) {
     for (block, sigma) in unseen(distance_m).into_iter().enumerate() {
         for k in 6 + 3 * block..9 + 3 * block {
@@ -124,7 +134,8 @@ fn add_unseen(covariance: &mut MotionMatrix, distance_m: f64, share: f64) {
     }
 }
 
-/// Adds the second moments of white jerk of density `q` over `dt` to one half (shift at 0, turn at 3) of the state.
+/// Adds the second moments of white jerk of density `q` over `dt` to one half (shift at 0, turn
+/// at 3) of the state.
 fn add_jerk(covariance: &mut MotionMatrix, first: usize, q: f64, dt: f64) {
     let moments = [
         [dt.powi(5) / 20.0, dt.powi(4) / 8.0, dt.powi(3) / 6.0],

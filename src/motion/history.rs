@@ -1,4 +1,5 @@
-//! Prediction while coasting: the last two measured poses, carried on at constant velocity, by no more than was moved lately.
+//! Prediction while coasting: extrapolates the last two measured poses at constant velocity, by at
+//! most the recent motion.
 
 use super::reach::Reach;
 use super::state::Motion;
@@ -12,18 +13,20 @@ pub struct MotionHistory<To, From> {
     /// Whether there ever was a measurement.
     is_known: bool,
     reach: Reach<To, From>,
-    /// The step before the last, seconds.
+    /// The last time step, seconds.
     step_s: f64,
 }
 
-/// Measurements further apart than this say nothing about velocity, seconds, unless they come no faster. Chosen: three frames at 30 a
-/// second. Raised, a body coasts with a velocity that is out of date; lowered, a dropped frame leaves it standing.
+/// Maximum time between measurements for a velocity, seconds, unless they normally are farther
+/// apart. Chosen: three frames at 30 per second. Raised, a body coasts with an outdated velocity;
+/// lowered, a dropped frame makes it stand still.
 const LONGEST_STEP_S: f64 = 0.1;
-/// And further apart than this never, seconds: as long as a gap between frames that is still an interval (`frame_interval`). Raised, pauses
-/// give velocities.
+/// Absolute maximum of that time, seconds: the longest gap between frames that still counts as an
+/// interval (`frame_interval`). Raised, pauses yield velocities.
 const LONGEST_INTERVAL_S: f64 = 0.5;
-/// Without measurements the velocity fades with this time constant, seconds: a camera that vanished is more likely to stop than to go on.
-/// As long as bodies coast by default. Raised, coasting overshoots stops by more; lowered, it lags behind what goes on.
+/// Time constant with which the velocity fades without measurements, seconds: a camera that
+/// vanished is more likely to stop than to go on. As long as bodies coast by default. Raised,
+/// coasting overshoots stops more; lowered, it lags behind continued motion.
 pub const FADE_S: f64 = 0.2;
 
 impl<To, From> Default for MotionHistory<To, From> {
@@ -33,7 +36,7 @@ impl<To, From> Default for MotionHistory<To, From> {
 }
 
 impl<To, From> MotionHistory<To, From> {
-    /// Takes a measured pose.
+    /// Adds a measured pose.
     pub fn measured(&mut self, timestamp: Timestamp, pose: &Pose<To, From>) {
         let mut motion = Motion::still(*pose);
         if let Some((then, before)) = &self.last {
@@ -49,19 +52,20 @@ impl<To, From> MotionHistory<To, From> {
         self.is_known = true;
     }
 
-    /// Forgets the motion: what comes next is no continuation.
+    /// Forgets the motion: the next measurement is not a continuation.
     pub fn reset(&mut self) {
         self.last = None;
         self.reach.clear();
     }
 
-    /// Whether anything was ever measured, before a reset or after.
+    /// Whether anything was ever measured, even before a reset.
     pub fn is_known(&self) -> bool {
         self.is_known
     }
 
-    /// The pose expected at a stamp. Two poses alone would make of a kick, or of noise at a high rate, a long way: what is added is no
-    /// more than the body moved within the last `FADE_S`.
+    /// Predicts the pose at a stamp. Two poses alone would extrapolate a kick, or noise at a high
+    /// frame rate, much too far. So the added motion is at most what the body moved within the last
+    /// `FADE_S`.
     pub fn predicted(&self, timestamp: Timestamp) -> Option<Pose<To, From>> {
         let (then, last) = self.last.as_ref()?;
         let dt = timestamp.seconds_since(*then);

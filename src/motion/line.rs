@@ -1,8 +1,9 @@
-//! Cameras that rest or go evenly: a line through their last poses.
+//! Cameras at rest or in uniform motion: a line through their last poses.
 //!
-//! The expectation of a motion allows for jerk, and is too wide to see a small start or stop: the pose is then taken for where the camera
-//! was, though it is the mean of a path that bent while the frame was exposed. Where the last poses lie on a line, their
-//! continuation is known nearly as well as a pose, and the first pose that leaves it shows by how much.
+//! A motion prediction that allows for jerk is too wide to detect a small start or stop. The pose
+//! is then taken for the camera's position, although it is the mean of a path that bent during the
+//! exposure. If the last poses lie on a line, its continuation is known nearly as well as a pose,
+//! and the first pose that leaves it shows by how much.
 
 use nalgebra::{Matrix2, Matrix3, Matrix6, Vector6};
 
@@ -10,46 +11,51 @@ use super::estimate::{MotionEstimate, unseen};
 use super::state::{Motion, MotionError, MotionMatrix};
 use crate::geometry::{Body, Camera, Pose};
 
-/// Poses that a line is fitted through at most. Raised, a velocity that changes slowly passes for a jump.
+/// Maximum number of poses in the fit. Raised, a slowly changing velocity counts as a jump.
 const MOST_POSES: f64 = 6.0;
-/// Fewest that a line is believed from: through two there always is one. Lowered to 2, a shaken camera leaves it in every frame.
+/// Minimum number of poses for a reliable line: two always define one. Lowered to 2, a shaken
+/// camera leaves it in every frame.
 const LEAST_POSES: f64 = 3.0;
-/// What a motion accelerates by that passes for even, one sigma, as a share of what may be expected unseen. With 0.1 it takes up what a jump
-/// does, with 0.01 a pan that quickens passes for one.
+/// Acceleration that still counts as uniform motion, one sigma, as a fraction of the prior of an
+/// unobserved motion. At 0.1 it absorbs jumps; at 0.01 a quickening pan counts as a jump.
 const EVEN: f64 = 0.03;
-/// A pose further from the line than this has left it (squared, in sigmas, six degrees of freedom: one in 2000 by chance). Raised, small
-/// starts are not seen; lowered, poses of a resting camera leave it by chance, with a wider covariance.
+/// Squared distance in sigmas (six degrees of freedom) from which a pose has left the line: one in
+/// 2000 by chance. Raised, small starts are missed; lowered, poses of a resting camera leave it by
+/// chance, with a wider covariance.
 const LEFT: f64 = 24.0;
 
-/// A line through the last poses, by least squares with a memory that fades (an alpha-beta filter, for the turn alpha-beta-gamma, whose
-/// gains begin as those of the fit through all poses so far; Bar-Shalom, Li and Kirubarajan 2001, section 6.5).
+/// A least-squares line through the last poses with fading memory (an alpha-beta filter, for the
+/// rotation alpha-beta-gamma, whose gains start as those of the fit through all poses so far;
+/// Bar-Shalom, Li and Kirubarajan 2001, section 6.5).
 ///
-/// The place goes straight, the turn along a parabola: a camera that goes past what it looks at turns ever faster, then slower.
+/// The position follows a straight line, the rotation a parabola: a camera passing what it looks at
+/// rotates ever faster, then slower.
 #[derive(Debug, Clone, Copy)]
 pub struct UniformMotion {
     /// At the last pose, with its velocity.
     motion: Motion,
     last: Pose<Body, Camera>,
-    /// Poses that it was fitted through.
+    /// Number of poses in the fit.
     poses: f64,
 }
 
-/// Where a line led that was believed before a pose came.
+/// Prediction of a reliable line for a new pose.
 #[derive(Debug, Clone, Copy)]
 pub struct Continuation {
-    /// The motion that it led to.
+    /// The predicted motion.
     pub expected: MotionEstimate,
-    /// Whether the pose lies further from it than chance explains.
+    /// Whether the pose is farther from it than chance explains.
     pub has_left: bool,
 }
 
 impl UniformMotion {
-    /// One pose, of which no motion is known.
+    /// Starts with one pose and no known motion.
     pub fn new(pose: Pose<Body, Camera>) -> Self {
         Self { motion: Motion::still(pose), last: pose, poses: 1.0 }
     }
 
-    /// Takes another pose, `dt_s` after the last, and says where the line led; `None` where it went through too few poses to be believed.
+    /// Adds a pose `dt_s` after the last and returns the line's prediction for it; `None` if the
+    /// line had too few poses to be reliable.
     pub fn add(&mut self, pose: &Pose<Body, Camera>, covariance: &Matrix6<f64>, dt_s: f64, distance_m: f64) -> Option<Continuation> {
         let n = self.poses;
         let expected = self.motion.after(dt_s);
@@ -68,7 +74,8 @@ impl UniformMotion {
     }
 }
 
-/// Whether a pose lies further from the line through `n` poses than chance explains. Two poses do not tell how the turn bends.
+/// Whether a pose is farther from the line through `n` poses than chance explains. Two poses do not
+/// determine the rotation's curvature.
 fn is_far(off: &Vector6<f64>, covariance: &Matrix6<f64>, n: f64) -> bool {
     if n < 3.0 {
         let shift = off.fixed_rows::<3>(0);
@@ -79,7 +86,7 @@ fn is_far(off: &Vector6<f64>, covariance: &Matrix6<f64>, n: f64) -> bool {
     }
 }
 
-/// What the last of `n` poses changes in the motion at it, by how far it is off.
+/// Returns the correction of the motion at the last of `n` poses, given its deviation.
 fn correction(n: f64, off: &Vector6<f64>, dt_s: f64) -> MotionError {
     let (shift, turn) = (line_moments(n, 0.0), parabola_moments(n, 0.0));
     MotionError::from_fn(|row, _| {
@@ -89,8 +96,8 @@ fn correction(n: f64, off: &Vector6<f64>, dt_s: f64) -> MotionError {
     })
 }
 
-/// What a straight line through `n` poses leaves open, `ahead` steps after the last of them: second moments of place, step and bend, in the
-/// variance of a pose.
+/// Returns the uncertainty of a straight line through `n` poses, `ahead` steps after the last:
+/// second moments of position, step and curvature, in units of a pose's variance.
 fn line_moments(n: f64, ahead: f64) -> Matrix3<f64> {
     let [s0, s1, s2, ..] = sums_of_powers(n, ahead);
     let mut moments = Matrix3::zeros();
@@ -98,7 +105,7 @@ fn line_moments(n: f64, ahead: f64) -> Matrix3<f64> {
     moments
 }
 
-/// The same of a parabola; of a line where there are too few poses.
+/// The same for a parabola; for a line if there are too few poses.
 fn parabola_moments(n: f64, ahead: f64) -> Matrix3<f64> {
     let [s0, s1, s2, s3, s4] = sums_of_powers(n, ahead);
     let information = Matrix3::new(s0, s1, 0.5 * s2, s1, s2, 0.5 * s3, 0.5 * s2, 0.5 * s3, 0.25 * s4);
@@ -106,25 +113,25 @@ fn parabola_moments(n: f64, ahead: f64) -> Matrix3<f64> {
     inverse.unwrap_or_else(|| line_moments(n, ahead))
 }
 
-/// Sums of the powers of the times of `n` poses, in steps, from `ahead` steps after the last.
+/// Sums of powers of the `n` poses' times, in steps, relative to `ahead` steps after the last.
 fn sums_of_powers(n: f64, ahead: f64) -> [f64; 5] {
     std::array::from_fn(|power| (0..n as usize).map(|pose| (-(pose as f64) - ahead).powi(power as i32)).sum())
 }
 
-/// Covariance of the pose that a line through `n` poses leads to.
+/// Covariance of the pose predicted by a line through `n` poses.
 fn place_covariance(n: f64, of_pose: &Matrix6<f64>) -> Matrix6<f64> {
     shared_out(of_pose, line_moments(n, 1.0)[(0, 0)], parabola_moments(n, 1.0)[(0, 0)])
 }
 
-/// A covariance times one share for the shift and another for the turn. What both have in common is what both fits
-/// weigh alike, and that is the line.
+/// Scales a covariance by one factor for the shift and another for the turn. The cross terms get
+/// the factor of the straight line, which both fits contain.
 fn shared_out(of_pose: &Matrix6<f64>, of_shift: f64, of_turn: f64) -> Matrix6<f64> {
     let mut covariance = of_pose * of_shift;
     covariance.fixed_view_mut::<3, 3>(3, 3).copy_from(&(of_pose.fixed_view::<3, 3>(3, 3) * of_turn));
     covariance
 }
 
-/// Covariance of the motion that a line through `n` poses leads to, which may accelerate a little.
+/// Covariance of the motion predicted by a line through `n` poses, allowing a little acceleration.
 fn line_covariance(n: f64, of_pose: &Matrix6<f64>, dt_s: f64, distance_m: f64) -> MotionMatrix {
     let (shift, turn) = (line_moments(n, 1.0), parabola_moments(n, 1.0));
     let mut covariance = MotionMatrix::zeros();
@@ -162,13 +169,13 @@ mod tests {
         motion.corrected(&error)
     }
 
-    /// Goes evenly.
+    /// Uniform motion.
     fn truth(frame: u32) -> Motion {
         let start = Motion::still(Pose::new(UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3), Vector3::new(1.0, 2.0, 3.0)));
         with_velocity(&start, &Vector6::new(0.3, -0.2, 0.1, 0.2, 0.1, -0.3)).after(f64::from(frame) * DT_S)
     }
 
-    /// Is seen with noise.
+    /// A noisy pose of it.
     fn seen(frame: u32, random: &mut Pcg64Mcg) -> Pose<Body, Camera> {
         let noise = Vector6::from_fn(|_, _| SIGMA * ((0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0));
         truth(frame).with_pose_corrected(&noise)
@@ -179,7 +186,6 @@ mod tests {
         (Matrix6::identity() * SIGMA.powi(2), UniformMotion::new(seen(0, random)))
     }
 
-    /// Whether another pose leaves the line.
     fn leaves(line: &mut UniformMotion, pose: &Pose<Body, Camera>, covariance: &Matrix6<f64>) -> bool {
         line.add(pose, covariance, DT_S, 4.0).is_some_and(|c| c.has_left)
     }
@@ -198,7 +204,7 @@ mod tests {
                 sum += off.dot(&factor.solve(&off)) / 6.0;
             }
             let ratio = sum / f64::from(runs);
-            // Gains that no longer fall remember more poses than they are named after.
+            // Gains that no longer fall remember more poses than their nominal number.
             assert!((if frames > 6 { 0.6 } else { 0.9 }..1.1).contains(&ratio), "{frames}: {ratio}");
             assert!(left * 200 < runs as usize * frames as usize, "{frames}: {left}");
         }
@@ -216,7 +222,7 @@ mod tests {
         assert!(left.has_left, "12 mm are many sigmas");
         let (off, expected) = (pose_error(&left.expected.motion, &rests), pose_error(&Motion::still(would_be), &rests));
         assert!((off - expected).norm() < 10.0 * SIGMA, "{off:?}");
-        // The line through the moving and the resting pose is another; the next ones are at rest.
+        // The line through the moving and the resting pose differs; the next poses are at rest.
         line.add(&rests, &covariance, DT_S, 4.0);
         for frame in 0..4 {
             assert!(!leaves(&mut line, &rests, &covariance), "{frame}");
@@ -232,7 +238,7 @@ mod tests {
             on_line += (1..8)
                 .filter(|frame| {
                     let t = f64::from(*frame) * DT_S;
-                    // Its bend from frame to frame is 16 sigmas.
+                    // Its curvature from frame to frame is 16 sigmas.
                     let bend = Vector6::new(0.0, 0.0, 0.0, 1.0, 0.0, 0.0) * (0.5 * t * t);
                     let pose = Motion::still(seen(*frame, &mut random)).with_pose_corrected(&bend);
                     !leaves(&mut line, &pose, &covariance) && line.poses > 2.0

@@ -1,8 +1,9 @@
-//! How things move: one model for following, coasting, prediction and resampling.
+//! Motion models, shared by following, coasting, prediction and resampling.
 //!
-//! A [`Motion`] is a pose with its velocity and acceleration; a [`MotionEstimate`] adds how sure that is and carries it from frame to frame by
-//! white jerk ([`ProcessNoise`]); a [`UniformMotion`] is the line that the last poses lie on. [`MotionHistory`] carries
-//! the last measured motion on while nothing is seen, and [`Reach`] allows no prediction to go further than the body lately moved.
+//! A [`Motion`] is a pose with velocity and acceleration. A [`MotionEstimate`] adds the uncertainty
+//! and propagates it from frame to frame with white jerk ([`ProcessNoise`]). A [`UniformMotion`] is
+//! the line through the last poses. [`MotionHistory`] extrapolates the last measured motion while
+//! nothing is seen, and [`Reach`] limits predictions to the body's recent motion.
 
 mod estimate;
 mod history;

@@ -1,8 +1,9 @@
-//! What may be expected of an object's motion in the camera before anybody saw it move.
+//! Prior of an object's motion in the camera before it was seen to move.
 //!
-//! The camera's own motion is known once the stage was found. The rest is the object's: it is carried past, and it turns about itself, not
-//! about the camera. A body that moves through the picture is then taken to be carried, with its tilt as it is, where a prior of the camera
-//! alone would have the camera turn.
+//! The camera's own motion is known once the stage is found. The rest is the object's: it
+//! translates, and rotates about itself, not about the camera. So a body that moves through the
+//! picture is first assumed to translate with constant tilt, where a prior for the camera alone
+//! would assume that the camera rotates.
 
 use nalgebra::{Matrix3, Matrix6};
 
@@ -10,20 +11,23 @@ use super::estimate::{MotionEstimate, UNSEEN_DISTANCE_M};
 use super::state::Motion;
 use crate::geometry::{Body, Camera, Pose, skew};
 
-/// One sigma of an object's own motion in the stage before it was seen to move: speed in m/s at `UNSEEN_DISTANCE_M`, turn rate in rad/s, and
-/// the accelerations of both in m/s² there and rad/s². Chosen: at this speed an object crosses the picture as fast as if the camera turned by
-/// 1 rad/s. Raised, first poses are less sure; lowered, quick objects are lost in the second frame.
+/// Prior of an object's own motion in the stage, one sigma: speed in m/s at `UNSEEN_DISTANCE_M`,
+/// angular velocity in rad/s, and both accelerations in m/s² at that distance and rad/s². Chosen:
+/// at this speed an object crosses the picture as fast as if the camera rotated at 1 rad/s. Raised,
+/// first poses are less certain; lowered, fast objects are lost in the second frame.
 const OWN: [f64; 4] = [4.0, 1.0, 10.0, 30.0];
 
 impl MotionEstimate {
-    /// The pose of an object whose motion nobody saw yet. `camera`: the camera's motion in the stage. `shift` and `turn`: one sigma of the pose, metres and radians.
+    /// Creates the estimate for an object whose motion is unobserved. `camera`: the camera's motion
+    /// in the stage. `shift` and `turn`: one sigma of the pose, metres and radians.
     pub fn unseen_object(pose: Pose<Body, Camera>, distance_m: f64, [shift, turn]: [f64; 2], camera: &Self) -> Self {
         let mut found = Self::unseen(pose, distance_m, shift, turn);
         let object_stage = pose.rotation * camera.motion.pose.rotation.inverse();
         found.motion = Motion { velocity: object_stage * camera.motion.velocity, turn_rate: camera.motion.turn_rate, ..found.motion };
         let mut turned = Matrix6::identity();
         turned.fixed_view_mut::<3, 3>(0, 0).copy_from(object_stage.to_rotation_matrix().matrix());
-        // An object's velocity takes the camera the other way in its axes, and where it turns, the camera goes around it.
+        // An object's velocity moves the camera the opposite way in the object's axes; when the
+        // object rotates, the camera circles around it.
         let mut by_own = -Matrix6::identity();
         by_own.fixed_view_mut::<3, 3>(0, 3).copy_from(&skew(&pose.translation));
         by_own.fixed_view_mut::<3, 3>(3, 3).copy_from(&-pose.rotation_matrix().transpose());
@@ -49,17 +53,18 @@ mod tests {
     use super::*;
     use crate::geometry::Stage;
 
-    /// Where an object is in the stage.
+    /// The object's pose in the stage.
     fn object_in_stage() -> Pose<Stage, Body> {
         Pose::new(UnitQuaternion::from_euler_angles(0.3, -0.5, 0.2), Vector3::new(0.7, -1.1, 0.4))
     }
 
-    /// The camera's motion in the stage, of which little is unknown.
+    /// The camera's motion in the stage, known almost exactly.
     fn camera() -> MotionEstimate {
         MotionEstimate { motion: moving(), covariance: MotionMatrix::identity() * 1e-12 }
     }
 
-    /// The camera in an object that moved by this in `dt_s`: its shift in the stage, and its turn about itself in its own axes.
+    /// The camera's pose in an object that moved by this within `dt_s`: shift in the stage,
+    /// rotation about itself in its own axes.
     fn camera_in_object(dt_s: f64, shift_m: Vector3<f64>, turn_rad: Vector3<f64>) -> Pose<Body, Camera> {
         let object = object_in_stage().moved(&shift_m, &turn_rad);
         let camera = camera().motion.after(dt_s).pose;
@@ -85,7 +90,7 @@ mod tests {
     fn what_is_unknown_is_how_the_object_moves_and_turns_about_itself() {
         let start = camera_in_object(0.0, Vector3::zeros(), Vector3::zeros());
         let found = MotionEstimate::unseen_object(start, UNSEEN_DISTANCE_M, [0.01, 0.003], &camera());
-        // Its own motion along each axis, by differences.
+        // Its own motion along each axis, by finite differences.
         let small = 1e-6;
         let mut should = Matrix6::zeros();
         for k in 0..6 {

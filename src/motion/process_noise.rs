@@ -1,50 +1,57 @@
-//! How jerky a motion is: the white jerk that carries a motion estimate from frame to frame, learnt from the frames.
+//! Process noise of a motion: the density of the white jerk that propagates a motion estimate,
+//! learnt from the frames.
 //!
-//! A dolly, a hand and a whip pan differ by factors of hundreds. Too little jerk ties velocity and acceleration to what they were,
-//! and through the shutter that pulls the pose; too much lets them take up what is the pose's own. So its density
-//! follows how far poses were found from where they were expected, in sigmas of what chance does to that (Mehra 1970:
-//! innovations tell of the process noise), within some ten frames.
+//! A dolly, a hand and a whip pan differ by factors of hundreds. Too little jerk ties velocity and
+//! acceleration to their past values, and through the shutter that pulls the pose. Too much lets
+//! them absorb what belongs to the pose. So the density adapts within about ten frames to how far
+//! poses were from their predictions, relative to chance (Mehra 1970: innovations reveal the
+//! process noise).
 
-/// Spectral density of a motion not seen yet: m²/s⁵ at `DISTANCE_M` (growing with the square of the distance), and rad²/s⁵. From a
-/// prototype, in which they served dolly, hand and whip pan alike; frames teach better. Raised, the first frames' motion is less sure, and
-/// the pose with it.
+/// Initial spectral density of the jerk: m²/s⁵ at `DISTANCE_M` (proportional to the squared
+/// distance), and rad²/s⁵. From a prototype, where they suited dolly, hand and whip pan alike;
+/// frames refine them. Raised, the first frames' motion and pose are less certain.
 const USUAL_SHIFT: f64 = 100.0;
 const USUAL_TURN: f64 = 3000.0;
 const DISTANCE_M: f64 = 4.0;
-/// The densities stay within these factors of the usual ones. At the lower end earlier frames hardly smooth the pose: that of a still
-/// camera correlates by 0.16 from frame to frame. `LEAST` lowered, they smooth it more; `MOST` raised, frames that mislead can leave the
-/// motion as good as unknown.
+/// Limits of the densities as factors of the initial ones. At the lower limit earlier frames hardly
+/// smooth the pose: errors of a still camera correlate by 0.16 from frame to frame. `LEAST`
+/// lowered, they smooth more; `MOST` raised, misleading frames can leave the motion practically
+/// unknown.
 const LEAST: f64 = 0.01;
 const MOST: f64 = 1000.0;
-/// The logarithm of a density follows one frame by this share of the logarithm of its squared innovation (in sigmas, a degree of freedom),
-/// less the mean of that. Innovations that are a tenth of what was expected so narrow the expectation by half within two frames; their squares
-/// themselves would take seven. Raised, densities follow chance: with 0.4, the covariances of steady cameras are too small by a tenth.
+/// The logarithm of a density follows one frame by this fraction of the logarithm of its squared
+/// innovation (in sigmas, per degree of freedom), minus that logarithm's mean. Innovations a tenth
+/// of the prediction thus halve the predicted width within two frames; with plain squares it would
+/// take seven. Raised, densities follow chance: at 0.4, covariances of steady cameras are too small
+/// by a tenth.
 const SHARE: f64 = 0.3;
-/// Mean logarithm of the mean of n squared normal variables, n from 1: the digamma function of n/2, plus ln(2/n). Any other and densities drift.
+/// Mean logarithm of the mean of n squared normal variables, n from 1: the digamma function of n/2,
+/// plus ln(2/n). With other values, densities drift.
 const MEAN_LOG: [f64; 3] = [-1.270, -0.577, -0.369];
-/// One frame counts as no less and no more than these logarithms: a picture that misleads is as far from what was expected as one after
-/// jerk, and a frame that comes where it was expected may do so by chance. Chosen, not tuned. Wider, single frames change the density by
-/// more.
+/// Limits of one frame's logarithm: a misleading picture is as far from the prediction as one after
+/// jerk, and a frame close to the prediction may be so by chance. Chosen, not tuned. Wider, single
+/// frames change the density more.
 const LOGS: [f64; 2] = [-4.0, 3.0];
-/// Frames after the first whose innovations say nothing: how the camera moves is not known yet. As many as place, velocity and acceleration
-/// take. Raised, the density is learnt later; lowered, it falls as all is within the wide first expectation.
+/// Number of first frames whose innovations are ignored, because the motion is not known yet: as
+/// many as position, velocity and acceleration need. Raised, the density is learnt later; lowered,
+/// it falls because everything is within the wide first prediction.
 const UNTOLD_FRAMES: u32 = 3;
 
-/// How far a frame was from what was expected ([`innovations`](super::MotionEstimate::innovations)).
+/// Deviation of a frame from its prediction ([`innovations`](super::MotionEstimate::innovations)).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Innovation {
-    /// Its square, in variances of what chance does, a degree of freedom.
+    /// Its square, in expected variances, per degree of freedom.
     pub squared: f64,
-    /// Directions in which the frame told enough, 1 to 3.
+    /// Number of directions in which the frame was informative, 1 to 3.
     pub freedom: usize,
 }
 
-/// White jerk as learnt so far, in shares of the usual.
+/// The learnt white jerk, as factors of the initial densities.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProcessNoise {
     shift: f64,
     turn: f64,
-    /// Frames that it has seen.
+    /// Number of frames learnt from.
     frames: u32,
 }
 
@@ -55,22 +62,23 @@ impl Default for ProcessNoise {
 }
 
 impl ProcessNoise {
-    /// Spectral density of the shift's jerk at a distance from the stage, m²/s⁵.
+    /// Returns the spectral density of the shift's jerk at a distance from the stage, m²/s⁵.
     pub fn of_shift(&self, distance_m: f64) -> f64 {
         self.shift * USUAL_SHIFT * (distance_m / DISTANCE_M).powi(2)
     }
 
-    /// Spectral density of the turn's jerk, rad²/s⁵.
+    /// Returns the spectral density of the turn's jerk, rad²/s⁵.
     pub fn of_turn(&self) -> f64 {
         self.turn * USUAL_TURN
     }
 
-    /// Whether it has seen too few frames to tell.
+    /// Whether too few frames have been seen.
     pub fn is_untold(&self) -> bool {
         self.frames < UNTOLD_FRAMES
     }
 
-    /// Learns from the innovations of shift and turn ([`innovations`](super::MotionEstimate::innovations)).
+    /// Learns from the innovations of shift and turn
+    /// ([`innovations`](super::MotionEstimate::innovations)).
     pub fn learn(&mut self, innovations: [Option<Innovation>; 2]) {
         self.frames = self.frames.saturating_add(1);
         if self.frames <= UNTOLD_FRAMES {
@@ -100,7 +108,7 @@ mod tests {
     const DT_S: f64 = 1.0 / 30.0;
     const AT_M: f64 = 4.0;
 
-    /// One frame of a Kalman filter: a pose seen with this noise, variances by axis of shift and turn.
+    /// One Kalman filter step: a pose seen with this noise, variances per axis of shift and turn.
     fn updated(expected: &MotionEstimate, seen: &Motion, noise: &Vector6<f64>) -> MotionEstimate {
         let innovation = expected.motion.pose_error_to(seen);
         let of_pose = expected.covariance.fixed_rows::<6>(0).into_owned();
@@ -109,8 +117,9 @@ mod tests {
         MotionEstimate { motion: expected.motion.corrected(&(gain * innovation)), covariance: expected.covariance - gain * of_pose }
     }
 
-    /// What is learnt of a motion that white jerk carries from frame to frame, by what it is: logarithms, on average over the later frames. `noise`: standard deviations
-    /// by which frames see the pose; `known_every`: frames after which all of the motion is known again.
+    /// Returns the logarithm of learnt over true jerk density, averaged over the later frames.
+    /// `noise`: standard deviations of the observed pose; `known_every`: number of frames after
+    /// which the whole motion becomes known again.
     fn learnt(shift: f64, turn: f64, noise: &Vector6<f64>, known_every: usize) -> [f64; 2] {
         let mut random = Pcg64Mcg::seed_from_u64(5);
         let mut normal = || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
@@ -123,7 +132,7 @@ mod tests {
             if frame % known_every == 0 {
                 (truth, estimate) = (rest, known);
             }
-            // Small steps: jerk changes acceleration, the rest follows.
+            // Small steps: jerk changes the acceleration, the rest follows.
             for _ in 0..STEPS {
                 truth = truth.after(DT_S / STEPS as f64);
                 let mut step = |q: f64| Vector3::from_fn(|_, _| normal() * (q * DT_S / STEPS as f64).sqrt());
@@ -152,13 +161,14 @@ mod tests {
 
     #[test]
     fn what_a_body_does_not_show_is_no_sign_of_a_smooth_motion() {
-        // Off by far in two axes of three: taken for smooth in these, the motion would be expected where it is not in the third.
+        // Poorly observed along two of three axes: if that counted as smooth there, predictions
+        // would be wrong along the third.
         let hardly = Vector6::new(0.5, 0.5, 1e-4, 0.1, 0.1, 1e-3);
-        // As far off in all axes as jerk moves it within some frames.
+        // Equally noisy along all axes, about as much as jerk moves it within some frames.
         let little = Vector6::new(0.003, 0.003, 0.003, 0.003, 0.003, 0.003);
         for noise in [hardly, little] {
             let off = learnt(100.0, 60.0, &noise, 5);
-            // What turns unseen about two axes shows in the third, by its square.
+            // Unobserved rotation about two axes shows in the third, by its square.
             assert!(off.iter().all(|ln| ln.abs() < 0.9), "{noise:?}: {off:?}");
         }
     }

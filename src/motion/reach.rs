@@ -1,5 +1,5 @@
-//! How far a body moved lately, and no prediction beyond it: a velocity is estimated, what was moved is measured.
-//! A way in a direction that the body has not come in is not supported at all.
+//! Limits predictions to how far a body moved recently: velocities are estimated, but past motion
+//! is measured. Motion in a direction in which the body has not moved is not supported at all.
 
 use nalgebra::Vector3;
 
@@ -7,7 +7,7 @@ use super::recent::Recent;
 use crate::frame::Timestamp;
 use crate::geometry::Pose;
 
-/// The poses that were measured lately.
+/// Recently measured poses.
 #[derive(Debug, Clone)]
 pub struct Reach<To, From> {
     measured: Recent<Pose<To, From>>,
@@ -20,18 +20,19 @@ impl<To, From> Default for Reach<To, From> {
 }
 
 impl<To, From> Reach<To, From> {
-    /// Takes a measured pose.
+    /// Adds a measured pose.
     pub fn push(&mut self, timestamp: Timestamp, measured: &Pose<To, From>) {
         self.measured.push(timestamp, *measured);
     }
 
-    /// Forgets all: what comes next is no continuation.
+    /// Forgets everything: the next measurement is not a continuation.
     pub fn clear(&mut self) {
         self.measured.clear();
     }
 
-    /// Shortens the ways that velocities, m/s and rad/s, lead within some seconds to what the body moved in their direction in as long
-    /// before. Where it was not seen for so long yet, it is taken to have gone on before as it does since.
+    /// Limits the displacements that velocities, m/s and rad/s, cause within some seconds to what
+    /// the body moved in their direction in the same time before. If it was observed for less time,
+    /// it is assumed to have moved before as it did since.
     pub fn carries(&self, velocities: [Vector3<f64>; 2], seconds: f64) -> [Vector3<f64>; 2] {
         let mut stamps = self.measured.within_last(seconds).map(|(at, _)| *at);
         let (newest, oldest) = (stamps.next().unwrap_or_default(), stamps.last());
@@ -39,7 +40,8 @@ impl<To, From> Reach<To, From> {
         self.supports(velocities.map(|velocity| velocity * seconds), seconds / seen_s, seconds)
     }
 
-    /// Shortens ways ahead, metres and radians, to `times` as far as the body moved in their direction within the last `seconds`.
+    /// Limits displacements ahead, metres and radians, to `times` what the body moved in their
+    /// direction within the last `seconds`.
     pub fn supports(&self, ways: [Vector3<f64>; 2], times: f64, seconds: f64) -> [Vector3<f64>; 2] {
         let lengths = ways.map(|way| way.norm());
         let mut moved = [0.0f64; 2];

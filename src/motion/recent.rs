@@ -1,13 +1,15 @@
-//! The last quarter of a second of something, for what has to be compared with a while ago.
+//! A buffer of the last quarter of a second of something, for comparisons with a moment ago.
 
 use std::collections::VecDeque;
 
 use crate::frame::Timestamp;
 
-/// Entries kept. 64 are every frame at 240 frames a second; of faster cameras some frames are left out. Raised, every look back costs more.
+/// Maximum number of entries. 64 hold every frame at 240 frames per second; of faster cameras some
+/// frames are dropped. Raised, every look back costs more.
 const CAPACITY: usize = 64;
-/// How long entries are needed, seconds: the longest prediction (`predict_s`) and what coasting looks back on (`FADE_S`), 0.2 both, with
-/// one frame before them. Raised, entries of fast cameras lie further apart; lowered, the oldest are gone when they are asked for.
+/// How long entries are needed, seconds: the longest prediction (`predict_s`) and coasting's look
+/// back (`FADE_S`), both 0.2, plus one frame. Raised, entries of fast cameras are farther apart;
+/// lowered, the oldest are gone when needed.
 const SPAN_S: f64 = 0.26;
 
 /// The last entries with their stamps.
@@ -17,12 +19,12 @@ pub struct Recent<T> {
 }
 
 impl<T> Recent<T> {
-    /// None yet.
+    /// Creates an empty buffer.
     pub fn new() -> Self {
         Self { entries: VecDeque::with_capacity(CAPACITY) }
     }
 
-    /// Adds the newest. Where the last two lie too close together it takes the place of the later one.
+    /// Adds the newest entry, replacing the last one if the last two are too close together.
     pub fn push(&mut self, timestamp: Timestamp, entry: T) {
         let spacing_ns = (SPAN_S * 1e9) as i64 / (CAPACITY - 1) as i64;
         let mut newest = self.entries.iter().rev().map(|(at, _)| *at);
@@ -35,7 +37,8 @@ impl<T> Recent<T> {
         self.entries.push_back((timestamp, entry));
     }
 
-    /// The newest, those of the `seconds` before it, and the one before them; the newest first.
+    /// Returns the newest entry, those of the `seconds` before it, and the one before them; newest
+    /// first.
     pub fn within_last(&self, seconds: f64) -> impl Iterator<Item = &(Timestamp, T)> {
         let newest = self.entries.back().map(|(at, _)| *at).unwrap_or_default();
         let since = newest.after_s(-seconds);
@@ -43,13 +46,12 @@ impl<T> Recent<T> {
         self.entries.iter().rev().take_while(move |(at, _)| !std::mem::replace(&mut is_before, *at < newest && *at <= since))
     }
 
-    /// The newest that is at least so old.
+    /// Returns the newest entry at least `seconds` older than `timestamp`.
     pub fn before(&self, timestamp: Timestamp, seconds: f64) -> Option<&(Timestamp, T)> {
         let until = timestamp.after_s(-seconds);
         self.entries.iter().rev().find(|(at, _)| *at <= until)
     }
 
-    /// Forgets all.
     pub fn clear(&mut self) {
         self.entries.clear();
     }

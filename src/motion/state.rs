@@ -1,27 +1,28 @@
-//! A pose, its velocity and its acceleration as one state with 18 degrees of freedom: the one model of how things move.
+//! A pose, its velocity and its acceleration as one state with 18 degrees of freedom: the basic
+//! motion model.
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3, Vector6};
 
 use crate::geometry::{Body, Camera, Pose, skew};
 
-/// Error of the state: [δp, δθ, δv, δω, δa, δα]; position, velocity and acceleration in the body's axes, metres and
-/// seconds; rotation R <- R Exp(δθ) and its rates in the camera's axes, radians.
+/// Error of the state: [δp, δθ, δv, δω, δa, δα]. Position, velocity and acceleration in the body's
+/// axes, metres and seconds; rotation R <- R Exp(δθ) and its rates in the camera's axes, radians.
 pub type MotionError = SVector<f64, 18>;
 /// Second moments of [`MotionError`].
 pub type MotionMatrix = SMatrix<f64, 18, 18>;
 
-/// A pose and how it moves: of the camera in a body, unless said otherwise.
+/// A pose and its motion: of the camera in a body, unless stated otherwise.
 #[derive(Debug, PartialEq)]
 pub struct Motion<To = Body, From = Camera> {
-    /// At some instant: for alignment the stamp of the frame.
+    /// The pose at some instant: for alignment, at the frame's stamp.
     pub pose: Pose<To, From>,
-    /// m/s in the axes of `To`.
+    /// Velocity, m/s in the axes of `To`.
     pub velocity: Vector3<f64>,
-    /// rad/s in the axes of `From`.
+    /// Angular velocity, rad/s in the axes of `From`.
     pub turn_rate: Vector3<f64>,
-    /// m/s² in the axes of `To`.
+    /// Acceleration, m/s² in the axes of `To`.
     pub acceleration: Vector3<f64>,
-    /// rad/s² in the axes of `From`.
+    /// Angular acceleration, rad/s² in the axes of `From`.
     pub turn_acceleration: Vector3<f64>,
 }
 
@@ -33,41 +34,41 @@ impl<To, From> Clone for Motion<To, From> {
 impl<To, From> Copy for Motion<To, From> {}
 
 impl<To, From> Motion<To, From> {
-    /// At rest.
+    /// Creates a motion at rest.
     pub fn still(pose: Pose<To, From>) -> Self {
         let zero = Vector3::zeros();
         Self { pose, velocity: zero, turn_rate: zero, acceleration: zero, turn_acceleration: zero }
     }
 
-    /// Even motion that led from one pose to another within `dt_s`, at the other.
+    /// Creates the uniform motion from one pose to another within `dt_s`, at the latter.
     pub fn between(before: &Pose<To, From>, pose: &Pose<To, From>, dt_s: f64) -> Self {
         let [way, turn] = before.step_to(pose);
         Self { velocity: way / dt_s, turn_rate: turn / dt_s, ..Self::still(*pose) }
     }
 
-    /// The same pose, moving the opposite way.
+    /// Returns the same pose with reversed motion.
     pub fn reversed(&self) -> Self {
         Self { velocity: -self.velocity, turn_rate: -self.turn_rate, ..*self }
     }
 
-    /// The same without acceleration.
+    /// Returns the same motion without acceleration.
     pub fn even(&self) -> Self {
         let zero = Vector3::zeros();
         Self { acceleration: zero, turn_acceleration: zero, ..*self }
     }
 
-    /// [v, ω]: velocity and turn rate.
+    /// Returns [v, ω]: velocity and angular velocity.
     pub fn twist(&self) -> Vector6<f64> {
         let (v, w) = (self.velocity, self.turn_rate);
         Vector6::new(v.x, v.y, v.z, w.x, w.y, w.z)
     }
 
-    /// The same with this velocity and turn rate.
+    /// Returns the same motion with this velocity and angular velocity.
     pub fn with_twist(&self, twist: &Vector6<f64>) -> Self {
         Self { velocity: twist.fixed_rows::<3>(0).into_owned(), turn_rate: twist.fixed_rows::<3>(3).into_owned(), ..*self }
     }
 
-    /// The state after an error is corrected.
+    /// Returns the state after correcting an error.
     pub fn corrected(&self, error: &MotionError) -> Self {
         let part = |k: usize| Vector3::new(error[k], error[k + 1], error[k + 2]);
         Self {
@@ -79,12 +80,12 @@ impl<To, From> Motion<To, From> {
         }
     }
 
-    /// The pose alone after its error, [δp, δθ], is corrected.
+    /// Returns the pose after correcting its error, [δp, δθ].
     pub fn with_pose_corrected(&self, error: &Vector6<f64>) -> Pose<To, From> {
         self.pose.moved(&error.fixed_rows::<3>(0).into_owned(), &error.fixed_rows::<3>(3).into_owned())
     }
 
-    /// The error that [`corrected`](Self::corrected) would need to lead from here to `other`.
+    /// Returns the error with which [`corrected`](Self::corrected) leads from here to `other`.
     pub fn error_to(&self, other: &Self) -> MotionError {
         let [shift, turn] = self.pose.step_to(&other.pose);
         let (velocity, turn_rate) = (other.velocity - self.velocity, other.turn_rate - self.turn_rate);
@@ -94,12 +95,12 @@ impl<To, From> Motion<To, From> {
         MotionError::from_fn(|row, _| parts[row / 3][row % 3])
     }
 
-    /// The part of [`error_to`](Self::error_to) that is the pose's.
+    /// Returns the pose part of [`error_to`](Self::error_to).
     pub fn pose_error_to(&self, other: &Self) -> Vector6<f64> {
         self.error_to(other).fixed_rows::<6>(0).into_owned()
     }
 
-    /// The state `dt_s` later, at constant acceleration.
+    /// Returns the state `dt_s` later, at constant acceleration.
     pub fn after(&self, dt_s: f64) -> Self {
         let half = 0.5 * dt_s * dt_s;
         let turn = self.turn_rate * dt_s + self.turn_acceleration * half;
@@ -111,14 +112,16 @@ impl<To, From> Motion<To, From> {
         }
     }
 
-    /// The rotation matrix `tau` seconds from the stamp as a polynomial: R0 + tau R1 + tau² R2, exact to second order.
+    /// Returns the rotation matrix `tau` seconds from the stamp as a polynomial: R0 + tau R1 + tau²
+    /// R2, exact to second order.
     pub fn rotation_polynomial(&self) -> [Matrix3<f64>; 3] {
         let r = self.pose.rotation_matrix();
         let w = skew(&self.turn_rate);
         [r, r * w, r * (skew(&self.turn_acceleration) + w * w) * 0.5]
     }
 
-    /// The camera centre `tau` seconds from the stamp: p0 + tau p1 + tau² p2.
+    /// Returns the camera centre `tau` seconds from the stamp as a polynomial: p0 + tau p1 + tau²
+    /// p2.
     pub fn centre_polynomial(&self) -> [Vector3<f64>; 3] {
         [self.pose.translation, self.velocity, self.acceleration * 0.5]
     }
