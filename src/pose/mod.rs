@@ -1,5 +1,5 @@
-//! The pose stage: from what a frame showed to what is said of the camera - poses turned into the stage
-//! frame with their covariance, the filter where one is wanted, and the prediction while coasting.
+//! The pose stage: turns sightings into reported poses in the stage frame with their covariance,
+//! applies the filter if configured, and predicts while coasting.
 
 mod filter;
 mod stage;

@@ -1,4 +1,4 @@
-//! The pose stage itself: one body estimate after another, the stage first.
+//! The pose stage itself: estimates one body after another, the stage first.
 
 use nalgebra::Matrix6;
 
@@ -9,14 +9,14 @@ use crate::geometry::{Body, Camera, Pose, Stage};
 use crate::motion::MotionHistory;
 use crate::track::{BodySighting, Sighting, State, Verified};
 
-/// What is said of one pose after a frame.
+/// The estimate of one body after a frame.
 #[derive(Debug, Clone)]
 pub struct BodyEstimate<From> {
     /// The state to publish.
     pub state: State,
-    /// For use: measured (filtered where a filter is set), or predicted while coasting.
+    /// The pose to report: measured (filtered if configured), or predicted while coasting.
     pub pose: Option<Pose<Stage, From>>,
-    /// Measured in this frame.
+    /// What was measured in this frame.
     pub measured: Option<Measured<From>>,
 }
 
@@ -25,20 +25,21 @@ pub struct BodyEstimate<From> {
 pub struct Measured<From> {
     /// The pose.
     pub pose: Pose<Stage, From>,
-    /// Covariance of [δp, δθ] in stage axes by the frame's noise: what a filter weighs.
+    /// Covariance of [δp, δθ] in stage axes due to the frame's noise; the filter weights by it.
     pub noise: Matrix6<f64>,
-    /// The same by the doubt about lens and shapes and by what does not fit, which lasts.
+    /// The same due to uncertainty of lens and shapes and to model errors, which persist over
+    /// frames.
     pub by_model: Option<Matrix6<f64>>,
 }
 
 impl<From> Measured<From> {
-    /// All that is left open.
+    /// Returns the total covariance.
     pub fn covariance(&self) -> Matrix6<f64> {
         self.by_model.map_or(self.noise, |by_model| self.noise + by_model)
     }
 }
 
-/// What is said of the camera and the objects after a frame.
+/// The estimates of the camera and the objects after a frame.
 #[derive(Debug, Clone)]
 pub struct PoseEstimate {
     /// `T_stage_camera`.
@@ -47,7 +48,7 @@ pub struct PoseEstimate {
     pub objects: Vec<BodyEstimate<Body>>,
 }
 
-/// Turns sightings into estimates; remembers motion for the prediction.
+/// Turns sightings into estimates; keeps the motion history for predictions.
 #[derive(Debug)]
 pub struct PoseStage {
     filter: FilterSettings,
@@ -55,7 +56,7 @@ pub struct PoseStage {
     objects: Vec<BodyMotion<Body>>,
 }
 
-/// What is remembered of one body's motion.
+/// Motion history and filter of one body.
 #[derive(Debug)]
 struct BodyMotion<From> {
     history: MotionHistory<Stage, From>,
@@ -76,12 +77,12 @@ impl Default for PoseStage {
 }
 
 impl PoseStage {
-    /// With the filter that `[filter]` asks for, one for every body.
+    /// Creates the stage with the configured filter, one for every body.
     pub fn with_filter(filter: FilterSettings) -> Self {
         Self { filter, camera: BodyMotion::new(filter), objects: Vec::new() }
     }
 
-    /// Takes the sighting of the next frame.
+    /// Processes the sighting of the next frame.
     pub fn estimate(&mut self, sighting: &Sighting) -> PoseEstimate {
         let filter = self.filter;
         self.objects.resize_with(sighting.objects.len(), || BodyMotion::new(filter));
@@ -105,13 +106,17 @@ impl PoseStage {
     }
 }
 
-/// Largest standard deviation, over all axes, of an object's pose that is given: of the direction, radians (0.15 degrees), half of what counts as wrong, and of
-/// the place as a share of its distance from the camera. What is no surer is no measurement. A small object that is nearly covered or blurred is followed with
-/// less, from frame to frame. Raised, such poses are given: of those told 0.15 to 0.2 degrees one in seven is wrong, of those up to 0.3 one in four; lowered, small objects are given in fewer frames.
+/// Maximum standard deviation, over all axes, of a reported object pose: of the direction, radians
+/// (0.15 degrees, half of what counts as wrong), and of the position as a fraction of its distance
+/// from the camera. Less certain poses are not reported; a small object that is nearly occluded or
+/// blurred is still followed from frame to frame. Raised, such poses are reported: of poses with a
+/// stated sigma of 0.15-0.2 degrees, one in seven is wrong, of those up to 0.3, one in four.
+/// Lowered, small objects are reported in fewer frames.
 const LARGEST_TURN: f64 = 0.15 * std::f64::consts::PI / 180.0;
 const LARGEST_SHIFT: f64 = 0.01;
 
-/// An object is not tracking while the stage is not: its pose in the stage needs the camera's. Nor is it while noise leaves its pose open.
+/// An object is not tracked while the stage is not, because its stage pose needs the camera's; nor
+/// while noise leaves its pose uncertain.
 fn object_estimate(
     object: &BodySighting,
     camera: &BodyEstimate<Camera>,
@@ -128,7 +133,8 @@ fn object_estimate(
         (Some(v), Some(camera)) => {
             let together = |camera_part, own_part| covariance_of_object(&camera.pose, camera_part, &v.pose, own_part);
             let none = Matrix6::zeros();
-            // One lens puts both off, mostly the same way, so that counting them apart rather says too much.
+            // One lens shifts both, mostly the same way, so counting them as independent is
+            // conservative.
             let by_model = camera
                 .by_model
                 .or(v.by_model)
@@ -142,7 +148,7 @@ fn object_estimate(
         let sigma = |first: usize| m.noise.fixed_view::<3, 3>(first, first).trace().sqrt();
         sigma(0) > LARGEST_SHIFT * distance_m || sigma(3) > LARGEST_TURN
     });
-    // It is lost at once, not coasting: nobody knows for how long it will be so.
+    // Lost at once, not coasting: how long this will last is unknown.
     if is_open && state == State::Tracking {
         settle(State::Lost, None, timestamp, motion)
     } else {
@@ -150,7 +156,8 @@ fn object_estimate(
     }
 }
 
-/// Fits pose and state together: measured while tracking, predicted while coasting, nothing else.
+/// Makes pose and state consistent: measured while tracking, predicted while coasting, none
+/// otherwise.
 fn settle<From>(state: State, measured: Option<Measured<From>>, timestamp: Timestamp, motion: &mut BodyMotion<From>) -> BodyEstimate<From> {
     let BodyMotion { history, filter } = motion;
     if let (State::Tracking, Some(measured)) = (state, measured) {
@@ -168,7 +175,8 @@ fn settle<From>(state: State, measured: Option<Measured<From>>, timestamp: Times
     unseen(history)
 }
 
-/// Nothing to say of a body but whether it was ever measured in the stage.
+/// Returns an estimate without a pose; the state tells whether the body was ever measured in the
+/// stage.
 fn unseen<From>(history: &MotionHistory<Stage, From>) -> BodyEstimate<From> {
     let state = if history.is_known() { State::Lost } else { State::Searching };
     BodyEstimate { state, pose: None, measured: None }

@@ -34,7 +34,7 @@ fn sighting(sequence: u64, stage: State, object: State) -> Sighting {
     }
 }
 
-/// The published states of the camera and of the object, one sighting after another.
+/// The published states of the camera and the object, one sighting after another.
 fn published(seen: &[(State, State)]) -> Vec<(State, State)> {
     let mut stage = PoseStage::default();
     let estimates = seen.iter().enumerate().map(|(k, (camera, object))| stage.estimate(&sighting(k as u64, *camera, *object)));
@@ -64,7 +64,7 @@ fn an_object_whose_pose_is_open_is_not_given() {
         assert_eq!(estimate.objects[0].pose.is_some(), estimate.objects[0].state == Tracking);
         estimate.objects[0].state
     });
-    // A hundredth of a radian to each axis is a degree in all.
+    // A hundredth of a radian on each axis is one degree in total.
     assert_eq!(states.collect::<Vec<_>>(), [Tracking, Lost, Tracking]);
 }
 

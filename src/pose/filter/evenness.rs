@@ -1,33 +1,36 @@
-//! How even the measurements themselves run: their noise, and whether one is a jump.
+//! Estimates how smoothly the measurements themselves run: their noise, and whether one is a jump.
 //!
-//! Both are read from the measurements and never from a filter's state, so what a filter tells cannot feed them. A measurement far
-//! from the straight line through the last two is a jump if it is further from it than the recent accelerations and the noise explain:
-//! a kick, an end stop, a cut. A camera in the hand has greater accelerations all the time, and they are none.
+//! Both use only the measurements and never a filter's state, so a filter's output cannot feed
+//! back. A measurement is a jump if it is farther from the straight line through the last two than
+//! recent accelerations and noise explain: a kick, an end stop, a cut. A hand-held camera has
+//! larger accelerations all the time, and those are not jumps.
 
 use nalgebra::Vector3;
 
 use super::place::Place;
 
-/// A measurement is a jump at this many times the squared distance that accelerations and noise let expect: four sigmas.
-/// Lowered, quick hands are taken for jumps; raised, small kicks swing through the slower filters.
+/// Multiple of the squared distance expected from accelerations and noise above which a measurement
+/// is a jump: four sigmas. Lowered, fast hand motion counts as jumps; raised, small kicks swing
+/// through the slower filters.
 const JUMP: f64 = 16.0;
-/// Time constant of the mean of the squared accelerations, seconds: a few swings of a hand's tremor. Chosen, not tuned.
-/// Raised, the first moments of a quick motion count as jumps; lowered, the mean of few frames is chance.
+/// Time constant of the mean squared acceleration, seconds: a few periods of hand tremor. Chosen,
+/// not tuned. Raised, the start of a fast motion counts as a jump; lowered, the mean over few
+/// frames is random.
 const ACCELERATIONS_S: f64 = 0.2;
-/// Time constant of the mean of the squared noise, seconds: ten frames at 30 a second. Chosen, not tuned.
-/// Raised, it follows a change of light or distance later; lowered, it scatters.
+/// Time constant of the mean squared noise, seconds: ten frames at 30 per second. Chosen, not
+/// tuned. Raised, it adapts later to a change of light or distance; lowered, it scatters.
 const NOISE_S: f64 = 0.3;
-/// The noise is no less than this share of what the covariance says, as a variance: a still picture repeats its
+/// Minimum noise as a fraction of the stated covariance, as a variance: a still picture repeats its
 /// measurement exactly, the next one does not. Lowered, that next one counts as a jump.
 const LEAST_NOISE: f64 = 1e-4;
-/// Most that one measurement counts, in mean noises: a jump is no noise. Raised, a jump calms
-/// the filter for a while; lowered, noise that rises is learnt later.
+/// Maximum weight of one measurement, in mean noises, because a jump is not noise. Raised, a jump
+/// makes the filter sluggish for a while; lowered, rising noise is learnt later.
 const OUTLIER: f64 = 10.0;
 
-/// A measurement as long as it is needed.
+/// A recent measurement.
 #[derive(Debug, Clone, Copy)]
 struct Measured<P> {
-    /// Seconds before the newest.
+    /// Age relative to the newest, seconds.
     age_s: f64,
     place: P,
     variance: f64,
@@ -35,11 +38,11 @@ struct Measured<P> {
 
 #[derive(Debug, Clone)]
 pub(super) struct Evenness<P> {
-    /// The last three, the newest first.
+    /// The last three, newest first.
     last: [Option<Measured<P>>; 3],
     /// Mean squared acceleration.
     acceleration_squared: f64,
-    /// The measured noise as a share of what the covariance says, as a variance, at most 1.
+    /// Measured noise as a fraction of the stated covariance, as a variance, at most 1.
     noise_share: f64,
     /// Whether the last measurement was a jump.
     has_jumped: bool,
@@ -51,12 +54,13 @@ impl<P: Place> Evenness<P> {
         Self { last: [Some(first), None, None], acceleration_squared: 0.0, noise_share: 1.0, has_jumped: false }
     }
 
-    /// What the measurements show of their variance, as a share of what is said of it.
+    /// Returns the measured variance as a fraction of the stated one.
     pub fn noise_share(&self) -> f64 {
         self.noise_share
     }
 
-    /// Takes a measurement; whether it is a jump. `speed` is what a body that was just seen first may have, one sigma.
+    /// Takes a measurement; returns whether it is a jump. `speed` is the prior speed of a newly
+    /// seen body, one sigma.
     pub fn jumps(&mut self, step_s: f64, place: &P, variance: f64, speed: f64) -> bool {
         for last in self.last.iter_mut().flatten() {
             last.age_s += step_s;
@@ -65,13 +69,14 @@ impl<P: Place> Evenness<P> {
         let is_jump = match self.last {
             [Some(a), Some(b), _] => {
                 let (beyond, by_noise) = off_line(place, variance, &[a, b]);
-                // A constant acceleration leads so far from the straight line.
+                // Deviation from the straight line per unit of constant acceleration.
                 let reach = a.age_s * b.age_s / 2.0;
                 let acceleration = (beyond - by_noise * self.noise_share).max(0.0) / reach.powi(2).max(f64::MIN_POSITIVE);
                 let expected = self.acceleration_squared * reach.powi(2) + by_noise * self.noise_share;
                 let share = 1.0 - (-step_s / ACCELERATIONS_S).exp();
                 self.acceleration_squared += share * (acceleration - self.acceleration_squared);
-                // After a jump a way on in its direction was the beginning of a motion.
+                // Continuing in the direction of a jump means that the jump was the start of a
+                // motion.
                 let goes_on = self.has_jumped && place.way_from(&a.place).dot(&a.place.way_from(&b.place)) > 0.0;
                 beyond > JUMP * expected && !goes_on
             }
@@ -86,7 +91,8 @@ impl<P: Place> Evenness<P> {
         is_jump
     }
 
-    /// Smooth motion runs along a parabola; what is beyond it is noise, or more motion than one thinks: an upper bound.
+    /// Smooth motion follows a parabola. The remainder is noise, or unmodelled motion: an upper
+    /// bound.
     fn learn_noise(&mut self, step_s: f64, place: &P, variance: f64) {
         let [Some(a), Some(b), Some(c)] = self.last else { return };
         let (beyond, by_noise) = off_line(place, variance, &[a, b, c]);
@@ -96,7 +102,8 @@ impl<P: Place> Evenness<P> {
     }
 }
 
-/// Squared distance of a place from the polynomial through earlier ones (their Lagrange weights), and what noise alone lets expect.
+/// Returns the squared distance of a place from the polynomial through earlier ones (their Lagrange
+/// weights), and the value expected from noise alone.
 fn off_line<P: Place>(place: &P, variance: f64, earlier: &[Measured<P>]) -> (f64, f64) {
     let (mut beyond, mut expected): (Vector3<f64>, f64) = (Vector3::zeros(), 3.0 * variance);
     for (i, one) in earlier.iter().enumerate() {

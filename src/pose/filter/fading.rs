@@ -1,26 +1,30 @@
-//! A Kalman filter whose memory fades (Sorenson and Sacks, "Recursive fading memory filtering", 1971).
+//! A Kalman filter with fading memory (Sorenson and Sacks, "Recursive fading memory filtering",
+//! 1971).
 //!
-//! Model: constant acceleration, without process noise. Instead each measurement loses weight with its age, by exp(-age / memory). The
-//! estimate is thus the parabola that fits the weighted measurements best, for any frame intervals and any noise. From the information
-//! form S' = f F⁻ᵀ S F⁻¹ + Hᵀ R⁻¹ H with f = exp(-dt / memory) it follows that errors pass from frame to frame by
-//! (I - K H) F = f S'⁻¹ F⁻ᵀ S: over many frames by the product of all f times a matrix that does not grow with their number. In steady
-//! state all three eigenvalues are f: real and positive, so nothing can ring or alternate, whatever the rate and the noise.
+//! Model: constant acceleration without process noise. Instead, each measurement's weight decays
+//! with its age, by exp(-age / memory). The estimate is thus the best-fitting parabola through the
+//! weighted measurements, for any frame intervals and noise. From the information form S' = f F⁻ᵀ S
+//! F⁻¹ + Hᵀ R⁻¹ H with f = exp(-dt / memory), errors propagate from frame to frame by (I - K H) F =
+//! f S'⁻¹ F⁻ᵀ S; over many frames, by the product of all f times a matrix that does not grow with
+//! their number. In steady state all three eigenvalues equal f: real and positive, so nothing can
+//! ring or alternate, at any rate and noise.
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::place::Place;
 
-/// What may be when nothing is known of the motion, one sigma each.
+/// Prior of an unknown motion, one sigma each.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Unknown {
-    /// Metres or radians a second.
+    /// Metres or radians per second.
     pub velocity: f64,
     /// Metres or radians per second squared.
     pub acceleration: f64,
 }
 
-/// Weight that a memory far shorter than the frame interval leaves to the last measurement. Lowered, the three last
-/// measurements would decide just as well, and rounding errors would grow; raised, long frame intervals lag.
+/// Minimum weight decay factor per step, for memories far shorter than the frame interval. Lowered,
+/// the last three measurements decide just as well, and rounding errors grow; raised, long frame
+/// intervals lag.
 const LEAST_KEPT: f64 = 0.01;
 
 #[derive(Debug, Clone)]
@@ -28,9 +32,10 @@ pub(super) struct Fading<P> {
     pub place: P,
     pub velocity: Vector3<f64>,
     pub acceleration: Vector3<f64>,
-    /// The weighted sum of what the measurements say of place, velocity and acceleration: of each axis the same.
+    /// Weighted information of the measurements on position, velocity and acceleration; the same
+    /// for each axis.
     information: Matrix3<f64>,
-    /// Covariance of the estimate by the noise of the measurements alone.
+    /// Covariance of the estimate due to measurement noise alone.
     noise: Matrix3<f64>,
 }
 
@@ -41,7 +46,7 @@ impl<P: Place> Fading<P> {
         Self { place, velocity: Vector3::zeros(), acceleration: Vector3::zeros(), information, noise }
     }
 
-    /// Takes a measurement; gives how far it was from what was expected, in standard deviations by noise alone.
+    /// Takes a measurement; returns the innovation in standard deviations of noise alone.
     pub fn update(&mut self, step_s: f64, memory_s: f64, measured: &P, variance: f64) -> Vector3<f64> {
         let kept = (-step_s / memory_s).exp().max(LEAST_KEPT);
         let (on, back) = (carry(step_s), carry(-step_s));
@@ -51,7 +56,7 @@ impl<P: Place> Fading<P> {
         information[(0, 0)] += variance.recip();
         let noise = on * self.noise * on.transpose();
         let in_sigmas = innovation / (noise[(0, 0)] + variance).sqrt();
-        // Not invertible only where the numbers overflow: then the measurement is all that is known.
+        // Not invertible only if the numbers overflow: then start again from this measurement.
         let Some(inverse) = information.cholesky().map(|c| c.inverse()) else {
             *self = Self::at_rest(*measured, variance, &Unknown { velocity: 1.0, acceleration: 1.0 });
             return in_sigmas;
@@ -68,7 +73,7 @@ impl<P: Place> Fading<P> {
     }
 }
 
-/// Place, velocity and acceleration of one axis after some seconds.
+/// Transition matrix of position, velocity and acceleration of one axis over some seconds.
 fn carry(seconds: f64) -> Matrix3<f64> {
     Matrix3::new(1.0, seconds, seconds * seconds / 2.0, 0.0, 1.0, seconds, 0.0, 0.0, 1.0)
 }

@@ -5,8 +5,9 @@ use super::*;
 
 const UNKNOWN: Unknown = Unknown { velocity: 0.5, acceleration: 30.0 };
 
-/// What a filter does with an error of its state within one step, (I - K H) F, read from what it does: without a measured motion the
-/// update is linear in the state. In units of the step, so that the numbers are alike.
+/// The propagation of a state error through one step, (I - K H) F, measured from the filter's
+/// behaviour: with zero measurements, the update is linear in the state. In units of the step, so
+/// that the entries are comparable.
 fn error_transition(filter: &Fading<Vector3<f64>>, step_s: f64, memory_s: f64, sigma: f64) -> Matrix3<f64> {
     let units = [1.0, step_s.recip(), step_s.powi(-2)];
     Matrix3::from_fn(|row, column| {
@@ -23,10 +24,11 @@ fn eigenvalues(m: &Matrix3<f64>) -> Vec<Complex<f64>> {
     m.complex_eigenvalues().iter().copied().collect()
 }
 
-/// A threefold eigenvalue comes out as three with a distance of the root of rounding errors.
+/// A triple eigenvalue comes out as three, separated by a root of the rounding error.
 const ROUNDING: f64 = 0.01;
 
-/// Whether an error swings on its way to nothing: it does not where all eigenvalues are real and positive.
+/// Whether an error oscillates while decaying: it does not if all eigenvalues are real and
+/// positive.
 fn swings(eigenvalues: &[Complex<f64>]) -> bool {
     eigenvalues.iter().any(|value| value.re < -ROUNDING || value.im.abs() > ROUNDING)
 }
@@ -71,8 +73,8 @@ fn a_filter_that_swings_is_known_by_its_eigenvalues() {
     }
 }
 
-/// Irregular intervals, dropped frames and changing noise: the way from the first error to the last is a positive number times a matrix
-/// of known form, never a power of something that turns round.
+/// Irregular intervals, dropped frames and changing noise: the propagation of the initial error is
+/// a positive number times a matrix of known form, never a power of something that rotates.
 #[test]
 fn errors_fade_over_any_intervals_and_noise() {
     let mut random = (1u64..).map(|k| (k.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40) as f64 / (1u64 << 24) as f64);

@@ -1,5 +1,5 @@
-//! Follows a position or a rotation: the memory that the measurements allow, a new start at rest after a jump, and how far ahead the
-//! acceleration counts.
+//! Follows a position or a rotation: adapts the memory to the measurements, restarts at rest after
+//! a jump, and learns how far the acceleration counts in predictions.
 
 use nalgebra::Vector3;
 
@@ -10,14 +10,16 @@ use super::place::Place;
 use crate::frame::Timestamp;
 use crate::motion::Recent;
 
-/// One sigma of what may be when nothing is known of the motion, m/s and m/s², or rad/s and rad/s². Chosen, not tuned.
-/// Raised, the first frames follow the noise; lowered, they lag behind a camera that is found in motion.
+/// Prior of an unknown motion, one sigma: m/s and m/s², or rad/s and rad/s². Chosen, not tuned.
+/// Raised, the first frames follow the noise; lowered, they lag behind a camera found in motion.
 const UNKNOWN: Unknown = Unknown { velocity: 0.5, acceleration: 30.0 };
-/// Standard deviations of measurements are taken to lie within these, metres or radians: no camera is better than a tenth of a
-/// micron, and of one worse than ten metres nothing can be learnt. Wider, the filter's matrices lose digits.
+/// Limits of the measurements' standard deviations, metres or radians: no camera is better than a
+/// tenth of a micron, and one worse than ten metres teaches nothing. Wider, the filter's matrices
+/// lose precision.
 const SIGMAS: [f64; 2] = [1e-7, 10.0];
-/// Time constant of the means that decide how far ahead the acceleration counts, seconds: many times what predictions reach
-/// ahead. Chosen, not tuned. Raised, a change from rails to hands shows later; lowered, the share scatters.
+/// Time constant of the means that decide how far the acceleration counts, seconds: many times the
+/// prediction span. Chosen, not tuned. Raised, a change from rails to hand-held shows later;
+/// lowered, the weight scatters.
 const LEAD_S: f64 = 0.5;
 
 #[derive(Debug, Clone)]
@@ -28,13 +30,14 @@ pub(super) struct Follower<P> {
     ahead_s: f64,
     memories: Memories<P>,
     evenness: Evenness<P>,
-    /// What was estimated a while ago.
+    /// Recent estimates.
     estimates: Recent<Estimate<P>>,
-    /// Means of the product of what the acceleration added to a prediction with what it should have added, and of its square.
+    /// Means of two products: the acceleration's contribution to a prediction times its ideal
+    /// contribution, and the contribution squared.
     lead: [f64; 2],
 }
 
-/// Place and motion at a stamp.
+/// Position and motion at a stamp.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Estimate<P> {
     pub place: P,
@@ -64,7 +67,8 @@ impl<P: Place> Follower<P> {
             self.estimates.clear();
             return;
         }
-        // A shorter memory would follow noise: within this time the acceleration moves the body by one sigma.
+        // A shorter memory would follow noise: within this time the acceleration moves the body by
+        // one sigma.
         let shortest_s = (variance.sqrt() / self.acceleration).sqrt();
         self.memories.update(step_s, shortest_s, measured, variance);
         if self.ahead_s > 0.0 {
@@ -72,7 +76,7 @@ impl<P: Place> Follower<P> {
         }
     }
 
-    /// Place and velocity now, and the acceleration as far as it counts for a prediction.
+    /// Returns position and velocity now, and the acceleration weighted for predictions.
     pub fn estimate(&self) -> Estimate<P> {
         let best = self.memories.best();
         let [product, square] = self.lead;
@@ -80,8 +84,9 @@ impl<P: Place> Follower<P> {
         Estimate { place: best.place, velocity: best.velocity, acceleration: best.acceleration * counts }
     }
 
-    /// Holds what would have been predicted for now against the measurement: where accelerations last shorter than a prediction
-    /// reaches ahead, as in the hand, adding them makes it worse; on rails it makes it better.
+    /// Compares a past prediction for now with the measurement. If accelerations last shorter than
+    /// the prediction span, as in hand-held use, adding them makes predictions worse; on rails it
+    /// makes them better.
     fn learn_lead(&mut self, timestamp: Timestamp, step_s: f64, measured: &P) {
         if let Some((at, then)) = self.estimates.before(timestamp, self.ahead_s) {
             let seconds = timestamp.seconds_since(*at);
@@ -97,7 +102,7 @@ impl<P: Place> Follower<P> {
     }
 }
 
-/// A variance to work with, whatever is given: what is none says nothing, so a millimetre or milliradian is assumed.
+/// Clamps a variance to usable values; assumes a millimetre or milliradian for an invalid one.
 fn usable(variance: f64) -> f64 {
     if variance >= 0.0 { variance.clamp(SIGMAS[0].powi(2), SIGMAS[1].powi(2)) } else { 1e-6 }
 }

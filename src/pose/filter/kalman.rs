@@ -1,8 +1,9 @@
-//! Kalman filters with a fading memory, one for the position and one for the rotation.
+//! Kalman filters with fading memory, one for the position and one for the rotation.
 //!
-//! Uniform motion and constant acceleration have no delay. How long the memory is follows from the measurements: a still camera brings
-//! calm, a motion that contradicts the long memories is followed by the short ones at once, and a jump begins anew, at rest: a kick,
-//! an end stop and a cut are never taken for a velocity. Nothing in it can ring: see `fading`.
+//! Uniform motion and constant acceleration cause no delay. The memory's length adapts to the
+//! measurements: a still camera is smoothed, a motion that contradicts the long memories is
+//! followed at once by the short ones, and a jump restarts the filter at rest. So a kick, an end
+//! stop or a cut never counts as a velocity. Nothing can ring: see `fading`.
 
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
@@ -11,13 +12,13 @@ use crate::frame::Timestamp;
 use crate::geometry::{Pose, Stage};
 use crate::motion::Motion;
 
-/// How a Kalman filter is set.
+/// Settings of the Kalman filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct KalmanSettings {
-    /// Accelerations while moving, one sigma.
+    /// Accelerations while moving, one sigma, m/s².
     pub acceleration_m_s2: f64,
-    /// Angular accelerations while moving, one sigma.
+    /// Angular accelerations while moving, one sigma, rad/s².
     pub turn_acceleration_rad_s2: f64,
 }
 
@@ -50,7 +51,7 @@ impl Kalman {
 
     pub fn motion<From>(&self) -> Motion<Stage, From> {
         let (position, rotation) = (self.position.estimate(), self.rotation.estimate());
-        // It is followed in stage axes.
+        // The rotation is followed in stage axes.
         let to_own_axes = rotation.place.inverse();
         Motion {
             pose: Pose::new(rotation.place, position.place),
@@ -62,8 +63,8 @@ impl Kalman {
     }
 }
 
-/// The mean variances of an axis of the position and of the rotation. Which axis is the worst one changes little from frame to frame,
-/// and only what changes makes a difference to the weights.
+/// Returns the mean variance per axis of position and of rotation. Which axis is worst changes
+/// little from frame to frame, and only changes affect the weights.
 fn variances(covariance: &Matrix6<f64>) -> [f64; 2] {
     [0, 3].map(|at| covariance.fixed_view::<3, 3>(at, at).trace() / 3.0)
 }

@@ -1,10 +1,11 @@
-//! Filters: what happens between the measured pose and the one that is given for use.
+//! Filters between the measured pose and the reported one.
 //!
-//! Off by default: then `pose` equals `measured`. A filter calms a pose down, at the price of a delay, and estimates the velocity that a
-//! prediction needs. Whatever the filter says, a prediction reaches no further than recent measurements support: at most `PREDICTED_WAYS`
-//! times as far as the body moved, in its direction, within the time it reaches ahead. So a jump is never blown up by more than that, and a body
-//! that stands has no prediction as soon as it has stood for that time. Nothing is carried across a loss. The covariance in the
-//! record stays that of the measurement.
+//! Off by default: then `pose` equals `measured`. A filter smooths a pose, at the price of a delay,
+//! and estimates the velocity that a prediction needs. A prediction never exceeds what recent
+//! measurements support: at most `PREDICTED_WAYS` times as far as the body moved, in its direction,
+//! within the prediction span. So a jump is never amplified by more than that, and a body that has
+//! stood still for that span is not predicted to move. Nothing carries over a loss. The covariance
+//! in the record stays that of the measurement.
 
 mod evenness;
 mod fading;
@@ -25,39 +26,43 @@ use one_euro::OneEuro;
 pub use kalman::KalmanSettings;
 pub use one_euro::OneEuroSettings;
 
-/// `[filter]`
+/// The config section `[filter]`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct FilterSettings {
-    /// Which filter.
+    /// The kind of filter.
     pub kind: FilterKind,
-    /// The pose is predicted for this long after the frame, seconds: about the time until it is seen or moved by.
+    /// How far past the frame the pose is predicted, seconds: about the time until it is displayed
+    /// or acted on.
     pub predict_s: f64,
 }
 
-/// Which filter.
+/// The kind of filter.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub enum FilterKind {
-    /// The pose is the measured one.
+    /// No filter: the reported pose is the measured one.
     #[default]
     Off,
-    /// A low-pass whose cutoff rises with speed.
+    /// A low-pass filter whose cutoff rises with speed.
     OneEuro(OneEuroSettings),
-    /// Constant acceleration with a fading memory, weighted by the measurement's covariance.
+    /// Constant acceleration with fading memory, weighted by the measurement's covariance.
     Kalman(KalmanSettings),
 }
 
-/// Longest reach of a prediction, in shares of how far the body moved within the time it reaches ahead. 1 would cut predictions
-/// short wherever a body speeds up; more lets a jump that is taken for a motion swing out by more.
+/// Maximum reach of a prediction, as a multiple of how far the body moved within the prediction
+/// span. At 1, predictions are cut short whenever a body speeds up; raised, a jump mistaken for
+/// motion overshoots more.
 const PREDICTED_WAYS: f64 = 2.0;
-/// Stamps further apart than this are no continuation, seconds, unless the frame intervals themselves are that long: by then a hand may
-/// have turned back. Raised, a filter carries an old motion across gaps; lowered, brief hiccups start it anew.
+/// Maximum time between stamps for continuity, seconds, unless the frame interval itself is that
+/// long: by then a hand may have reversed. Raised, a filter carries old motion across gaps;
+/// lowered, brief hiccups restart it.
 const LONGEST_STEP_S: f64 = 0.25;
-/// This many frame intervals are always a continuation: one dropped frame, and some
+/// Number of frame intervals that always count as continuous: one dropped frame, and some
 /// unevenness. Raised, slow cameras are filtered across more dropped frames.
 const LONGEST_STEP_FRAMES: f64 = 2.5;
-/// No continuation, however long the frame intervals are, seconds. Raised, clips of stills are filtered as if they were one motion.
+/// Time that always breaks continuity, seconds, at any frame interval. Raised, clips of stills are
+/// filtered as one motion.
 const NO_CONTINUATION_S: f64 = 1.0;
 
 /// The filter of one body.
@@ -65,15 +70,15 @@ const NO_CONTINUATION_S: f64 = 1.0;
 pub(super) struct PoseFilter<From> {
     settings: FilterSettings,
     running: Option<Running<From>>,
-    /// What bounds predictions.
+    /// Limits predictions.
     reach: Reach<Stage, From>,
 }
 
-/// A filter between two measurements.
+/// The filter's state between two measurements.
 #[derive(Debug, Clone)]
 struct Running<From> {
     last: Timestamp,
-    /// The last two frame intervals, seconds, as far as they are known.
+    /// The last two frame intervals, seconds, if known.
     intervals_s: [Option<f64>; 2],
     state: State<From>,
 }
@@ -89,7 +94,7 @@ impl<From> PoseFilter<From> {
         Self { settings, running: None, reach: Reach::default() }
     }
 
-    /// Takes the measurement of a stamp and gives the pose for use.
+    /// Takes the measurement at a stamp and returns the pose to report.
     pub fn measured(&mut self, timestamp: Timestamp, pose: &Pose<Stage, From>, covariance: &Matrix6<f64>) -> Pose<Stage, From> {
         if self.settings.kind == FilterKind::Off {
             return *pose;
@@ -121,21 +126,22 @@ impl<From> PoseFilter<From> {
         *pose
     }
 
-    /// The pose of a stamp without a measurement.
+    /// Returns the pose at a stamp without a measurement.
     pub fn predicted(&self, timestamp: Timestamp) -> Option<Pose<Stage, From>> {
         let running = self.running.as_ref()?;
         let gap_s = timestamp.seconds_since(running.last);
         Some(self.after(running, gap_s)).filter(Pose::is_finite)
     }
 
-    /// A loss: what comes next is no continuation.
+    /// Resets after a loss: the next measurement is not a continuation.
     pub fn reset(&mut self) {
         self.running = None;
         self.reach.clear();
     }
 
-    /// The pose for use so long after the last measurement. The prediction fades, and so does the velocity that carries the pose on: it
-    /// goes on by at most as much as the body moved within the last `FADE_S`.
+    /// Returns the pose to report this long after the last measurement. The prediction fades, and
+    /// so does the velocity that extrapolates the pose: it adds at most what the body moved within
+    /// the last `FADE_S`.
     fn after(&self, running: &Running<From>, gap_s: f64) -> Pose<Stage, From> {
         let motion = running.state.motion();
         let predict_s = self.settings.predict_s;
@@ -151,7 +157,7 @@ impl<From> PoseFilter<From> {
 }
 
 impl<From> Running<From> {
-    /// Stamps further apart are no continuation.
+    /// Returns the maximum time between stamps for continuity.
     fn longest_step_s(&self) -> f64 {
         let interval_s = self.intervals_s.iter().flatten().copied().fold(f64::INFINITY, f64::min);
         if interval_s.is_finite() { (LONGEST_STEP_FRAMES * interval_s).clamp(LONGEST_STEP_S, NO_CONTINUATION_S) } else { LONGEST_STEP_S }
@@ -163,7 +169,7 @@ impl<From> State<From> {
         match settings.kind {
             FilterKind::Kalman(kalman) => Self::Kalman(Box::new(Kalman::start(kalman, settings.predict_s, pose, covariance))),
             FilterKind::OneEuro(one_euro) => Self::OneEuro(OneEuro::start(one_euro, pose)),
-            // Never asked for.
+            // Never reached: `Off` has no running filter.
             FilterKind::Off => Self::OneEuro(OneEuro::start(OneEuroSettings::default(), pose)),
         }
     }

@@ -1,18 +1,20 @@
-//! The One-Euro filter (Casiez, Roussel and Vogel, CHI 2012) on SE(3): calm at rest, quick in motion.
+//! The One-Euro filter (Casiez, Roussel and Vogel, CHI 2012) on SE(3): smooth at rest, fast in
+//! motion.
 //!
-//! A first-order low-pass whose cutoff is f = min_cutoff + beta |velocity|. At rest it delays by 1 / (2 pi min_cutoff): 159 ms at 1 Hz;
-//! in motion by less. Position and rotation have a filter each; rotations are filtered along the turn from the last one.
+//! A first-order low-pass filter with cutoff f = min_cutoff + beta |velocity|. At rest it delays by
+//! 1 / (2 pi min_cutoff), 159 ms at 1 Hz; in motion by less. Position and rotation have separate
+//! filters; rotations are filtered along the rotation from the last one.
 
 use crate::geometry::{Pose, Stage};
 use crate::motion::Motion;
 
-/// How an One-Euro filter is set.
+/// Settings of the One-Euro filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct OneEuroSettings {
     /// Cutoff at rest, Hz.
     pub min_cutoff_hz: f64,
-    /// How the cutoff rises: Hz per m/s, and per rad/s for the rotation.
+    /// Increase of the cutoff: Hz per m/s, and per rad/s for the rotation.
     pub beta: f64,
 }
 
@@ -22,8 +24,8 @@ impl Default for OneEuroSettings {
     }
 }
 
-/// Cutoff of the velocities' own low-pass, Hz, as the authors have it (Casiez, Roussel and Vogel 2012). Raised,
-/// noise raises the cutoff of the pose; lowered, the pose lags where a motion begins.
+/// Cutoff of the velocities' own low-pass filter, Hz, as in the paper (Casiez, Roussel and Vogel
+/// 2012). Raised, noise raises the pose's cutoff; lowered, the pose lags when a motion starts.
 const VELOCITY_CUTOFF_HZ: f64 = 1.0;
 
 #[derive(Debug, Clone)]
@@ -49,7 +51,7 @@ impl<From> OneEuro<From> {
     }
 }
 
-/// How much of a new value a low-pass takes: 1 / (1 + tau / dt) with tau = 1 / (2 pi cutoff).
+/// Weight of a new value in a low-pass filter: 1 / (1 + tau / dt) with tau = 1 / (2 pi cutoff).
 fn share_of(cutoff_hz: f64, step_s: f64) -> f64 {
     let ratio = std::f64::consts::TAU * cutoff_hz * step_s;
     ratio / (ratio + 1.0)

@@ -1,14 +1,15 @@
-//! What a filter follows: positions and rotations, by the same code.
+//! What a filter follows: positions and rotations, with the same code.
 
 use std::fmt::Debug;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// A place that a body can move away from by a vector: metres for a position, radians in stage axes for a rotation.
+/// A place that can be displaced by a vector: metres for a position, radians in stage axes for a
+/// rotation.
 pub(super) trait Place: Copy + Debug {
-    /// The vector that leads from another place here.
+    /// Returns the vector from another place to this one.
     fn way_from(&self, other: &Self) -> Vector3<f64>;
-    /// The place after moving by a vector.
+    /// Returns the place displaced by a vector.
     fn moved(&self, by: Vector3<f64>) -> Self;
 }
 

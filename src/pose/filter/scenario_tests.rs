@@ -1,4 +1,4 @@
-//! What a filter tells when a body is kicked, stopped or cut elsewhere, at all rates and noises.
+//! Filter output when a body is kicked, stopped or cut elsewhere, at all rates and noise levels.
 
 use nalgebra::{Matrix6, Vector3};
 use rand::{Rng, SeedableRng};
@@ -10,10 +10,10 @@ use crate::geometry::Camera;
 
 const RATES: [f64; 6] = [5.0, 12.5, 30.0, 60.0, 120.0, 240.0];
 const SIGMAS: [f64; 4] = [1e-6, 1e-4, 1e-3, 1e-2];
-/// When it happens, seconds.
+/// Time of the event, seconds.
 const EVENT_S: f64 = 2.0;
 
-/// What happens to a body; along x, and to its rotation in the same numbers.
+/// What happens to a body, along x, and to its rotation with the same numbers.
 #[derive(Debug, Clone, Copy)]
 enum Event {
     Kick,
@@ -31,7 +31,7 @@ impl Event {
         }
     }
 
-    /// How far the body goes within the time of a prediction, at most.
+    /// Maximum distance the body moves within the prediction span.
     fn way(self, seconds: f64) -> f64 {
         match self {
             Self::Kick => 0.005,
@@ -48,7 +48,7 @@ fn stamps(rate: f64, kind: usize, begin: f64) -> Vec<f64> {
     frames.filter(|k| kind != 2 || k % 5 != 3).map(|k| (k as f64 + begin + uneven(k)) / rate).collect()
 }
 
-/// (seconds, told, turned) along x of each frame.
+/// (seconds, output, output rotation) along x of each frame.
 fn told(settings: FilterSettings, stamps: &[f64], sigma: f64, noise: f64, path: impl Fn(f64) -> f64) -> Vec<(f64, f64, f64)> {
     let mut filter = PoseFilter::<Camera>::new(settings);
     let mut random = Pcg64::seed_from_u64(7);
@@ -62,11 +62,12 @@ fn told(settings: FilterSettings, stamps: &[f64], sigma: f64, noise: f64, path: 
     stamps.iter().map(&mut one).collect()
 }
 
-/// Judges what was told after the event for one of the two: greatest overshoot, greatest error later than 0.3 s, turns to and fro.
+/// Rates the output after the event for one of the two: maximum overshoot, maximum error later than
+/// 0.3 s, number of oscillations.
 fn judged(row: &[(f64, f64)], end: f64) -> (f64, f64, usize) {
     let after: Vec<(f64, f64)> = row.iter().filter(|(t, _)| *t >= EVENT_S).map(|(t, x)| (*t, x - end)).collect();
     let greatest = |since: f64| after.iter().filter(|(t, _)| *t >= since).map(|(_, x)| x.abs()).fold(0.0, f64::max);
-    // Only what can be seen counts: a tenth of a millimetre.
+    // Only visible deviations count: a tenth of a millimetre.
     let seen: Vec<f64> = after.iter().map(|(_, x)| *x).filter(|x| x.abs() > 1e-4).collect();
     let turns = seen.windows(2).filter(|w| w[0] * w[1] < 0.0).count();
     (greatest(EVENT_S), greatest(EVENT_S + 0.3), turns)
@@ -80,7 +81,7 @@ fn kicks_end_stops_and_cuts_settle_and_never_alternate() {
             for predict_s in [0.0, 0.1, 0.2] {
                 let stamps = stamps(rate, kind, begin);
                 let rows = told(kalman(predict_s), &stamps, sigma, 0.0, |t| event.at(t));
-                // The window of the ways reaches back to the frame before it.
+                // The window of the reach extends to the frame before it.
                 let longest_step = stamps.windows(2).map(|w| w[1] - w[0]).fold(0.0, f64::max);
                 let bound = PREDICTED_WAYS * event.way(predict_s + longest_step) + 1e-3;
                 let positions: Vec<_> = rows.iter().map(|r| (r.0, r.1)).collect();
@@ -146,7 +147,8 @@ fn a_jump_leaves_no_liveliness_behind() {
     }
 }
 
-/// For any input: a prediction reaches no further than twice the way of the last `predict_s`.
+/// For any input: a prediction reaches at most twice as far as the body moved in the last
+/// `predict_s`.
 #[test]
 fn predictions_reach_no_further_than_measurements_support() {
     let mut random = Pcg64::seed_from_u64(3);
@@ -158,7 +160,7 @@ fn predictions_reach_no_further_than_measurements_support() {
             let (mut at, mut past) = (Vector3::zeros(), Vec::new());
             for k in 0..1000 {
                 let mut way = || Vector3::new(random.random::<f64>() - 0.5, random.random::<f64>() - 0.5, 0.0);
-                // Noise, then a random walk, then one way and the other in turn.
+                // Noise, then a random walk, then alternating positions.
                 at = [way() * 0.01, at + way() * 0.02, Vector3::x() * (k % 2) as f64 * 0.05][k / 100 % 3];
                 let t = k as f64 / rate;
                 past.push((t, at));
@@ -198,13 +200,14 @@ fn one_euro_does_not_alternate_and_a_body_that_stands_has_no_prediction() {
 
 #[test]
 fn coasting_does_not_run_away() {
-    // Where a centimetre may be noise, three frames at 240 frames a second show no stop.
+    // If a centimetre may be noise, three frames at 240 frames per second show no stop.
     let cases = product(&[Event::Kick, Event::EndStop, Event::Cut]);
     for (event, rate, sigma) in cases.into_iter().filter(|(.., sigma)| *sigma <= 1e-3) {
         for (predict_s, frames) in [(0.0, 1), (0.0, 2), (0.1, 1), (0.0, 5)] {
             let mut filter = PoseFilter::<Camera>::new(kalman(predict_s));
             let mut last = Timestamp::default();
-            // The light fails with so many frames that show what happened; at the end stop's own instant nothing is to be seen of it.
+            // The light fails after this many frames showing the event; at the end stop's own
+            // instant nothing is visible of it yet.
             let frames = frames + i64::from(matches!(event, Event::EndStop));
             for k in 0..(EVENT_S * rate).ceil() as i64 + frames {
                 last = Timestamp::from_seconds(k as f64 / rate);
@@ -233,7 +236,7 @@ fn coasting_goes_on_no_further_than_the_last_way() {
             let since = past.iter().rposition(|(then, _)| *then <= t - FADE_S - 1e-6).unwrap_or(0);
             let moved = past[since..].iter().map(|(_, p)| (p - x).abs()).fold(0.0, f64::max);
             let at = |gap_s: f64| filter.predicted(Timestamp::from_seconds(t + gap_s)).expect("running").translation.x;
-            // Seen for less than that, it is taken to have gone on before.
+            // Seen for less than that, it is assumed to have moved before.
             assert!(t < FADE_S || (at(5.0) - at(0.0)).abs() <= moved + 1e-9, "{rate} Hz {k}");
         }
     }

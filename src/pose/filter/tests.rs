@@ -27,12 +27,13 @@ pub(super) fn pose(position: Vector3<f64>, turn: Vector3<f64>) -> Pose<Stage, Ca
     Pose::new(UnitQuaternion::from_scaled_axis(turn), position)
 }
 
-/// The textbook filter along one axis: constant velocity, and an acceleration that is constant within a step and another one in the next.
-/// A counterexample: where the noise is small it takes what it did not expect for an acceleration since the last frame, gives the body
-/// twice the velocity that it has, and swings to and fro. What judges our filters must reject it.
+/// The textbook filter along one axis: constant velocity, with an acceleration that is constant
+/// within a step and independent between steps. A counterexample: with little noise it takes any
+/// surprise for an acceleration since the last frame, doubles the body's velocity, and oscillates.
+/// Our tests must reject it.
 #[derive(Clone)]
 pub(super) struct WhiteAcceleration {
-    /// Metres and metres a second.
+    /// Position and velocity, m and m/s.
     pub state: Vector2<f64>,
     covariance: Matrix2<f64>,
     /// One sigma of the acceleration, m/s².
@@ -55,7 +56,7 @@ impl WhiteAcceleration {
     }
 }
 
-/// Filters `frames` noisy measurements of a path over time; gives (told, measured) of each frame.
+/// Filters `frames` noisy measurements of a path; returns (output, measured) of each frame.
 fn filtered(settings: FilterSettings, frames: i64, path: impl Fn(f64) -> Pose<Stage, Camera>) -> Track {
     let mut filter = PoseFilter::new(settings);
     let mut random = Pcg64::seed_from_u64(1);
@@ -113,7 +114,7 @@ fn a_prediction_meets_uniform_motion() {
 fn a_motion_that_begins_is_noticed_at_once() {
     let path = |t: f64| pose(Vector3::x() * (t - 2.0).max(0.0), Vector3::zeros());
     let track = filtered(kalman(0.0), 90, path);
-    // 60 frames of rest, then 1 m/s: a lag of 33 mm a frame if it were not noticed.
+    // 60 frames at rest, then 1 m/s: a lag of 33 mm per frame if it went unnoticed.
     for (told, measured) in &track[62..] {
         assert!((told.translation - measured.translation).norm() < 0.004, "{}", told.translation - measured.translation);
     }
