@@ -1,5 +1,6 @@
-//! What a detector and a descriptor are worth on two pictures of a plane whose relation is known: the properties that the source wants of them
-//! (repeatability, number, accuracy, distinctiveness; the time is for whoever holds a clock).
+//! Scores a detector and a descriptor on two pictures of a plane with a known homography, by the
+//! properties the source asks for (repeatability, number, accuracy, distinctiveness; callers
+//! measure the time).
 
 use nalgebra::{Matrix3, Vector2};
 
@@ -9,26 +10,28 @@ use crate::features::repeatability::{Repeatability, repeatability};
 use crate::geometry::{Homography, PointPair};
 use crate::matching::{ExactMatch, match_exactly};
 
-/// A match is right where it is within this of where the known homography puts it, pixels. As in Mikolajczyk and Schmid 2005, twice their 1.5: most
-/// known relations are good to a pixel. Raised, near misses count.
+/// Maximum distance of a right match from where the known homography puts it, pixels. Twice the 1.5
+/// of Mikolajczyk and Schmid 2005, since most known homographies are accurate to a pixel. Raised,
+/// near misses count.
 const RIGHT_PX: f64 = 3.0;
 
-/// What was measured on a pair of pictures.
+/// The scores of a pair of pictures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DetectorScore {
-    /// Keypoints of both pictures.
+    /// Number of keypoints in both pictures.
     pub keypoints: [usize; 2],
-    /// Share of the keypoints that are found again, and how far from where they should be; see [`repeatability`].
+    /// Fraction of keypoints found again, and their position error; see [`repeatability`].
     pub repeated: Repeatability,
-    /// Matches.
+    /// Number of matches.
     pub matches: usize,
-    /// Share of them that are right.
+    /// Fraction of them that are right.
     pub right: f64,
-    /// Root mean square over the first picture's corners of how far the homography from the matches puts them off, pixels; `None` where it found none.
+    /// RMS error of the matches' homography over the first picture's corners, pixels; `None` if
+    /// none was found.
     pub corner_error_px: Option<f64>,
 }
 
-/// Scores features of two pictures, of which the first's points are mapped to the second's by `known`.
+/// Scores features of two pictures; `known` maps the first's points to the second's.
 pub fn score(features: [&Features; 2], sizes: [(u32, u32); 2], known: &Homography, options: &super::CompareOptions) -> DetectorScore {
     let keys = features.map(|f| &f.keypoints);
     let matches = match_exactly(features[0], features[1], &options.matching);

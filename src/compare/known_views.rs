@@ -1,5 +1,5 @@
-//! Other views of a picture, rendered, so that where each point went is known: what detectors are measured with where no photographs with known
-//! homographies are at hand.
+//! Renders views of a picture with known homographies, for measuring detectors when no photographs
+//! with ground truth are available.
 
 use image::GrayImage;
 use nalgebra::{Matrix3, Vector2};
@@ -12,19 +12,19 @@ use crate::geometry::Homography;
 /// A change of view or light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Change {
-    /// The camera rolls, degrees.
+    /// Camera roll, degrees.
     Roll(f64),
-    /// The camera goes nearer (above 1) or away.
+    /// Camera distance: above 1 is nearer.
     Zoom(f64),
-    /// The picture is seen from the side, degrees from straight ahead.
+    /// Oblique view, degrees from head-on.
     Tilt(f64),
-    /// Out of focus, sigma in pixels.
+    /// Defocus, sigma in pixels.
     Blur(f64),
-    /// Dimmed to this share, with noise of this standard deviation, grey levels.
+    /// Dimmed to this fraction, with noise of this standard deviation, grey levels.
     Light(f64, f64),
 }
 
-/// The changes that the table of detectors has, one column each.
+/// The changes in the table of detectors, one per column.
 pub const CHANGES: [(&str, Change); 7] = [
     ("roll 30", Change::Roll(30.0)),
     ("zoom 0.6", Change::Zoom(0.6)),
@@ -35,16 +35,17 @@ pub const CHANGES: [(&str, Change); 7] = [
     ("dim 0.4", Change::Light(0.4, 4.0)),
 ];
 
-/// Distance of the camera that sees a picture tilted, in widths of the picture: that of a usual lens.
+/// Camera distance for oblique views, in picture widths: that of a common lens. Lowered,
+/// perspective grows.
 const DISTANCE: f64 = 1.3;
-/// Samples a pixel, along each side. Raised, small pictures are smoother and take longer.
+/// Samples per pixel along each side. Raised, reduced pictures are smoother and take longer.
 const SAMPLES: usize = 4;
-/// Grey level beside the picture.
+/// Grey level outside the picture.
 const BESIDE: f32 = 90.0;
-/// Noise of every rendered view, grey levels, so that no two pixels agree by computation.
+/// Noise added to every rendered view, grey levels, so that no two pixels are computed equal.
 const NOISE: f64 = 1.0;
 
-/// The view after a change, of the same size, and the homography that leads there.
+/// Renders the view after a change, at the same size; returns it with the homography to it.
 pub fn changed(picture: &GrayImage, change: Change, seed: u64) -> (GrayImage, Homography) {
     let homography = homography_of(change, picture.dimensions());
     let source = FloatImage::from_grey(picture);
@@ -56,7 +57,7 @@ pub fn changed(picture: &GrayImage, change: Change, seed: u64) -> (GrayImage, Ho
         _ => {}
     }
     let mut random = Pcg64Mcg::seed_from_u64(seed);
-    // A sum of four even numbers is nearly normal; its standard deviation is that of one times 2.
+    // A sum of four uniform numbers is nearly normal; its standard deviation is twice that of one.
     let width = noise * 3.0_f64.sqrt();
     let mut scatter = || if width > 0.0 { (0..4).map(|_| random.random_range(-0.5..0.5)).sum::<f64>() * width } else { 0.0 };
     let grey = view.values.iter().map(|v| (gain * v + scatter() as f32).round().clamp(0.0, 255.0) as u8).collect();
@@ -64,7 +65,7 @@ pub fn changed(picture: &GrayImage, change: Change, seed: u64) -> (GrayImage, Ho
     (image, homography)
 }
 
-/// The map from the picture to its changed view, about the middle.
+/// Returns the map from the picture to its changed view, about the centre.
 fn homography_of(change: Change, (width, height): (u32, u32)) -> Homography {
     let middle = Vector2::new((f64::from(width) - 1.0) / 2.0, (f64::from(height) - 1.0) / 2.0);
     let focal = DISTANCE * f64::from(width.max(1));
@@ -73,7 +74,8 @@ fn homography_of(change: Change, (width, height): (u32, u32)) -> Homography {
         Change::Roll(degrees) => Matrix3::new_rotation(degrees.to_radians()),
         Change::Zoom(factor) => Matrix3::new_scaling(factor),
         Change::Tilt(degrees) => {
-            // A plane at distance 1 turned about the upright axis through its middle: x' = f x cos / (f + x sin).
+            // A plane at distance f rotated about the vertical axis through its centre: x' = f x
+            // cos / (f + x sin).
             let (sin, cos) = degrees.to_radians().sin_cos();
             Matrix3::new(cos, 0.0, 0.0, 0.0, 1.0, 0.0, sin / focal, 0.0, 1.0)
         }
@@ -82,7 +84,7 @@ fn homography_of(change: Change, (width, height): (u32, u32)) -> Homography {
     Homography(back * about_middle * to_middle)
 }
 
-/// The picture as the homography shows it, the mean over each pixel's square.
+/// Warps the picture by the homography, averaging over each pixel's square.
 fn warped(source: &FloatImage, homography: &Homography) -> FloatImage {
     let mut view = FloatImage::new(source.width, source.height);
     let Some(inverse) = homography.0.try_inverse().map(Homography) else { return view };

@@ -1,10 +1,12 @@
-//! Two pictures: how points of the one lie in the other, and how the camera moved between them. This is the source's method put right.
+//! Compares two pictures: how points of one map to the other, and how the camera moved between
+//! them. This is the source's method, corrected.
 //!
-//! Features of both pictures are found, described and matched; a homography, a fundamental matrix and, with cameras, an essential matrix are searched
-//! for among the matches and refined; whether any of them is more than chance is tested; the model that explains the matches best is named; and the
-//! camera's move is taken from it, with the sign that puts the points in front of both cameras.
+//! Features of both pictures are found, described and matched. A homography, a fundamental matrix
+//! and, with cameras, an essential matrix are estimated robustly from the matches and refined. Each
+//! is tested against chance, and the model that explains the matches best is chosen. The camera's
+//! motion follows from it, with the sign that puts the points in front of both cameras.
 //!
-//! [`compare`] knows no files; [`report`] draws what it found.
+//! [`compare`] does no file access; [`report`] renders its results.
 
 pub mod detector_scores;
 pub mod known_views;
@@ -20,32 +22,31 @@ use crate::geometry::PointPair;
 use crate::geometry::relative_pose::{RayPair, TwoViewMotion};
 use crate::matching::{ExactMatch, ExactOptions, match_watched};
 
-/// A picture and, if known, the camera that took it.
+/// A picture and, if known, its camera.
 #[derive(Debug, Clone, Copy)]
 pub struct View<'a> {
     /// Grey levels.
     pub picture: &'a GrayImage,
-    /// Its camera, for pictures of this size.
+    /// Its camera, calibrated for this picture size.
     pub camera: Option<&'a CameraModel>,
 }
 
-/// How to compare.
+/// Options of a comparison.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct CompareOptions {
-    /// Which features.
+    /// Detector and descriptor.
     pub features: FeatureSettings,
-    /// What is a match.
+    /// Matching criteria.
     pub matching: ExactOptions,
-    /// Largest Sampson distance to F or E of a match that agrees, pixels. Raised, wrong matches
-    /// agree; lowered, right ones that were found less exactly do not. The default is 2.4 sigmas of
-    /// SIFT's keypoints where they are worst: in pairs of photographs of planes they err by 0.2 to
-    /// 0.5 pixels. The homography's noise is estimated, up to 2.5 times this; matches within 1.25
-    /// times this agree with it in any case.
+    /// Maximum Sampson distance of an inlier to F or E, pixels. Raised, wrong matches agree;
+    /// lowered, less accurate right ones do not. The default is 2.4 times SIFT's worst keypoint
+    /// noise: in photographs of planes it is 0.2 to 0.5 pixels. The homography's noise is
+    /// estimated, up to 2.5 times this; matches within 1.25 times this always agree with it.
     pub threshold_px: f64,
-    /// How far the camera moved, metres, if that is known.
+    /// Distance between the camera positions, metres, if known.
     pub baseline_m: Option<f64>,
-    /// Seed of the random samples.
+    /// Seed of the random sampling.
     pub seed: u64,
 }
 
@@ -61,25 +62,25 @@ impl Default for CompareOptions {
     }
 }
 
-/// What is being done.
+/// The current step of the work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Step {
     /// Finding and describing the keypoints of the first picture.
     FirstFeatures,
-    /// Of the second.
+    /// Finding and describing the keypoints of the second picture.
     SecondFeatures,
     /// Comparing the descriptors.
     Matching,
-    /// Searching for the models.
+    /// Estimating the models.
     Geometry,
 }
 
 impl Step {
-    /// All of them, in order.
+    /// All steps, in order.
     pub const ALL: [Self; 4] = [Self::FirstFeatures, Self::SecondFeatures, Self::Matching, Self::Geometry];
 
-    /// What it does.
+    /// Names the step in words.
     pub fn words(self) -> &'static str {
         match self {
             Self::FirstFeatures => "features of the first picture",
@@ -90,15 +91,15 @@ impl Step {
     }
 }
 
-/// A relation of two pictures.
+/// A relation between two pictures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Model {
-    /// A flat scene, or a camera that only turned: a point has one place in the other picture.
+    /// A flat scene, or pure camera rotation: a point maps to a point.
     Homography,
-    /// A scene with depth: a point has a line in the other picture.
+    /// A scene with depth: a point maps to a line.
     Fundamental,
-    /// The same, of calibrated cameras.
+    /// The same, for calibrated cameras.
     Essential,
 }
 
@@ -108,9 +109,9 @@ pub enum Model {
 pub struct Relation {
     /// H (h33 = 1), F or E (unit norm).
     pub matrix: Matrix3<f64>,
-    /// Matches that agree, as indices, ascending.
+    /// Indices of the inlier matches, ascending.
     pub inliers: Vec<usize>,
-    /// Error of those, one sigma along each direction that the model predicts, pixels.
+    /// Error of the inliers, one sigma along each direction that the model predicts, pixels.
     pub sigma_px: f64,
 }
 
@@ -120,55 +121,55 @@ pub struct Relation {
 pub struct CameraMove {
     /// R.
     pub rotation: UnitQuaternion<f64>,
-    /// t / |t| in the second camera's axes; `None` where the pictures show no parallax.
+    /// t / |t| in the second camera's axes; `None` if the pictures show no parallax.
     pub direction: Option<Vector3<f64>>,
-    /// Matches in front of both cameras, of those that agree.
+    /// Number of inliers in front of both cameras.
     pub in_front: usize,
-    /// Median angle under which the two cameras see the points, degrees.
+    /// Median angle between the two cameras' rays to the points, degrees.
     pub parallax_deg: f64,
-    /// A second move that explains the matches as well: of a flat scene seen from afar there are two.
+    /// Whether a second motion explains the matches as well, as with a flat scene seen from afar.
     pub is_ambiguous: bool,
 }
 
 impl CameraMove {
-    /// The move, where its direction is known.
+    /// Returns the motion, if its direction is known.
     pub fn motion(&self) -> Option<TwoViewMotion> {
         Some(TwoViewMotion { rotation: self.rotation, direction: self.direction? })
     }
 }
 
-/// What two pictures have in common.
+/// The result of a comparison.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Comparison {
-    /// With which features.
+    /// The features used.
     pub settings: FeatureSettings,
-    /// Keypoints of both pictures.
+    /// Features of both pictures.
     pub features: [Features; 2],
     /// Matches, best ratio first.
     pub matches: Vec<ExactMatch>,
-    /// The places of each match, pixels; undistorted where cameras are given.
+    /// The two positions of each match, pixels; undistorted if cameras are given.
     pub pairs: Vec<PointPair>,
     /// The same as rays of the cameras.
     pub rays: Option<Vec<RayPair>>,
     /// H maps the first picture's pixels to the second's.
     pub homography: Option<Relation>,
-    /// `x_second^T F x_first = 0`, pixels.
+    /// F: `x_second^T F x_first = 0`, pixels.
     pub fundamental: Option<Relation>,
     /// E = \[t\]x R.
     pub essential: Option<Relation>,
-    /// With cameras.
+    /// The camera's motion; only with cameras.
     pub camera_move: Option<CameraMove>,
-    /// Which explains the matches best.
+    /// The model that explains the matches best.
     pub model: Option<Model>,
     cameras: Option<[CameraModel; 2]>,
     baseline_m: Option<f64>,
 }
 
-/// Compares two pictures. `goes_on` hears again and again what is being done, and how far it is; it ends the work with false, and then there is no
-/// result.
+/// Compares two pictures. `goes_on` is called repeatedly with the current step and its progress;
+/// when it returns false, the work stops and the result is `None`.
 ///
-/// A camera counts only where both pictures have one.
+/// Cameras are used only if both pictures have one.
 pub fn compare(first: &View, second: &View, options: &CompareOptions, goes_on: &dyn Fn(Step, Share) -> bool) -> Option<Comparison> {
     let mut features = Vec::with_capacity(2);
     for (view, step) in [(first, Step::FirstFeatures), (second, Step::SecondFeatures)] {
@@ -186,7 +187,7 @@ pub fn compare(first: &View, second: &View, options: &CompareOptions, goes_on: &
             pairs.push(PointPair { from, to });
             return true;
         };
-        // Where a lens model ends, a pixel has no ray.
+        // Outside a lens model's valid range, a pixel has no ray.
         let both = a.unproject(Pixel(from)).zip(b.unproject(Pixel(to)));
         if let Some((p, q)) = both {
             pairs.push(PointPair { from: a.undistorted_pixel(p), to: b.undistorted_pixel(q) });
@@ -216,23 +217,23 @@ pub fn compare(first: &View, second: &View, options: &CompareOptions, goes_on: &
 }
 
 impl Comparison {
-    /// The two places of a match as the pictures show them, pixels, distortion included.
+    /// Returns the two raw positions of a match, pixels, distortion included.
     fn raw_places(&self, k: usize) -> [Vector2<f64>; 2] {
         let m = &self.matches[k];
         [self.features[0].keypoints[m.first as usize].position, self.features[1].keypoints[m.second as usize].position]
     }
 
-    /// An undistorted place of the second picture as the picture shows it.
+    /// Converts an undistorted position in the second picture to its raw one.
     fn raw_in_second(&self, p: Vector2<f64>) -> Vector2<f64> {
         self.cameras.as_ref().map_or(p, |[_, b]| b.project(b.from_undistorted_pixel(p)).0)
     }
 
-    /// t in metres, the second camera's axes: where the distance that the camera moved was given.
+    /// Returns t in metres, in the second camera's axes, if the baseline is known.
     pub fn translation_m(&self) -> Option<Vector3<f64>> {
         Some(self.camera_move?.direction? * self.baseline_m?)
     }
 
-    /// The model that explains the matches best.
+    /// Returns the relation of the best model.
     pub fn chosen(&self) -> Option<&Relation> {
         match self.model? {
             Model::Homography => self.homography.as_ref(),
@@ -241,13 +242,14 @@ impl Comparison {
         }
     }
 
-    /// Matches that agree with the model that explains them best, and the others.
+    /// Splits the matches into inliers of the best model and the others.
     fn split_matches(&self) -> (Vec<usize>, Vec<usize>) {
         let inliers = self.chosen().map_or(&[][..], |relation| &relation.inliers);
         (0..self.matches.len()).partition(|k| inliers.binary_search(k).is_ok())
     }
 
-    /// The matrix whose epipolar lines are drawn, in pixels: F of the essential matrix where there is one.
+    /// Returns the matrix for drawing epipolar lines, in pixels: from the essential matrix if there
+    /// is one.
     fn essential_or_fundamental(&self) -> Option<(&Relation, Matrix3<f64>)> {
         match (&self.essential, &self.cameras) {
             (Some(essential), Some(cameras)) => Some((essential, relations::in_pixels(&essential.matrix, cameras)?)),
@@ -255,7 +257,7 @@ impl Comparison {
         }
     }
 
-    /// How far each match lies from where the best model wants it, pixels.
+    /// Returns each match's distance from the best model, pixels.
     fn errors_px(&self) -> Vec<f64> {
         let Some(chosen) = self.chosen() else { return Vec::new() };
         let matrix = match (self.model, &self.cameras) {
@@ -267,7 +269,7 @@ impl Comparison {
         self.pairs.iter().map(|pair| relations::error_px(is_flat, &matrix, pair)).collect()
     }
 
-    /// What was found, in one sentence.
+    /// Summarises the result in one sentence.
     pub fn sentence(&self) -> String {
         let Some((model, relation)) = self.model.zip(self.chosen()) else {
             return "No relation found: nothing shows that the two pictures show the same thing.".to_owned();
@@ -280,7 +282,7 @@ impl Comparison {
         format!("{how}: {} of {} matches agree, to {:.2} px.", relation.inliers.len(), self.matches.len(), relation.sigma_px)
     }
 
-    /// What else is to be known, a sentence each.
+    /// Returns further remarks, one sentence each.
     pub fn remarks(&self) -> Vec<String> {
         let mut remarks = Vec::new();
         if let Some(found) = &self.camera_move {
@@ -301,7 +303,7 @@ impl Comparison {
     }
 }
 
-/// Where the second camera stands seen from the first, in words.
+/// Describes the second camera's position relative to the first, in words.
 fn direction_words(t: &Vector3<f64>, rotation: &UnitQuaternion<f64>) -> String {
     let centre = -(rotation.inverse() * t);
     let words = [["right", "left"], ["down", "up"], ["forward", "back"]];
@@ -312,11 +314,12 @@ fn direction_words(t: &Vector3<f64>, rotation: &UnitQuaternion<f64>) -> String {
     format!("{} (of 1 in all)", parts.join(", "))
 }
 
-/// Matches that agree, from which a picture is enough for tracking, and for tracking with much of it hidden. From the acquisition's own bar: a homography
-/// needs at least a dozen, and half of the stage is often hidden.
+/// Inlier counts from which a picture suffices for tracking, and for tracking while largely
+/// occluded. Derived from acquisition's own minimum: a homography needs at least a dozen, and half
+/// of the stage is often occluded. Raised, the remarks are more cautious.
 const ENOUGH: [usize; 2] = [30, 120];
 
-/// What the matches say of a picture that is to be a stage's.
+/// Rates the picture as a stage picture by its inliers.
 fn stage_words(agreeing: usize) -> &'static str {
     match agreeing {
         n if n >= ENOUGH[1] => "As the picture of a stage it has plenty to hold on to.",

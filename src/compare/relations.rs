@@ -1,4 +1,5 @@
-//! The relations of two pictures, from matches: searched for, refined, tested against chance, compared with each other; and the camera's move.
+//! Estimates the relations of two pictures from matches: searches, refines, tests against chance
+//! and compares them; then derives the camera's motion.
 
 use nalgebra::Matrix3;
 
@@ -20,7 +21,6 @@ use crate::geometry::robust_homography::robust_homography;
 use crate::geometry::robust_kernel::median;
 use crate::geometry::{PointPair, epipolar};
 
-/// What was found among the matches.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Found {
     pub homography: Option<Relation>,
@@ -30,36 +30,43 @@ pub(super) struct Found {
     pub model: Option<Model>,
 }
 
-/// A relation that chance shows in more than one of a thousand pairs of pictures is none: natural logarithm. Raised, unrelated pictures are related now
-/// and then; lowered, pictures with little in common are not.
+/// Maximum natural logarithm of the false alarms: unrelated pictures pass in at most one of a
+/// thousand pairs. Raised, unrelated pictures are related now and then; lowered, pictures with
+/// little in common are not.
 const MOST_LN_FALSE_ALARMS: f64 = -7.0;
-/// Matches closer together than this in both pictures are one when chance is weighed, in thresholds: a blob with two directions says nothing twice.
-/// Raised, dense matches count less.
+/// Matches closer together than this in both pictures, in thresholds, count once in the chance
+/// test, e.g. a blob with two orientations. Raised, dense matches count less.
 const SAME_PLACE: f64 = 2.0;
-/// Distance of a match from its place by the homography at which it agrees in any case, thresholds:
-/// two coordinates err where a distance from a line has one (the roots of chi square's 95 % points,
-/// 2.45 and 1.96).
+/// Distance from the homography at which a match always agrees, in thresholds: it has two noisy
+/// coordinates where a distance from a line has one (the roots of chi square's 95 % points, 2.45
+/// and 1.96). Raised, more wrong matches agree.
 const HOMOGRAPHY_THRESHOLD: f64 = 1.25;
-/// Samples until all matches are drawn from evenly. Raised, the search stays longer with the best ones, which in scenes with many alike places are on
-/// one thing; lowered, models that few matches agree with are met later.
+/// Number of samples until all matches are drawn uniformly. Raised, the search stays longer with
+/// the best ones, which in scenes with many look-alikes are on one thing; lowered, models with few
+/// inliers are found later.
 const EVEN_AFTER: usize = 2000;
-/// Relief that a flat scene may have, in thresholds of the homography: two and a half pixels each. Raised, shallow scenes count as flat; lowered, real
-/// walls and pictures of uncalibrated cameras have depth.
+/// Relief that a flat scene may have, in thresholds of the homography (1.5 pixels each by default).
+/// Raised, shallow scenes count as flat; lowered, real walls and pictures of uncalibrated cameras
+/// seem to have depth.
 const RELIEF: f64 = 3.0;
-/// The move by the essential matrix is taken before a nearly flat scene too where this many times as many matches agree with it as with the plane's move.
-/// Raised, shallow relief is not used; lowered to 1, chance decides on a plane, where the essential matrix has a second solution.
+/// Factor by which the essential matrix must have more inliers than the plane's motion to be used
+/// for a nearly flat scene. Raised, shallow relief is not used; lowered to 1, chance decides on a
+/// plane, where the essential matrix has a second solution.
 const CLEARLY_MORE: f64 = 1.05;
-/// Largest noise of a match that the homography is searched for with, thresholds: 3 pixels by
-/// default. Raised, what is bent is fitted as a whole and wrong matches nearby count; lowered, the
-/// part of a bent surface is fitted that is the flattest.
+/// Maximum noise of a match in the homography search, in thresholds: 3 pixels by default. Raised,
+/// bent surfaces are fitted as a whole and nearby wrong matches count; lowered, only the flattest
+/// part of a bent surface is fitted.
 const MOST_NOISE: f64 = 2.5;
-/// Of two moves before a plane, the matches that agree with one alone decide where they are this far from even: McNemar's statistic, chi square's
-/// 99.9 % point with one degree of freedom. Raised, little relief is not used; lowered, mismatches decide.
+/// Threshold of McNemar's statistic (chi square's 99.9 % point with one degree of freedom) above
+/// which the matches that agree with only one of a plane's two motions decide between them. Raised,
+/// little relief is not used; lowered, mismatches decide.
 const NOT_EVEN: f64 = 10.83;
-/// Parallax below which a direction of the move is noise, in standard deviations of a ray. Raised, small moves go unnamed; lowered, they are noise.
+/// Minimum parallax for a meaningful direction, in standard deviations of a ray. Raised, small
+/// motions get no direction; lowered, their direction is noise.
 const LEAST_PARALLAX: f64 = 3.0;
 
-/// Searches for all relations; `calibrated` has the matches as rays of their cameras. `None` where `goes_on`, asked before each search, ended the work.
+/// Searches for all relations; `calibrated` has the matches as rays of their cameras. Returns
+/// `None` if `goes_on`, called before each search, stopped the work.
 pub(super) fn find(
     pairs: &[PointPair],
     calibrated: Option<(&[RayPair], &[CameraModel; 2])>,
@@ -67,7 +74,8 @@ pub(super) fn find(
     options: &CompareOptions,
     goes_on: &dyn Fn() -> bool,
 ) -> Option<Found> {
-    // The best matches may all lie on one thing in the picture, and agree on a model of that alone: all are asked before the search ends.
+    // The best matches may all be on one thing in the picture and agree on a model of it alone, so
+    // the search considers all before it ends.
     let order = Order::BestFirst { even_after: EVEN_AFTER, stops_by_best: false, draws_each: 1 };
     let search = RobustOptions { threshold: options.threshold_px, order, seed: options.seed, ..RobustOptions::default() };
     let wide = RobustOptions { threshold: HOMOGRAPHY_THRESHOLD * options.threshold_px, ..search };
@@ -93,7 +101,8 @@ pub(super) fn find(
         (Some((found, matrix)), _) => Some((found.clone().map(|_| *matrix), EpipolarKind::Essential)),
         (None, lines) => lines.clone().map(|f| (f, EpipolarKind::Fundamental)),
     };
-    // Whether the scene is flat is asked with a wider net, so that a plane that is a little bent, or seen through a lens that nobody measured, is one.
+    // Flatness is tested with a wider threshold, so that a slightly bent plane, or one seen through
+    // an uncalibrated lens, still counts as flat.
     let bent = RobustOptions { threshold: RELIEF * wide.threshold, ..wide };
     let nearly_flat = plane.as_ref().and_then(|_| robust_homography(pairs, &bent));
     let model = choose(pairs, nearly_flat.as_ref(), epipolar.as_ref(), search.threshold);
@@ -101,7 +110,8 @@ pub(super) fn find(
         (Some((rays, cameras)), Some(plane)) if model == Some(Model::Homography) => {
             let of_plane = of_plane(plane, rays, cameras, &search);
             let flat = of_plane.1.as_ref().map_or(plane.inliers.len(), |relation| relation.inliers.len());
-            // What relief there is tells the move better than the plane does, where clearly more matches agree with it.
+            // Relief determines the motion better than the plane does, if clearly more matches
+            // agree with it.
             let better = motion.filter(|(found, _)| found.model.is_clear() && found.inliers.len() as f64 > CLEARLY_MORE * flat as f64);
             better.map_or(of_plane, |(found, _)| of_relief(&found, cameras))
         }
@@ -118,7 +128,7 @@ pub(super) fn find(
     goes_on().then_some(found)
 }
 
-/// The move before a flat scene, and the essential matrix that it makes.
+/// Returns the motion for a flat scene, and its essential matrix.
 fn of_plane(
     plane: &RobustModel<Homography>,
     rays: &[RayPair],
@@ -146,7 +156,8 @@ fn of_plane(
     if let [first, second] = &rated[..] {
         let verdict = verdict_off_the_plane(&first.0, &second.0);
         is_undecided = verdict.is_none();
-        // A plane shows itself by the cosine of its slant: of two that explain the matches alike, the one seen more squarely is the likelier.
+        // A plane's visible area is proportional to the cosine of its slant: of two equally good
+        // explanations, the one seen more squarely is likelier.
         let second_wins = verdict.unwrap_or_else(|| squareness(&second.1, &seen) > squareness(&first.1, &seen));
         if second_wins {
             rated.swap(0, 1);
@@ -167,15 +178,18 @@ fn of_plane(
     (Some(camera_move), essential)
 }
 
-/// Whether the second of two moves is right, by the matches that agree with one of them alone (both lists ascend): those on the plane agree with both,
-/// mismatches with either by chance, what lies off the plane with the true one. `None` where chance explains the difference (McNemar 1947).
+/// Decides whether the second of two motions is right, by the matches that agree with only one of
+/// them (both lists ascend). Matches on the plane agree with both, mismatches with either by
+/// chance, and points off the plane with the true one. `None` if chance explains the difference
+/// (McNemar 1947).
 fn verdict_off_the_plane(first: &[usize], second: &[usize]) -> Option<bool> {
     let only = |of: &[usize], other: &[usize]| of.iter().filter(|k| other.binary_search(k).is_err()).count() as f64;
     let (first, second) = (only(first, second), only(second, first));
     ((first - second).powi(2) > NOT_EVEN * (first + second)).then_some(second > first)
 }
 
-/// How squarely both cameras see a motion's plane: the product of its two mean cosines of slant. 1 head-on, 0 edge-on.
+/// Returns how squarely both cameras see a motion's plane: the product of the two mean cosines of
+/// slant. 1 head-on, 0 edge-on.
 fn squareness(motion: &PlanarMotion, seen: &[RayPair]) -> f64 {
     let Some(normal) = motion.normal else { return 0.0 };
     let turned = motion.rotation * normal;
@@ -185,7 +199,7 @@ fn squareness(motion: &PlanarMotion, seen: &[RayPair]) -> f64 {
     first * second / (seen.len() as f64).powi(2)
 }
 
-/// The move before a scene with depth.
+/// Returns the motion for a scene with depth.
 fn of_relief(judged: &RobustModel<JudgedMotion>, cameras: &[CameraModel; 2]) -> (Option<CameraMove>, Option<Relation>) {
     let JudgedMotion { motion, in_front, parallax, .. } = judged.model;
     let [a, b] = focals(cameras);
@@ -206,24 +220,24 @@ fn focals(cameras: &[CameraModel; 2]) -> [f64; 2] {
     cameras.each_ref().map(|camera| (camera.intrinsics().fx * camera.intrinsics().fy).abs().sqrt())
 }
 
-/// F of an essential matrix.
+/// Converts an essential matrix to F.
 pub(super) fn in_pixels(essential: &Matrix3<f64>, [a, b]: &[CameraModel; 2]) -> Option<Matrix3<f64>> {
     epipolar::in_pixels(essential, [&a.k_matrix(), &b.k_matrix()])
 }
 
-/// Unit norm, and the largest element positive, so that the same relation has the same numbers.
+/// Scales to unit norm with a positive largest element, so that equal relations have equal numbers.
 fn normalised(matrix: Matrix3<f64>) -> Matrix3<f64> {
     let largest = matrix.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(1.0);
     matrix * (largest.signum() / matrix.norm())
 }
 
-/// How far a match is from a homography, or from an epipolar relation, pixels: Sampson's distance.
+/// Returns the Sampson distance of a match from a homography or an epipolar relation, pixels.
 pub(super) fn error_px(is_flat: bool, matrix: &Matrix3<f64>, pair: &PointPair) -> f64 {
     let squared = if is_flat { squared_sampson_of_homography(&Homography(*matrix), pair) } else { squared_sampson(matrix, pair) };
     squared.sqrt()
 }
 
-/// What a sample of a relation is made of, and its threshold in pixels.
+/// The kind of relation, with its threshold in pixels.
 #[derive(Debug, Clone, Copy)]
 enum Sample {
     Homography(f64),
@@ -231,7 +245,7 @@ enum Sample {
     Essential(f64),
 }
 
-/// Whether agreement is more than chance.
+/// Tests whether agreement exceeds chance.
 struct Chance<'a> {
     pairs: &'a [PointPair],
     sizes: [(u32, u32); 2],
@@ -252,8 +266,9 @@ impl Chance<'_> {
         ln_false_alarms <= MOST_LN_FALSE_ALARMS
     }
 
-    /// Whether chance does not explain a homography, by the matches that it maps to within their
-    /// distances, `least_px` at the least: chance is of places in the second picture.
+    /// Whether chance does not explain a homography. Uses the matches mapped to within the inliers'
+    /// maximum distance, at least `least_px`, because chance refers to positions in the second
+    /// picture.
     fn excludes_plane(&self, plane: &RobustModel<Homography>, least_px: f64) -> bool {
         let distance = |k: &usize| squared_sampson_of_homography(&plane.model, &self.pairs[*k]).sqrt();
         let reach = plane.inliers.iter().map(distance).fold(least_px, f64::max);
@@ -262,7 +277,7 @@ impl Chance<'_> {
         self.is_excluded(&mapped, Sample::Homography(reach))
     }
 
-    /// How many of these matches are at places of their own.
+    /// Counts these matches at distinct places.
     fn distinct(&self, which: &[usize]) -> usize {
         let near = self.same_place_px.powi(2);
         let mut kept: Vec<&PointPair> = Vec::new();
@@ -276,7 +291,7 @@ impl Chance<'_> {
     }
 }
 
-/// Which relation explains the matches best.
+/// Chooses the relation that explains the matches best.
 fn choose(
     pairs: &[PointPair],
     plane: Option<&RobustModel<Homography>>,

@@ -8,10 +8,10 @@ use crate::compare::{Comparison, Relation};
 use crate::geometry::epipolar::{Epipole, clipped, epipoles};
 use crate::html_page::svg::{Drawing, hue};
 
-/// Matches whose lines are drawn, as in the source's figures 25 and 26.
+/// Number of matches whose lines are drawn, as in the source's figures 25 and 26.
 const LINES: usize = 20;
 
-/// Both pictures with the lines of the same matches in the same colours.
+/// Draws both pictures, with the lines of the same matches in the same colours.
 pub(super) fn lines(made: &Comparison, (relation, f): &(&Relation, Matrix3<f64>), pictures: [&GrayImage; 2]) -> String {
     let small = pictures.map(Small::new);
     let mut drawing = Drawing::new(2.0 * WIDTH, small[0].size[1].max(small[1].size[1]));

@@ -1,16 +1,16 @@
-//! How alike the matches are, and how far they lie from where the model wants them: two curves (the source's figure 23 has the first, and calls it an
-//! error).
+//! Two curves: the matches' descriptor distances, and their distances from the model (the source's
+//! figure 23 has the first, and calls it an error).
 
 use crate::compare::Comparison;
 use crate::html_page::svg::Drawing;
 
-/// Units of a curve's field, across and down, and the room around it for its numbers.
+/// Size of a curve's field in figure units, across and down, and the margin around it for its
+/// numbers.
 const FIELD: [f64; 2] = [400.0, 220.0];
 const MARGIN: f64 = 34.0;
-/// Pixels at the right end of the errors' curve. What lies further off is no error but another place.
+/// Right end of the error curve, pixels. A match farther off is not inaccurate but wrong.
 const MOST_PX: f64 = 8.0;
 
-/// Both curves.
 pub(super) fn cumulative(made: &Comparison) -> String {
     let mut drawing = Drawing::new(2.0 * (FIELD[0] + MARGIN), FIELD[1] + 2.0 * MARGIN);
     let distances = sorted(made.matches.iter().map(|m| f64::from(m.distance)).collect());
@@ -27,7 +27,7 @@ fn sorted(mut values: Vec<f64>) -> Vec<f64> {
     values
 }
 
-/// The share of `values`, which are sorted, below each number up to `most`.
+/// Draws the fraction of the sorted `values` below each number up to `most`.
 fn curve(drawing: &mut Drawing, left: f64, values: &[f64], most: f64, words: &str) {
     let top = MARGIN / 2.0;
     drawing.rect([left, top], FIELD, "var(--faint)", "none");

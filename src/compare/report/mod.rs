@@ -1,4 +1,5 @@
-//! The report of a comparison: the source's figures of two photographs (its figures 22 to 32), in one HTML file.
+//! The report of a comparison: the source's figures of two photographs (figures 22 to 32), in one
+//! HTML file.
 
 mod epipolar;
 mod histograms;
@@ -11,7 +12,7 @@ use super::{Comparison, Model};
 use crate::html_page::svg::escaped;
 use crate::html_page::{figure, page};
 
-/// The report; `names` are the pictures' and `date` is when it was made.
+/// Builds the report; `names` are the pictures' and `date` is when it was made.
 pub fn html(made: &Comparison, pictures: [&GrayImage; 2], names: [&str; 2], date: &str) -> String {
     let [a, b] = names.map(escaped);
     let mut body = format!(

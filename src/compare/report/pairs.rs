@@ -1,4 +1,4 @@
-//! Matches as lines between the two pictures, and what the homography makes of the first.
+//! Draws matches as lines between the two pictures, and the first picture mapped by the homography.
 
 use image::GrayImage;
 use image::imageops::{self, FilterType};
@@ -8,14 +8,14 @@ use crate::compare::{Comparison, Relation};
 use crate::geometry::Homography;
 use crate::html_page::svg::{Drawing, data_uri};
 
-/// Width of a picture in a figure, its pixels. Raised, the file grows.
+/// Width of a picture in a figure, in figure units. Raised, the file grows.
 pub(super) const WIDTH: f64 = 480.0;
-/// Matches that are drawn as lines at most: more would hide the pictures.
+/// Maximum number of matches drawn as lines; more would hide the pictures.
 const MOST_LINES: usize = 100;
-/// Lines of the grid that is laid over a picture, each way.
+/// Number of grid lines over a picture, each way.
 const GRID: usize = 4;
 
-/// A picture made small for a figure.
+/// A picture, scaled down for a figure.
 pub(super) struct Small {
     uri: String,
     /// Figure units per pixel.
@@ -35,7 +35,7 @@ impl Small {
         Self { uri: data_uri(&imageops::resize(picture, width, height, FilterType::Triangle)), scale, size }
     }
 
-    /// A place of the picture in the figure.
+    /// Converts a picture position to figure coordinates.
     pub fn at(&self, p: Vector2<f64>) -> [f64; 2] {
         [(p.x + 0.5) * self.scale, (p.y + 0.5) * self.scale]
     }
@@ -46,7 +46,6 @@ impl Small {
     }
 }
 
-/// Both pictures side by side.
 pub(super) struct Sheet([Small; 2]);
 
 impl Sheet {
@@ -54,7 +53,7 @@ impl Sheet {
         Self(pictures.map(Small::new))
     }
 
-    /// Lines between the two places of each of these matches.
+    /// Draws lines between the two positions of each of these matches.
     pub fn drawn(&self, made: &Comparison, which: &[usize], colour: &str, title: &str) -> String {
         let [a, b] = &self.0;
         let mut drawing = Drawing::new(2.0 * WIDTH, a.size[1].max(b.size[1]));
@@ -70,7 +69,7 @@ impl Sheet {
     }
 }
 
-/// Picture B with A's outline, grid and points as the homography puts them.
+/// Draws picture B with A's outline, grid and points mapped by the homography.
 pub(super) fn transfer(made: &Comparison, relation: &Relation, pictures: [&GrayImage; 2]) -> String {
     let small = Small::new(pictures[1]);
     let mut drawing = Drawing::new(small.size[0], small.size[1]);

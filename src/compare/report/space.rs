@@ -9,10 +9,11 @@ use crate::html_page::svg::Drawing;
 
 /// Side of each of the two views, figure units.
 const SIDE: f64 = 400.0;
-/// Share of the points, nearest first, that the drawing is scaled to; a few far ones would leave the rest a dot.
+/// Fraction of the points, nearest first, that the drawing is scaled to. Raised, a few far points
+/// shrink the rest to a dot.
 const SHOWN: f64 = 0.95;
 
-/// The drawing; `None` without a move that has a direction.
+/// Draws the figure; `None` unless the motion has a direction.
 pub(super) fn figure(made: &Comparison) -> Option<String> {
     let camera_move = made.camera_move.as_ref()?;
     let motion = camera_move.motion()?;
