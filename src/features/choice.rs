@@ -1,4 +1,4 @@
-//! Every detector with every descriptor, chosen by name: one interface for all of them.
+//! Selects any detector and any descriptor by name, through one interface.
 
 use std::cell::Cell;
 
@@ -41,7 +41,7 @@ pub enum DetectorKind {
 }
 
 impl DetectorKind {
-    /// All of them with their names.
+    /// All kinds with their names.
     pub const ALL: [(&'static str, Self); 10] = [
         ("live", Self::Live),
         ("harris", Self::Harris),
@@ -55,12 +55,12 @@ impl DetectorKind {
         ("asift", Self::Asift),
     ];
 
-    /// Its name.
+    /// Returns its name.
     pub fn name(self) -> &'static str {
         Self::ALL.iter().find(|(_, kind)| *kind == self).map_or("", |(name, _)| name)
     }
 
-    /// The descriptor that goes with it where none is chosen.
+    /// Returns the descriptor used with it by default.
     pub fn usual_descriptor(self) -> DescriptorKind {
         match self {
             Self::Live => DescriptorKind::Live,
@@ -75,9 +75,9 @@ impl DetectorKind {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum DescriptorKind {
-    /// The tracker's own brightness comparisons.
+    /// The tracker's own binary brightness comparisons.
     Live,
-    /// The pixels around it, zero mean and unit norm.
+    /// The surrounding pixels, zero mean and unit norm.
     Patch,
     /// The three elements of the structure tensor.
     StructureTensor,
@@ -90,7 +90,7 @@ pub enum DescriptorKind {
 }
 
 impl DescriptorKind {
-    /// All of them with their names.
+    /// All kinds with their names.
     pub const ALL: [(&'static str, Self); 6] = [
         ("live", Self::Live),
         ("patch", Self::Patch),
@@ -100,13 +100,13 @@ impl DescriptorKind {
         ("gloh", Self::Gloh),
     ];
 
-    /// Its name.
+    /// Returns its name.
     pub fn name(self) -> &'static str {
         Self::ALL.iter().find(|(_, kind)| *kind == self).map_or("", |(name, _)| name)
     }
 }
 
-/// A detector, a descriptor and their options; what is `None` is as the detector has it.
+/// A detector, a descriptor and their options; `None` means the detector's default.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct FeatureSettings {
@@ -114,22 +114,23 @@ pub struct FeatureSettings {
     pub detector: DetectorKind,
     /// How they are described.
     pub descriptor: DescriptorKind,
-    /// Keypoints at most (the source's `nfeat`).
+    /// Maximum number of keypoints (the source's `nfeat`).
     pub count: Option<usize>,
-    /// Least response, in the detector's unit (the source's `cmin`).
+    /// Minimum response, in the detector's unit (the source's `cmin`).
     pub least_response: Option<f32>,
-    /// Of two corners closer together than this, pixels, the weaker is left out (the source's `suppress`).
+    /// Minimum distance of two corners, pixels; the weaker one is dropped (the source's
+    /// `suppress`).
     pub suppress_px: Option<f64>,
     /// Half the width of a patch, pixels (the source's `patch`).
     pub half_width: Option<usize>,
     /// Harris' k.
     pub k: Option<f64>,
-    /// Smoothing of the gradients' products, pixels.
+    /// Smoothing of the gradient products, sigma in pixels.
     pub sigma_px: Option<f64>,
 }
 
 impl FeatureSettings {
-    /// A detector with the descriptor that goes with it.
+    /// Creates settings for a detector with its default descriptor.
     pub fn of(detector: DetectorKind) -> Self {
         Self {
             detector,
@@ -144,12 +145,13 @@ impl FeatureSettings {
     }
 }
 
-/// The keypoints of a picture and their descriptions.
+/// Finds the keypoints of a picture and describes them.
 pub fn extract(picture: &GrayImage, settings: &FeatureSettings) -> Features {
     features(&PictureForms::new(picture), settings)
 }
 
-/// The same; `goes_on` hears again and again how far the work is, and ends it with false. Then there is nothing.
+/// Like [`extract`]. `goes_on` is called repeatedly with the progress; when it returns false, the
+/// work stops and the result is `None`.
 pub fn extract_watched(picture: &GrayImage, settings: &FeatureSettings, goes_on: &dyn Fn(Share) -> bool) -> Option<Features> {
     let is_ended = Cell::new(false);
     let heard = |share| {
@@ -177,7 +179,7 @@ fn features(forms: &PictureForms, settings: &FeatureSettings) -> Features {
     describer.describe(forms, &found(forms, settings))
 }
 
-/// The keypoints of a picture alone.
+/// Finds the keypoints of a picture without descriptors.
 pub fn detect(picture: &GrayImage, settings: &FeatureSettings) -> Vec<Keypoint> {
     match settings.detector {
         DetectorKind::Asift => extract(picture, settings).keypoints,
@@ -185,7 +187,7 @@ pub fn detect(picture: &GrayImage, settings: &FeatureSettings) -> Vec<Keypoint> 
     }
 }
 
-/// The keypoints of a detector, those that are strong enough.
+/// Returns the detector's keypoints that are strong enough.
 fn found(forms: &PictureForms, settings: &FeatureSettings) -> Vec<Keypoint> {
     let mut keypoints = detector(settings).detect(forms);
     keypoints.retain(|k| settings.least_response.is_none_or(|least| k.response >= least));
@@ -241,7 +243,8 @@ fn harris(settings: &FeatureSettings, measure: CornerMeasure) -> HarrisDetector 
     }
 }
 
-/// Corners at most where no number is given: every pixel may be the largest of its neighbours, and matching takes time by their square.
+/// Default maximum number of corners: every pixel may be a local maximum, and matching takes
+/// quadratic time. Raised, matching takes longer.
 const CORNERS: usize = 5000;
 
 fn describer(settings: &FeatureSettings) -> Box<dyn Describer> {
@@ -275,7 +278,7 @@ mod tests {
         }
     }
 
-    /// Rings, squares and spots on a slope of light, at places of their own.
+    /// Rings, squares and spots on a brightness gradient, each at its own place.
     fn picture() -> GrayImage {
         GrayImage::from_fn(240, 180, |x, y| {
             let (cx, cy) = ((x % 40) as f32 - 20.0, (y % 45) as f32 - 22.0);

@@ -1,25 +1,28 @@
-//! More contrast for pictures that have little: haze, dim light, a washed-out projection.
+//! Raises the contrast of pictures that have little: haze, dim light, a washed-out projection.
 //!
-//! Such a picture takes up a few of the 256 grey levels, and its corners are hardly higher than the noise. Smoothed with the fractions of its grey levels
-//! kept, and then spread over all of them, it has corners again. Binary descriptions compare pixels, so that the spread changes nothing else in them.
+//! Such a picture uses only a few of the 256 grey levels, and its corners barely exceed the noise.
+//! Smoothed with fractional grey levels, and then stretched over the full range, it has corners
+//! again. Binary descriptors compare pixels, so stretching changes nothing else in them.
 
 use image::GrayImage;
 
 use super::pyramid::{resize_buffer, smooth_with};
 use crate::simd::multiversion;
 
-/// Grey levels between the darkest and the brightest hundredth of a picture that has contrast enough. Corners are first looked for with a contrast of 40, 20
-/// and 6 levels; below a quarter of the range only the last is left, which noise has too. Raised, ordinary pictures are smoothed, and lose fine corners;
-/// lowered, hazy ones are not found.
+/// Range of grey levels, from the darkest to the brightest hundredth of a picture, that is enough
+/// contrast. Corners are searched with a contrast of 40, 20 and 6 levels; below a quarter of the
+/// range only the last finds any, and that finds noise too. Raised, ordinary pictures are smoothed
+/// and lose fine corners; lowered, hazy ones are not found.
 const ENOUGH: u8 = 64;
-/// A picture with less shows nothing: means of four pixels of a black frame, noise of 2 levels, lie within 5. Raised, dense haze is given up; lowered, black frames
+/// Minimum range of grey levels; a picture with less shows nothing: means of four pixels of a black
+/// frame, noise of 2 levels, are within 5. Raised, dense haze is given up; lowered, black frames
 /// are searched for corners of noise.
 const LEAST: u8 = 8;
-/// Distance between the blocks of 2 x 2 pixels that are sampled, across and down, pixels. Chosen: 3,600 blocks of a frame of 1280 x 720, of which 36 are a hundredth. Raised, sampling costs less and
-/// misses thin detail.
+/// Spacing of the sampled 2 x 2 pixel blocks, pixels. Chosen: 3,600 blocks in a 1280 x 720 frame,
+/// of which 36 are a hundredth. Raised, sampling costs less and misses thin detail.
 const STRIDE: usize = 16;
 
-/// Spreads the contrast of pictures; keeps its buffers.
+/// Stretches the contrast of pictures; reuses its buffers.
 #[derive(Debug, Clone, Default)]
 pub struct ContrastStretch {
     picture: GrayImage,
@@ -28,8 +31,8 @@ pub struct ContrastStretch {
 }
 
 impl ContrastStretch {
-    /// The picture smoothed by the 5x5 binomial filter, its darkest hundredth black and its brightest white; `None` where it has contrast enough as it
-    /// is, or none at all.
+    /// Returns the picture smoothed by the 5x5 binomial filter, with its darkest hundredth black
+    /// and its brightest white; `None` if its contrast is sufficient already, or absent.
     pub fn stretched(&mut self, picture: &GrayImage) -> Option<&GrayImage> {
         self.is_stretched = false;
         let [dark, bright] = range(picture)?;
@@ -42,17 +45,17 @@ impl ContrastStretch {
         self.last()
     }
 
-    /// What [`stretched`](Self::stretched) gave last.
+    /// Returns the last result of [`stretched`](Self::stretched).
     pub fn last(&self) -> Option<&GrayImage> {
         self.is_stretched.then_some(&self.picture)
     }
 }
 
-/// Grey levels that a hundredth of the picture's blocks lie below and above.
+/// Returns the grey levels exceeded downwards and upwards by a hundredth of the picture's blocks.
 fn range(picture: &GrayImage) -> Option<[u8; 2]> {
     let width = picture.width() as usize;
     let mut levels = [0_u32; 256];
-    // In the middle of each square of the stride, so that neither border counts for more.
+    // The middle of each square of the stride, so that no border counts more.
     const MIDDLE: usize = STRIDE / 2;
     for rows in picture.as_raw().chunks_exact(2 * width.max(1)).skip(MIDDLE / 2).step_by(STRIDE / 2) {
         let (top, bottom) = rows.split_at(width);
@@ -75,19 +78,18 @@ fn range(picture: &GrayImage) -> Option<[u8; 2]> {
         below += n;
         below > hundredth
     })?;
-    // Positions in a table of 256.
+    // Indices of a table of 256.
     Some([dark as u8, bright as u8])
 }
 
 multiversion! {
-    /// See [`stretch_lanes`].
     fn stretch(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u16>, range: [u8; 2]); ["avx2"] => stretch_lanes, else stretch_lanes
 }
 
-/// Smooths a picture and spreads the grey levels of `range` (dark, bright) over all.
+/// Smooths a picture and stretches the grey levels of `range` (dark, bright) to the full range.
 #[inline(always)]
 fn stretch_lanes(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u16>, [dark, bright]: [u8; 2]) {
-    // Sums of the filter are 256 times a grey level.
+    // Filter sums are 256 times a grey level.
     let first = u16::from(dark) << 8;
     let gain = 255 * 256 / u32::from(bright.saturating_sub(dark)).max(1);
     smooth_with(from, to, row, |sum| ((u32::from(sum.saturating_sub(first)) * gain) >> 16).min(255) as u8);
@@ -99,7 +101,7 @@ mod tests {
     use super::super::{ExtractorOptions, Feature, FeatureExtractor, Workers};
     use super::*;
 
-    /// Noise of two grey levels, always the same.
+    /// Deterministic noise of two grey levels.
     fn noise(x: u32, y: u32) -> f64 {
         let mut h = x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77);
         let mut uniform = || {
@@ -111,7 +113,7 @@ mod tests {
         4.0 * (uniform() + uniform() + uniform())
     }
 
-    /// The picture with so much of its contrast left, above a veil, with noise.
+    /// The picture with this fraction of its contrast, on a veil, with noise.
     fn hazy(picture: &GrayImage, contrast: f64) -> GrayImage {
         GrayImage::from_fn(picture.width(), picture.height(), |x, y| {
             let grey = 90.0 + contrast * f64::from(picture.get_pixel(x, y)[0]) + noise(x, y);
@@ -119,7 +121,7 @@ mod tests {
         })
     }
 
-    /// How many features of a picture lie where the clear one has features that look alike.
+    /// Number of features of a picture that are near similar features of the clear one.
     fn recognised(clear: &[Feature], picture: &GrayImage) -> usize {
         let mut found = Vec::new();
         FeatureExtractor::default().extract(picture, None, &ExtractorOptions::default(), &Workers::new(1), &mut found);

@@ -1,5 +1,5 @@
-//! Corners of one pyramid level: FAST-9 (Rosten & Drummond) finds them, the smaller eigenvalue of the
-//! structure tensor (Shi & Tomasi) ranks them, and a grid spreads them over the picture.
+//! Corners of one pyramid level: FAST-9 (Rosten & Drummond) finds them, the smaller eigenvalue of
+//! the structure tensor (Shi & Tomasi) ranks them, and a grid spreads them over the picture.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -14,30 +14,33 @@ use crate::simd::multiversion;
 /// A corner on a pyramid level.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Corner {
-    /// Column in level pixels.
+    /// Column, level pixels.
     pub x: u32,
-    /// Row in level pixels.
+    /// Row, level pixels.
     pub y: u32,
-    /// Smaller eigenvalue of the 7x7 structure tensor, (grey/px)² per pixel (while candidates: FAST's score).
+    /// Smaller eigenvalue of the 7x7 structure tensor, (grey/px)² per pixel (for candidates: the
+    /// FAST score).
     pub strength: f32,
 }
 
-/// Whether a corner's middle is darker or brighter than what surrounds it. Wherever a camera stands and whatever the light, a dark corner stays dark: over ten clips 99.8 % of right matches have the
-/// same. So corners need to be compared with half of all others only (as Bay et al. 2006 do with the sign of the Laplacian).
+/// Whether a corner's centre is darker or brighter than its surroundings. A dark corner stays dark
+/// from any viewpoint and in any light: over ten clips, 99.8 % of right matches have the same
+/// polarity. So corners need to be compared with only half of all others (as Bay et al. 2006 do
+/// with the sign of the Laplacian).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Polarity {
-    /// Nine in a row of FAST's circle are brighter than its middle.
+    /// Nine consecutive pixels of the FAST circle are brighter than the centre.
     Dark,
-    /// Nine in a row are darker.
+    /// Nine consecutive pixels are darker.
     Bright,
 }
 
 impl Polarity {
-    /// Both.
+    /// Both polarities.
     pub const ALL: [Self; 2] = [Self::Dark, Self::Bright];
 }
 
-/// The polarity of a FAST-9 corner: nine of 16 are a majority.
+/// Returns the polarity of a FAST-9 corner: nine of 16 are a majority.
 pub(super) fn polarity(image: &GrayImage, x: u32, y: u32) -> Polarity {
     let width = image.width() as usize;
     let at = y as usize * width + x as usize;
@@ -46,26 +49,26 @@ pub(super) fn polarity(image: &GrayImage, x: u32, y: u32) -> Polarity {
     if 2 * brighter.count() > CIRCLE.len() { Polarity::Dark } else { Polarity::Bright }
 }
 
-/// What to look for on a level.
+/// Options of corner detection on a level.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CornerOptions {
-    /// Corners wanted at most.
+    /// Maximum number of corners.
     pub count: usize,
     /// Usual contrast, grey levels; twice as much is tried first, `least_threshold` last.
     pub threshold: u8,
     /// Lowest contrast.
     pub least_threshold: u8,
-    /// Pixels at the border where none is wanted (the descriptor's reach).
+    /// Width of the border without corners, pixels (the descriptor's reach).
     pub border: u32,
-    /// Side of the squares that share the corners among them, level pixels.
+    /// Side of the grid cells among which corners are spread, level pixels.
     pub cell_px: u32,
 }
 
-/// Buffers of the detector.
+/// Reusable buffers of the detector.
 #[derive(Debug, Clone, Default)]
 pub struct CornerBuffers {
     rows: [ScoreRow; 3],
-    /// The runs of columns to search in the next row.
+    /// Column ranges to search in the next row.
     runs: Vec<Range<usize>>,
     /// See [`LevelMask::find_columns`].
     mask_columns: Vec<u32>,
@@ -74,40 +77,43 @@ pub struct CornerBuffers {
     sorted: Vec<Corner>,
     corners: Vec<Corner>,
     ranks: Ranks,
-    /// Lowest thresholds that the last picture did without, and the next one leaves out at first. It changes the time, never the corners.
+    /// Number of low thresholds that the last picture did not need; the next one skips them at
+    /// first. Affects only the time, never the corners.
     spared: Arc<AtomicUsize>,
-    /// Contrast that the candidates were found with; `None` where none were looked for yet.
+    /// Contrast the candidates were found with; `None` before the first search.
     found_with: Option<u8>,
 }
 
 /// The scores of a row of pixels.
 #[derive(Debug, Clone, Default)]
 struct ScoreRow {
-    /// A pixel longer than what is searched at either end; 0 beside the runs.
+    /// One pixel longer at each end than the searched columns; 0 outside the runs.
     scores: Vec<u8>,
-    /// Which of its columns were searched, those of the picture.
+    /// The searched columns, in picture coordinates.
     runs: Vec<Range<usize>>,
 }
 
 impl CornerBuffers {
-    /// Buffers for pictures that need about the same contrast, as the levels of one do: each search begins with the contrast that the last one of any of them ended with.
+    /// Creates buffers for pictures that need about the same contrast, such as levels of one
+    /// picture: each search starts with the contrast at which the last one on any of them ended.
     pub(super) fn alike(other: &Self) -> Self {
         Self { spared: Arc::clone(&other.spared), ..Self::default() }
     }
 
-    /// What comes next is another picture.
+    /// Marks the next picture as a new one.
     pub(super) fn forget_picture(&mut self) {
         self.found_with = None;
     }
 }
 
-/// Finds at most `options.count` corners, strongest first within an even spread.
+/// Finds at most `options.count` corners, strongest first with an even spread.
 pub fn detect_corners(image: &GrayImage, options: &CornerOptions, buffers: &mut CornerBuffers, found: &mut Vec<Corner>) {
     buffers.forget_picture();
     detect_more_corners(image, options, None, buffers, found);
 }
 
-/// The same where a mask is open, of the picture that these buffers were used for last, with another count: what was found of it, and with the same mask, is not found again.
+/// Like [`detect_corners`], within a mask and on the picture last used with these buffers, with
+/// another count: candidates found before with the same mask are reused.
 pub(super) fn detect_more_corners(
     image: &GrayImage,
     options: &CornerOptions,
@@ -125,7 +131,7 @@ pub(super) fn detect_more_corners(
     let CornerBuffers { candidates, sorted, corners, ranks, .. } = buffers;
     corners.clear();
     corners.extend(candidates.iter().filter(|c| c.strength >= least));
-    // FAST's score, which costs nothing more, chooses those that are worth an eigenvalue.
+    // The FAST score, which costs nothing extra, preselects corners for the eigenvalue computation.
     sort_by_score(corners, sorted);
     corners.clear();
     spread(sorted, ranks, (w, h), &CornerOptions { count: SHORTLIST * options.count, ..*options }, corners);
@@ -134,15 +140,17 @@ pub(super) fn detect_more_corners(
     spread(corners, ranks, (w, h), options, found);
 }
 
-/// Leaves in `buffers.candidates` the corners of the highest threshold that gives enough of them, which it returns, and maybe weaker ones.
+/// Fills `buffers.candidates` with the corners of the highest threshold that yields enough, and
+/// possibly weaker ones; returns that threshold.
 fn candidates_of(image: &GrayImage, options: &CornerOptions, border: u32, mask: Option<&LevelMask>, buffers: &mut CornerBuffers) -> u8 {
-    // High contrast first: a rich picture has enough of it, and corners of low contrast are noise.
+    // High contrast first: a rich picture has enough of it, and low-contrast corners are noise.
     let thresholds = [options.threshold.saturating_mul(2), options.threshold, options.least_threshold];
-    // The lowest contrast of the first few.
+    // The lowest of the first `count` thresholds.
     let lowest = |count: usize| thresholds[..count].iter().copied().min().unwrap_or(0);
     let mut tried = thresholds.len() - buffers.spared.load(Ordering::Relaxed);
     loop {
-        // A corner's score is the largest threshold that it passes, so those of a low threshold hold those of the higher ones.
+        // A corner's score is the highest threshold that it passes, so those of a low threshold
+        // include those of higher ones.
         if buffers.found_with.is_none_or(|found_with| found_with > lowest(tried)) {
             find_peaks(image, lowest(tried), border, mask, buffers);
             buffers.found_with = Some(lowest(tried));
@@ -159,14 +167,17 @@ fn candidates_of(image: &GrayImage, options: &CornerOptions, border: u32, mask: 
     }
 }
 
-/// How many times as many corners the next lower contrast is expected to have. Where that is not enough, the lowest one is tried at once. Raised, more pictures are searched a third time; lowered, the
-/// lowest contrast is tried where it gives far more corners than are wanted.
+/// Expected growth factor of the number of corners at the next lower contrast. If that would not
+/// suffice, the lowest is tried at once. Raised, more pictures are searched a third time; lowered,
+/// the lowest contrast is tried where it yields far too many corners.
 const LOWER_CONTRAST_GAIN: usize = 4;
 
-/// Corners ranked by eigenvalue for each one wanted. Raised, more eigenvalues are computed; at 1 FAST's score alone would choose.
+/// Corners ranked by eigenvalue per corner wanted. Raised, more eigenvalues are computed; at 1 the
+/// FAST score alone decides.
 const SHORTLIST: usize = 3;
 
-/// Leaves in `buffers.candidates` the FAST-9 corners that are the largest of their 3x3 neighbourhood and that a mask leaves, in reading order.
+/// Fills `buffers.candidates` with the FAST-9 corners that are maxima of their 3x3 neighbourhood
+/// and inside the mask, in reading order.
 fn find_peaks(image: &GrayImage, threshold: u8, border: u32, mask: Option<&LevelMask>, buffers: &mut CornerBuffers) {
     let (w, h) = (image.width() as usize, image.height() as usize);
     let source = image.as_raw();
@@ -188,7 +199,7 @@ fn find_peaks(image: &GrayImage, threshold: u8, border: u32, mask: Option<&Level
     }
     let mut tile_rows = 0..0;
     let [above, here, below] = rows;
-    // Scores of three rows roll on; row y is complete when row y + 1 was scored.
+    // A rolling window of three score rows; row y is complete once row y + 1 is scored.
     for y in b..=h - b {
         below.scores.fill(0);
         below.runs.clear();
@@ -217,7 +228,8 @@ fn find_peaks(image: &GrayImage, threshold: u8, border: u32, mask: Option<&Level
     }
 }
 
-/// Appends the corners of a row that a mask leaves; the row's first pixel has the column `first`.
+/// Appends the corners of a row that are inside the mask; the row's first pixel is in column
+/// `first`.
 fn collect(peaks: &[u8], first: usize, y: usize, open: Option<&OpenRow>, candidates: &mut Vec<Corner>) {
     let mut add = |at: usize, score: u8| {
         let x = first + at;
@@ -225,7 +237,8 @@ fn collect(peaks: &[u8], first: usize, y: usize, open: Option<&OpenRow>, candida
             candidates.push(Corner { x: x as u32, y: y as u32, strength: f32::from(score) });
         }
     };
-    // Most places have none: eight are passed at once, as one number, whose lowest byte is the first place.
+    // Most pixels have none: eight are checked at once as one word, whose lowest byte is the first
+    // pixel.
     let (words, rest) = peaks.as_chunks::<8>();
     for (k, scores) in words.iter().enumerate() {
         let mut word = u64::from_le_bytes(*scores);
@@ -239,7 +252,7 @@ fn collect(peaks: &[u8], first: usize, y: usize, open: Option<&OpenRow>, candida
 }
 
 multiversion! {
-    /// Gives corners the strength that ranks them.
+    /// Computes the strength that ranks corners.
     fn rank(image: &GrayImage, corners: &mut [Corner]); ["avx2"] => rank_lanes, else rank_lanes
 }
 
@@ -250,15 +263,16 @@ fn rank_lanes(image: &GrayImage, corners: &mut [Corner]) {
     }
 }
 
-/// The smaller eigenvalue of the structure tensor over 7x7 pixels, per pixel. The pixel must be 4 away from the border.
+/// Returns the smaller eigenvalue of the structure tensor over 7x7 pixels, per pixel. The pixel
+/// must be at least 4 from the border.
 #[inline(always)]
 fn smaller_eigenvalue(image: &GrayImage, x: u32, y: u32) -> f32 {
     let w = image.width() as usize;
     let source = image.as_raw();
-    // A row of seven in eight lanes, of which the last counts for nothing.
+    // A row of seven in eight lanes; the last lane is ignored.
     let (mut xx, mut xy, mut yy) = ([0i32; 8], [0i32; 8], [0i32; 8]);
     let eight = |at: usize| -> [u8; 8] {
-        // The slice is exactly this long.
+        // The slice has exactly this length.
         source[at..][..8].try_into().unwrap_or([0; 8])
     };
     for v in y as usize - 3..=y as usize + 3 {
@@ -275,13 +289,13 @@ fn smaller_eigenvalue(image: &GrayImage, x: u32, y: u32) -> f32 {
     }
     let sum = |lanes: [i32; 8]| lanes[..7].iter().sum::<i32>() as f32;
     let (xx, xy, yy) = (sum(xx), sum(xy), sum(yy));
-    // Central differences span two pixels: divide the squares by four, and by the 49 pixels.
+    // Central differences span two pixels, so divide the squares by four, and by the 49 pixels.
     (0.5 * (xx + yy) - (0.25 * (xx - yy).powi(2) + xy * xy).sqrt()) / (4.0 * 49.0)
 }
 
-/// Sorts candidates, which are in reading order, by FAST's score: the highest first, equal ones in reading order.
+/// Sorts candidates, given in reading order, by FAST score: highest first, ties in reading order.
 fn sort_by_score(candidates: &[Corner], sorted: &mut Vec<Corner>) {
-    // Where the corners of each score begin; scores are whole numbers up to 255.
+    // Start index of each score's corners; scores are whole numbers up to 255.
     let mut begins = [0usize; 256];
     for c in candidates {
         begins[c.strength as usize & 255] += 1;
@@ -299,18 +313,19 @@ fn sort_by_score(candidates: &[Corner], sorted: &mut Vec<Corner>) {
     }
 }
 
-/// Buffers of [`spread`].
+/// Reusable buffers of [`spread`].
 #[derive(Debug, Clone, Default)]
 struct Ranks {
-    /// Corners so far in each cell.
+    /// Number of corners so far in each cell.
     filled: Vec<u32>,
     /// Rank of each corner within its cell, from 0.
     of_corner: Vec<u32>,
-    /// For each rank, where its corners begin in the result.
+    /// Start index in the result of each rank's corners.
     begins: Vec<u32>,
 }
 
-/// Takes the strongest of each cell, then the second strongest of each, and so on, until enough are taken. The corners come strongest first.
+/// Takes the strongest of each cell, then the second strongest of each, and so on, until there are
+/// enough. `corners` must be sorted strongest first.
 fn spread(corners: &[Corner], ranks: &mut Ranks, (w, h): (u32, u32), options: &CornerOptions, found: &mut Vec<Corner>) {
     found.clear();
     if corners.len() <= options.count {
@@ -337,7 +352,7 @@ fn spread(corners: &[Corner], ranks: &mut Ranks, (w, h): (u32, u32), options: &C
     for begin in begins.iter_mut() {
         sum += std::mem::replace(begin, sum);
     }
-    // The rank of a corner within its cell decides first, its strength second.
+    // Sorts by the rank within the cell first, by strength second.
     found.resize(options.count, corners[0]);
     for (corner, rank) in corners.iter().zip(of_corner.iter()) {
         let place = &mut begins[*rank as usize];
@@ -360,7 +375,7 @@ mod tests {
         })
     }
 
-    /// What to do with a mask of a picture that is open in some columns.
+    /// Calls `work` with a mask of the picture that is open in some columns.
     fn with_mask(picture: &GrayImage, is_open: impl Fn(u32) -> bool, work: impl FnOnce(&LevelMask)) {
         let mask = GrayImage::from_fn(picture.width(), picture.height(), |x, _| image::Luma([u8::from(is_open(x))]));
         let (mut tiles, mut pyramid) = (OpenTiles::default(), Pyramid::default());

@@ -1,6 +1,6 @@
-//! Oriented binary descriptors: brightness comparisons between pairs of smoothed pixels around a corner
-//! (BRIEF, Calonder et al. 2010), turned by the direction of the patch's intensity centroid (Rosin 1999;
-//! Rublee et al. 2011).
+//! Oriented binary descriptors: brightness comparisons between pairs of smoothed pixels around a
+//! corner (BRIEF, Calonder et al. 2010), rotated to the direction of the patch's intensity centroid
+//! (Rosin 1999; Rublee et al. 2011).
 
 use std::sync::OnceLock;
 
@@ -9,8 +9,9 @@ use image::GrayImage;
 use super::pattern::{DESCRIPTOR_BITS, PAIRS, PATCH_RADIUS};
 use crate::simd::multiversion;
 
-/// Directions that the pattern is turned to ahead of time: at 2.8 degrees apart, no end of a pair is more than a third of a pixel off, less
-/// than the rounding. Raised, the table (128 KiB) leaves the cache; lowered, turned copies differ in more bits.
+/// Number of precomputed pattern rotations: at 2.8 degree steps, no end of a pair is off by more
+/// than a third of a pixel, less than the rounding. Raised, the table (128 KiB) no longer fits the
+/// cache; lowered, rotated copies differ in more bits.
 const DIRECTIONS: usize = 128;
 
 /// The bits of a descriptor.
@@ -18,20 +19,22 @@ const DIRECTIONS: usize = 128;
 pub struct Descriptor(pub [u64; 4]);
 
 impl Descriptor {
-    /// Hamming distance: in how many bits two descriptors differ.
+    /// Returns the Hamming distance: the number of differing bits.
     pub fn distance(&self, other: &Self) -> u32 {
         self.0.iter().zip(other.0).map(|(a, b)| (a ^ b).count_ones()).sum()
     }
 }
 
-/// Pairs of the turned pattern in a line of a cache, 64 bytes. With more, lines are left out; with fewer, they are asked for twice.
+/// Pairs of the rotated pattern per cache line of 64 bytes. Raised, lines are skipped; lowered,
+/// they are requested twice.
 const PAIRS_OF_LINE: usize = 16;
-/// Pixels from one row of a copied patch to the next: one AVX2 register of bytes.
+/// Row stride of a copied patch, pixels: one AVX2 register of bytes.
 const STRIDE: usize = 32;
-/// Side of a patch in pixels.
+/// Side of a patch, pixels.
 const SIDE: usize = 2 * PATCH_RADIUS as usize + 1;
 
-/// The square of pixels around a corner, copied to where every place has the same index whatever the picture's width.
+/// The square of pixels around a corner, copied to a fixed layout independent of the picture's
+/// width.
 struct Patch([[u8; STRIDE]; STRIDE]);
 
 impl Patch {
@@ -49,7 +52,8 @@ impl Patch {
     /// Sums of (dx, dy) times brightness over the disc.
     #[inline(always)]
     fn moments(&self) -> (i32, i32) {
-        // Of each column: the sum, at most 31 * 255, and the moment in y, at most (1 + ... + 15) * 255 = 30600 either way.
+        // Per column: the sum, at most 31 * 255, and the moment in y, at most (1 + ... + 15) * 255
+        // = 30600 either way.
         let (mut sums, mut moments) = ([0i16; STRIDE], [0i16; STRIDE]);
         for (k, (row, inside)) in self.0.iter().zip(&DISC).enumerate() {
             let dy = k as i16 - PATCH_RADIUS as i16;
@@ -77,14 +81,15 @@ impl Patch {
     fn describe(&self, angle: f32) -> Descriptor {
         let direction = (angle / std::f32::consts::TAU * DIRECTIONS as f32).round() as i32;
         let pattern = &turned()[direction.rem_euclid(DIRECTIONS as i32) as usize];
-        // The table is larger than the nearest cache: all of its lines are asked for at once, rather than one after another.
+        // The table is larger than the nearest cache: request all of its lines at once rather than
+        // one by one.
         std::hint::black_box(pattern.iter().step_by(PAIRS_OF_LINE).fold(0, |all, [a, _]| all | a));
         let pixels = self.0.as_flattened();
-        // Indices are below the length anyway: this lets the compiler see it.
+        // Indices are always in range; the modulo shows that to the compiler.
         let at = |index: u16| pixels[index as usize % (STRIDE * STRIDE)];
         let mut bits = [0u64; 4];
         for (word, pairs) in bits.iter_mut().zip(pattern.chunks_exact(64)) {
-            // From the last to the first, so that each bit is shifted in.
+            // From last to first, so that each bit is shifted in.
             for &[a, b] in pairs.iter().rev() {
                 *word = (*word << 1) | u64::from(at(a) < at(b));
             }
@@ -93,7 +98,7 @@ impl Patch {
     }
 }
 
-/// All ones on the disc's places of a patch, 0 elsewhere. Half of a row is the rounded root of r² - dy².
+/// All ones inside the disc of a patch, 0 elsewhere. Half of a row is the rounded root of r² - dy².
 const DISC: [[u8; STRIDE]; STRIDE] = {
     let mut disc = [[0; STRIDE]; STRIDE];
     let mut k = 0;
@@ -102,7 +107,7 @@ const DISC: [[u8; STRIDE]; STRIDE] = {
         let mut x = 0;
         while x < SIDE {
             let dx = (x as i32 - PATCH_RADIUS).abs();
-            // The root rounds to dx or more where it is at least dx - 1/2.
+            // The root rounds to at least dx if it is at least dx - 1/2.
             if dx == 0 || (2 * dx - 1) * (2 * dx - 1) <= 4 * (PATCH_RADIUS * PATCH_RADIUS - dy * dy) {
                 disc[k][x] = 255;
             }
@@ -114,7 +119,8 @@ const DISC: [[u8; STRIDE]; STRIDE] = {
 };
 
 multiversion! {
-    /// Direction of the intensity centroid of the disc around (x, y), radians, y down; the square around the disc must lie inside.
+    /// Returns the direction of the intensity centroid of the disc around (x, y), radians, y down;
+    /// the square around the disc must be inside the picture.
     pub fn orientation(image: &GrayImage, x: u32, y: u32) -> f32; ["avx2"] => orientation_lanes, else orientation_lanes
 }
 
@@ -124,8 +130,8 @@ fn orientation_lanes(image: &GrayImage, x: u32, y: u32) -> f32 {
 }
 
 multiversion! {
-    /// Describes the corner at (x, y) of a smoothed level, turned by `angle`; the corner must lie more than
-    /// `PATCH_RADIUS` + 1 from the border.
+    /// Describes the corner at (x, y) of a smoothed level, rotated by `angle`; the corner must be
+    /// more than `PATCH_RADIUS` + 1 from the border.
     pub fn describe(smooth: &GrayImage, x: u32, y: u32, angle: f32) -> Descriptor; ["avx2"] => describe_lanes, else describe_lanes
 }
 
@@ -135,7 +141,7 @@ fn describe_lanes(smooth: &GrayImage, x: u32, y: u32, angle: f32) -> Descriptor 
 }
 
 multiversion! {
-    /// [`orientation`] and what [`describe`] gives for it.
+    /// Returns the [`orientation`] and the descriptor that [`describe`] computes for it.
     pub fn oriented_descriptor(smooth: &GrayImage, x: u32, y: u32) -> (f32, Descriptor);
     ["avx2"] => oriented_descriptor_lanes, else oriented_descriptor_lanes
 }
@@ -147,9 +153,9 @@ fn oriented_descriptor_lanes(smooth: &GrayImage, x: u32, y: u32) -> (f32, Descri
     (angle, patch.describe(angle))
 }
 
-/// The pattern turned to every direction, as indices of pixels of a patch.
+/// Returns the pattern rotated to every direction, as pixel indices of a patch.
 fn turned() -> &'static [[[u16; 2]; DESCRIPTOR_BITS]] {
-    // Computed at the first call.
+    // The rotated pattern, computed on first use.
     static TURNED: OnceLock<Vec<[[u16; 2]; DESCRIPTOR_BITS]>> = OnceLock::new();
     TURNED.get_or_init(|| {
         (0..DIRECTIONS)

@@ -1,4 +1,5 @@
-//! The plain twin of [`FeatureExtractor`]: each step as its definition says, pixel by pixel, a pass for each threshold. Tests only.
+//! The plain twin of [`FeatureExtractor`]: each step by its definition, pixel by pixel, with a pass
+//! for each threshold. Tests only.
 
 use image::{GrayImage, Luma};
 use nalgebra::Vector2;
@@ -13,7 +14,7 @@ use super::workers::Workers;
 
 const BORDER: u32 = PATCH_RADIUS as u32 + 2;
 
-/// A place and its score or strength.
+/// A pixel and its score or strength.
 type Ranked = (u32, u32, f32);
 
 fn grey(image: &GrayImage, x: i64, y: i64) -> i32 {
@@ -46,7 +47,7 @@ fn smoothed(image: &GrayImage) -> GrayImage {
     })
 }
 
-/// FAST-9's score where it is at least `threshold`, else 0.
+/// FAST-9's score if it is at least `threshold`, else 0.
 fn score(image: &GrayImage, x: u32, y: u32, threshold: u8) -> i32 {
     let (x, y) = (i64::from(x), i64::from(y));
     let difference = |k: usize| {
@@ -97,7 +98,7 @@ fn spread(mut corners: Vec<Ranked>, width: u32, count: usize) -> Vec<Ranked> {
     ranked[..count].iter().map(|(_, k)| corners[*k]).collect()
 }
 
-/// The corners of a level, and which of the thresholds gave them.
+/// The corners of a level, and the index of the threshold that yielded them.
 fn corners(image: &GrayImage, mask: &dyn Fn(u32, u32) -> bool, count: usize, options: &ExtractorOptions) -> (Vec<Ranked>, usize) {
     let (w, h) = image.dimensions();
     if w <= 2 * BORDER || h <= 2 * BORDER {
@@ -140,7 +141,7 @@ fn described(smooth: &GrayImage, x: u32, y: u32) -> (f32, Descriptor) {
     (angle, Descriptor(bits))
 }
 
-/// By the middle's score alone: nine in a row that are brighter by more than nothing.
+/// By definition: dark if nine consecutive pixels are brighter than the centre.
 fn polarity(image: &GrayImage, x: u32, y: u32) -> Polarity {
     let around = CIRCLE.map(|(dx, dy)| grey(image, i64::from(x) + dx as i64, i64::from(y) + dy as i64));
     let middle = grey(image, i64::from(x), i64::from(y));
@@ -148,7 +149,7 @@ fn polarity(image: &GrayImage, x: u32, y: u32) -> Polarity {
     if is_dark { Polarity::Dark } else { Polarity::Bright }
 }
 
-/// The features, and the thresholds that levels used.
+/// The features, and which thresholds were used.
 fn extracted(picture: &GrayImage, mask: Option<&GrayImage>, options: &ExtractorOptions) -> (Vec<Feature>, [bool; 3]) {
     let (w, h) = picture.dimensions();
     let mut levels = vec![(picture.clone(), [1.0, 1.0])];
@@ -181,7 +182,7 @@ fn extracted(picture: &GrayImage, mask: Option<&GrayImage>, options: &ExtractorO
     (features, stages)
 }
 
-/// Contrast in hundredths of a picture's.
+/// Dims a picture to this percentage of its contrast.
 fn dimmed(picture: &GrayImage, contrast: u32) -> GrayImage {
     let mut dim = picture.clone();
     dim.iter_mut().for_each(|v| *v = (u32::from(*v) * contrast / 100 + 40) as u8);
@@ -203,7 +204,7 @@ fn features_are_those_of_the_plain_twin() {
             let options = ExtractorOptions { count, ..Default::default() };
             let (expected, used) = extracted(picture, mask, &options);
             (0..3).for_each(|k| stages[k] |= used[k]);
-            // Both after whatever came before, and with new buffers.
+            // Both after any previous use and with new buffers.
             let (mut warm, mut fresh) = (Vec::new(), Vec::new());
             extractor.extract(picture, mask, &options, &Workers::new(1), &mut warm);
             FeatureExtractor::default().extract(picture, mask, &options, &Workers::new(1), &mut fresh);

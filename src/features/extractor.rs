@@ -1,4 +1,5 @@
-//! From a picture to its features: pyramid, corners, orientation, description, in buffers that stay.
+//! Extracts the features of a picture: pyramid, corners, orientation, descriptor, with reusable
+//! buffers.
 
 use image::GrayImage;
 use nalgebra::{Matrix2, Vector2};
@@ -21,34 +22,36 @@ pub struct Feature {
     pub angle: f32,
     /// Whether it is dark or bright.
     pub polarity: Polarity,
-    /// What surrounds it.
+    /// Its descriptor.
     pub descriptor: Descriptor,
 }
 
 impl Feature {
-    /// From the axes of its description, in pixels of the level it was found on, to the picture's.
+    /// Returns the map from its descriptor's axes, in pixels of the level it was found on, to the
+    /// picture's.
     pub fn shape(&self) -> Matrix2<f64> {
         let (sin, cos) = f64::from(self.angle).sin_cos();
         Matrix2::new(cos, -sin, sin, cos) * self.scale
     }
 }
 
-/// How to look for features.
+/// Options of feature extraction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExtractorOptions {
-    /// Features wanted at most, over all levels.
+    /// Maximum number of features, over all levels.
     pub count: usize,
-    /// Ratio of one level to the next, above 1.
+    /// Size ratio of one level to the next, above 1.
     pub factor: f64,
-    /// Levels at most.
+    /// Maximum number of levels.
     pub levels: usize,
-    /// Levels that are larger than this, pixels across, are left out: they have most of the pixels.
+    /// Maximum width or height of a level, pixels; larger ones, which hold most of the pixels, are
+    /// skipped.
     pub largest_px: u32,
-    /// FAST contrast to begin with, grey levels.
+    /// Initial FAST contrast, grey levels.
     pub threshold: u8,
-    /// Lowest FAST contrast, for dim pictures.
+    /// Minimum FAST contrast, for dim pictures.
     pub least_threshold: u8,
-    /// How the features divide over the levels: 1 in proportion to area, 0 the same number on each.
+    /// Distribution of features over the levels: 1 in proportion to area, 0 equal numbers.
     pub area_power: f64,
 }
 
@@ -58,7 +61,8 @@ impl Default for ExtractorOptions {
     }
 }
 
-/// Pixels at a level's border that no descriptor can reach beyond: follows from [`describe`](super::descriptor::describe).
+/// Width of a level's border without features, so that no descriptor reaches outside: follows from
+/// [`describe`](super::descriptor::describe).
 pub(super) const BORDER: u32 = PATCH_RADIUS as u32 + 2;
 
 #[derive(Debug, Default)]
@@ -69,20 +73,21 @@ struct LevelWork {
     index: usize,
 }
 
-/// Finds and describes features; keeps its buffers.
+/// Finds and describes features; reuses its buffers.
 #[derive(Debug, Default)]
 pub struct FeatureExtractor {
     pyramid: Pyramid,
     tiles: OpenTiles,
-    /// The coarsest level first: it costs least, and tells the others which contrast gives corners enough.
+    /// Coarsest level first: it costs least, and shows the others which contrast yields enough
+    /// corners.
     work: Vec<LevelWork>,
-    /// Shares what it learns with the buffers of all levels; no level is searched with it.
+    /// Shares its learnt contrast with the buffers of all levels; not used to search itself.
     alike: CornerBuffers,
     jobs: Vec<(usize, Corner)>,
 }
 
 impl FeatureExtractor {
-    /// Fills `features` with those of a picture; where `mask` (same size) is 0, none is taken.
+    /// Fills `features` with those of a picture, except where `mask` (same size) is 0.
     pub fn extract(
         &mut self,
         picture: &GrayImage,
@@ -97,7 +102,8 @@ impl FeatureExtractor {
         self.extract_more(picture, mask, options, workers, features);
     }
 
-    /// The same of the picture and the mask that were taken last, with another count or of other levels: its levels and what was found on them are kept.
+    /// Like [`extract`](Self::extract) on the last picture and mask, with another count or other
+    /// levels: keeps the levels and what was found on them.
     pub fn extract_more(
         &mut self,
         picture: &GrayImage,

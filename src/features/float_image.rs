@@ -1,10 +1,11 @@
-//! A picture of grey levels as `f32`, with what detectors ask of it: smoothing by Gaussians, values between pixels, halves and doubles.
+//! A picture of grey levels as `f32`, with the operations detectors need: Gaussian smoothing,
+//! interpolation, halving and doubling.
 
 use image::GrayImage;
 
 use crate::simd::multiversion;
 
-/// Grey levels, row-major; pixel centres at integers. Outside its border it goes on with the border's values.
+/// Grey levels, row-major; pixel centres at integers. The border values repeat outside.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct FloatImage {
     /// Columns.
@@ -15,33 +16,34 @@ pub struct FloatImage {
     pub values: Vec<f32>,
 }
 
-/// A Gaussian is cut off beyond this many sigmas, where 6e-5 of it is left. Raised, smoothing takes longer and changes less than rounding does.
+/// Radius at which a Gaussian is cut off, sigmas; 6e-5 of it is left there. Raised, smoothing takes
+/// longer and changes less than rounding does.
 const GAUSSIAN_REACH: f64 = 4.0;
 
 impl FloatImage {
-    /// All zero.
+    /// Creates an image of zeros.
     pub fn new(width: usize, height: usize) -> Self {
         Self { width, height, values: vec![0.0; width * height] }
     }
 
-    /// The grey levels 0 to 255 of a picture.
+    /// Converts the grey levels 0 to 255 of a picture.
     pub fn from_grey(picture: &GrayImage) -> Self {
         let values = picture.as_raw().iter().map(|v| f32::from(*v)).collect();
         Self { width: picture.width() as usize, height: picture.height() as usize, values }
     }
 
-    /// A row.
+    /// Returns a row.
     pub fn row(&self, y: usize) -> &[f32] {
         &self.values[y * self.width..][..self.width]
     }
 
-    /// The value of a pixel; of the nearest one outside the border.
+    /// Returns the value of a pixel; outside, that of the nearest border pixel.
     pub fn at(&self, x: isize, y: isize) -> f32 {
         let clamp = |v: isize, n: usize| v.clamp(0, n as isize - 1) as usize;
         self.values[clamp(y, self.height) * self.width + clamp(x, self.width)]
     }
 
-    /// The value between pixels, bilinear.
+    /// Returns the bilinearly interpolated value between pixels.
     pub fn bilinear(&self, x: f32, y: f32) -> f32 {
         let (left, top) = (x.floor(), y.floor());
         let (a, b) = (x - left, y - top);
@@ -56,7 +58,8 @@ impl FloatImage {
         upper + b * (lower - upper)
     }
 
-    /// The values along a straight line, bilinear, from `start` on by `step` (column and row, pixels).
+    /// Samples a straight line bilinearly, from `start` in steps of `step` (column and row,
+    /// pixels).
     pub fn sample_line(&self, start: [f32; 2], step: [f32; 2], out: &mut [f32]) {
         if self.width > 1 && self.height > 1 {
             sample_wide(self, start, step, out);
@@ -66,20 +69,21 @@ impl FloatImage {
         }
     }
 
-    /// Smoothed by a Gaussian of `sigma` pixels.
+    /// Returns the image smoothed by a Gaussian of `sigma` pixels.
     pub fn blurred(&self, sigma: f64) -> Self {
         let mut out = Self::new(self.width, self.height);
         self.blur_into(sigma, &mut out, &mut Vec::new());
         out
     }
 
-    /// As [`blurred`](Self::blurred), into buffers that are kept.
+    /// Like [`blurred`](Self::blurred), into reusable buffers.
     pub fn blur_into(&self, sigma: f64, out: &mut Self, rows: &mut Vec<f32>) {
         self.blur_and_thin_into([sigma, sigma], [1, 1], out, rows);
     }
 
-    /// Smoothed by a Gaussian of other sigmas along the rows and along the columns, pixels, and of that only each `every`-th column and row,
-    /// from the first, into buffers that are kept. Rows that are left out cost nothing.
+    /// Smooths by a Gaussian with separate sigmas along rows and columns, pixels, and keeps only
+    /// each `every`-th column and row, from the first. Uses reusable buffers; skipped rows cost
+    /// nothing.
     pub fn blur_and_thin_into(&self, sigmas: [f64; 2], every: [usize; 2], out: &mut Self, rows: &mut Vec<f32>) {
         let ([across, down], every) = (sigmas.map(gaussian), every.map(|n| n.max(1)));
         (out.width, out.height) = (self.width.div_ceil(every[0]), self.height.div_ceil(every[1]));
@@ -89,7 +93,7 @@ impl FloatImage {
         }
     }
 
-    /// Every second pixel of every second row: pixel k of the half is pixel 2 k of this.
+    /// Returns every second pixel of every second row: pixel k of the result is pixel 2 k of this.
     pub fn decimated(&self) -> Self {
         let (width, height) = (self.width / 2, self.height / 2);
         let mut values = Vec::with_capacity(width * height);
@@ -99,7 +103,8 @@ impl FloatImage {
         Self { width, height, values }
     }
 
-    /// Twice as large by bilinear interpolation: pixel k of the double lies at (k + 0.5) / 2 - 0.5 of this.
+    /// Returns the image doubled by bilinear interpolation: pixel k of the result is at (k + 0.5) /
+    /// 2 - 0.5 of this.
     pub fn doubled(&self) -> Self {
         let mut out = Self::new(2 * self.width, 2 * self.height);
         if !self.values.is_empty() {
@@ -110,7 +115,7 @@ impl FloatImage {
 }
 
 multiversion! {
-    /// As [`FloatImage::sample_line`], of a picture of two columns and rows at least.
+    /// Like [`FloatImage::sample_line`], for a picture of at least two columns and rows.
     fn sample_wide(image: &FloatImage, start: [f32; 2], step: [f32; 2], out: &mut [f32]);
     ["avx2"] => sample_wide_plain, else sample_wide_plain
 }
@@ -118,17 +123,18 @@ multiversion! {
 #[inline(always)]
 fn sample_wide_plain(image: &FloatImage, start: [f32; 2], step: [f32; 2], out: &mut [f32]) {
     let width = image.width;
-    // Beyond the border the picture goes on with the border's values: those of the nearest place within.
+    // Outside, the border values repeat: clamp to the nearest place inside.
     let ends = [width, image.height].map(|side| side as f32 - 1.0);
     let lasts = [width, image.height].map(|side| side as i32 - 2);
     for (k, out) in out.chunks_mut(BLOCK).enumerate() {
-        // In three loops, of which only the middle one, which reads the pixels, goes one by one.
+        // In three loops, of which only the middle one, which reads the pixels, is not vectorised.
         let (mut places, mut shares, mut pixels) = ([0u32; BLOCK], [[0.0f32; BLOCK]; 2], [[0.0f32; BLOCK]; 4]);
         for i in 0..BLOCK {
             let along = (k * BLOCK + i) as f32;
             let (x, y) = (start[0] + along * step[0], start[1] + along * step[1]);
             let (x, y) = (x.max(0.0).min(ends[0]), y.max(0.0).min(ends[1]));
-            // Of what is not negative the whole part is the floor. Signed numbers convert in one instruction.
+            // For non-negative numbers truncation is the floor. Signed integers convert in one
+            // instruction.
             let (column, row) = ((x as i32).min(lasts[0]), (y as i32).min(lasts[1]));
             (shares[0][i], shares[1][i]) = (x - column as f32, y - row as f32);
             places[i] = row as u32 * width as u32 + column as u32;
@@ -147,7 +153,7 @@ fn sample_wide_plain(image: &FloatImage, start: [f32; 2], step: [f32; 2], out: &
     }
 }
 
-/// Half of a Gaussian, its middle first; both sides add up to 1.
+/// Returns half of a Gaussian, centre first; both sides add up to 1.
 fn gaussian(sigma: f64) -> Vec<f32> {
     let reach = (GAUSSIAN_REACH * sigma).ceil().max(0.0) as usize;
     let value = |k: usize| if k == 0 { 1.0 } else { (-0.5 * (k as f64 / sigma).powi(2)).exp() };
@@ -156,12 +162,14 @@ fn gaussian(sigma: f64) -> Vec<f32> {
 }
 
 multiversion! {
-    /// Convolves rows with one and columns with another symmetric kernel (their halves, middle first), where a column and row is kept.
+    /// Convolves rows with one and columns with another symmetric kernel (given as halves, centre
+    /// first), computing only the columns and rows kept.
     fn convolve(source: &FloatImage, halves: [&[f32]; 2], every: [usize; 2], out: &mut [f32], row: &mut Vec<f32>);
     ["avx2"] => convolve_plain, else convolve_plain
 }
 
-/// Pixels whose sums are kept in registers at once: four of AVX2. Raised, they no longer fit beside what is added.
+/// Number of pixels summed in registers at once: four AVX2 registers. Raised, they no longer fit
+/// beside the operands.
 const BLOCK: usize = 32;
 
 #[inline(always)]
@@ -171,7 +179,8 @@ fn convolve_plain(source: &FloatImage, [across, down]: [&[f32]; 2], every: [usiz
     padded.resize(w + 2 * reach, 0.0);
     for (k, row) in out.chunks_exact_mut(w.div_ceil(every[0])).enumerate() {
         let y = k * every[1];
-        // The row down its columns, which lies in the nearest cache when it is convolved along.
+        // Convolve along columns first; the resulting row is still in the nearest cache when it is
+        // convolved along itself.
         let pairs = (0..down.len()).map(|k| (source.row(y.saturating_sub(k)), source.row((y + k).min(h - 1))));
         weighted_sum(down, pairs, &mut padded[reach..reach + w]);
         let (first, last) = (padded[reach], padded[reach + w - 1]);
@@ -195,7 +204,7 @@ fn weighted_sum<'a>(half: &[f32], pairs: impl Iterator<Item = (&'a [f32], &'a [f
     let width = out.len();
     let mut x = 0;
     while x < width {
-        // The last block begins earlier than the one before it ends; what it repeats comes out the same.
+        // The last block overlaps the one before; the repeated pixels get the same values.
         if width >= BLOCK {
             x = x.min(width - BLOCK);
             let mut sums = [0.0; BLOCK];
@@ -217,11 +226,11 @@ fn weighted_sum<'a>(half: &[f32], pairs: impl Iterator<Item = (&'a [f32], &'a [f
 }
 
 multiversion! {
-    /// Doubles a picture, see [`FloatImage::doubled`].
     fn double(source: &FloatImage, out: &mut [f32], row: &mut Vec<f32>); ["avx2"] => double_plain, else double_plain
 }
 
-/// The two pixels that a pixel becomes lie a quarter of a pixel before and behind it, so they are three quarters of it and one of a neighbour.
+/// A pixel becomes two, a quarter of a pixel before and after it: three quarters of itself plus a
+/// quarter of a neighbour.
 #[inline(always)]
 fn double_plain(source: &FloatImage, out: &mut [f32], padded: &mut Vec<f32>) {
     let (w, h) = (source.width, source.height);
@@ -241,7 +250,7 @@ fn double_plain(source: &FloatImage, out: &mut [f32], padded: &mut Vec<f32>) {
     }
 }
 
-/// Each value of a row with both its neighbours.
+/// Returns each value of a row with both its neighbours.
 #[inline(always)]
 fn triples(row: &[f32]) -> impl Iterator<Item = [f32; 3]> {
     row.iter().zip(&row[1..]).zip(&row[2..]).map(|((a, b), c)| [*a, *b, *c])
@@ -284,7 +293,7 @@ mod tests {
         let ramp = FloatImage { width: 8, height: 6, values: (0..48).map(|k| (k % 8) as f32 + 10.0 * (k / 8) as f32).collect() };
         assert!((ramp.bilinear(2.25, 3.5) - 37.25).abs() < 1e-5);
         assert_eq!(ramp.bilinear(-5.0, 100.0), 50.0);
-        // Lines inside, along the border, and out of it.
+        // Lines inside, along the border, and outside.
         for (start, step) in [([1.2, 1.1], [0.7, 0.3]), ([6.9, 4.8], [-0.7, -0.4]), ([0.0, 0.0], [1.0, 0.7]), ([-3.0, 9.0], [2.1, -1.9])] {
             let mut line = [0.0; 8];
             ramp.sample_line(start, step, &mut line);

@@ -1,8 +1,8 @@
-//! Sums of rectangles in four reads (Crow 1984).
+//! Integral images: rectangle sums in four reads (Crow 1984).
 
 use image::GrayImage;
 
-/// Sums of all pixels above and left of each corner between pixels.
+/// Sums of all pixels above and to the left of each pixel corner.
 #[derive(Debug, Clone, PartialEq)]
 pub struct IntegralImage {
     /// Columns of the picture.
@@ -14,7 +14,8 @@ pub struct IntegralImage {
 }
 
 impl IntegralImage {
-    /// Of a picture of at most 16 million pixels, so that the sum of all fits.
+    /// Builds the sums of a picture. They may wrap: only the sum of a requested rectangle must fit
+    /// 32 bits, which holds for all of a picture of up to 16 million pixels.
     pub fn of(picture: &GrayImage) -> Self {
         let (width, height) = (picture.width() as usize, picture.height() as usize);
         let stride = width + 1;
@@ -30,8 +31,8 @@ impl IntegralImage {
         Self { width, height, sums }
     }
 
-    /// Sum of the pixels in columns `x.0..x.1` and rows `y.0..y.1`, as far as they are in the picture. Differences wrap, so that only a
-    /// rectangle's own sum must fit.
+    /// Returns the sum of the pixels in columns `x.0..x.1` and rows `y.0..y.1` that are inside the
+    /// picture. Differences wrap, so only the rectangle's own sum must fit.
     pub fn sum(&self, x: (isize, isize), y: (isize, isize)) -> f32 {
         let clamp = |v: isize, n: usize| v.clamp(0, n as isize) as usize;
         let (left, right) = (clamp(x.0, self.width), clamp(x.1, self.width));

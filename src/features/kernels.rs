@@ -1,9 +1,9 @@
-//! The hot loops of feature finding, each as a plain function and, where the processor allows it (asked at
-//! run time), the same function compiled for wider registers.
+//! The hot loops of feature detection, each as a plain function that is also compiled for wider
+//! registers and used if the processor has them (detected at run time).
 
 use crate::simd::multiversion;
 
-/// Radius of FAST's circle in pixels (Rosten and Drummond 2006).
+/// Radius of the FAST circle, pixels (Rosten and Drummond 2006).
 pub const CIRCLE_RADIUS: usize = 3;
 
 /// The 16 circle pixels as (dx, dy), clockwise from the top.
@@ -26,23 +26,25 @@ pub const CIRCLE: [(isize, isize); 16] = [
     (-1, -3),
 ];
 
-/// Pixels that are tested side by side: one AVX2 register of bytes.
+/// Pixels processed side by side: one AVX2 register of bytes.
 const LANES: usize = 32;
 type Lanes = [u8; LANES];
 
 multiversion! {
-    /// Fills `scores` with the FAST-9 scores of pixels of a picture: those at `start`, `start + 1`, … whose circles lie inside `source`;
-    /// 0 where the score is below `threshold`. `offsets` are the circle's pixels relative to the centre, in reading steps.
+    /// Fills `scores` with the FAST-9 scores of the pixels `start`, `start + 1`, …, whose circles
+    /// must be inside `source`; 0 if below `threshold`. `offsets` are the circle's pixels relative
+    /// to the centre, as index offsets.
     pub fn score_row(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, scores: &mut [u8]);
     ["avx2"] => score_row_blocked, else score_row_blocked
 }
 
-/// Blocks of [`LANES`] pixels in registers; rows shorter than one pixel by pixel.
+/// Blocks of [`LANES`] pixels in registers; rows shorter than one block are padded, or scored pixel
+/// by pixel.
 #[inline(always)]
 fn score_row_blocked(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, scores: &mut [u8]) {
     let n = scores.len();
     if n < LANES {
-        // A block that reads beyond the row's end, where the picture goes on that far.
+        // A block that reads beyond the row's end, if the picture extends that far.
         let last = offsets.iter().copied().max().unwrap_or(0).max(0) as usize + start + LANES;
         if last > source.len() {
             score_row_plain(source, start, offsets, threshold, scores);
@@ -56,15 +58,15 @@ fn score_row_blocked(source: &[u8], start: usize, offsets: &[isize; 16], thresho
     score_row_blocked_in(source, start, offsets, threshold, scores);
 }
 
-/// As [`score_row_blocked`], of a row of one block at least.
+/// Like [`score_row_blocked`], for a row of at least one block.
 #[inline(always)]
 fn score_row_blocked_in(source: &[u8], start: usize, offsets: &[isize; 16], threshold: u8, scores: &mut [u8]) {
     let n = scores.len();
-    // The last block overlaps the one before it, so that no pixel is left over.
+    // The last block overlaps the one before, so that no pixel remains.
     for first in (0..n - LANES).step_by(LANES).chain([n - LANES]) {
         let at = start + first;
         let lanes = |offset: isize| -> &Lanes {
-            // The slice is exactly this long.
+            // The slice has exactly this length.
             source[at.wrapping_add_signed(offset)..][..LANES].try_into().unwrap_or(&[0; LANES])
         };
         let centre = lanes(0);
@@ -73,7 +75,8 @@ fn score_row_blocked_in(source: &[u8], start: usize, offsets: &[isize; 16], thre
             high[x] = centre[x].saturating_add(threshold);
             low[x] = centre[x].saturating_sub(threshold);
         }
-        // Any nine in a row contain a neighbouring pair of compass points: {n, s} with {w, e}.
+        // Any nine consecutive pixels contain an adjacent pair of compass points: {n, s} with {w,
+        // e}.
         let (n, e, s, w) = (lanes(offsets[0]), lanes(offsets[4]), lanes(offsets[8]), lanes(offsets[12]));
         let mut any = 0u8;
         for x in 0..LANES {
@@ -89,7 +92,7 @@ fn score_row_blocked_in(source: &[u8], start: usize, offsets: &[isize; 16], thre
     }
 }
 
-/// The scores of a block. Scoring all lanes costs less than to find out which ones need it.
+/// Scores a block. Scoring all lanes costs less than finding out which ones need it.
 #[inline(always)]
 fn score_block(circle: &[&Lanes; 16], centre: &Lanes, threshold: u8, out: &mut Lanes) {
     for x in 0..LANES {
@@ -104,10 +107,10 @@ fn score_block(circle: &[&Lanes; 16], centre: &Lanes, threshold: u8, out: &mut L
     }
 }
 
-/// The largest, over all nine in a row of 16 differences, of the least of the nine.
+/// Returns the maximum, over all runs of nine of 16 differences, of the run's minimum.
 #[inline(always)]
 fn most_of_nine(d: &[u8; 16]) -> u8 {
-    // The least of 2, of 4 and of 8 in a row, from each odd place on.
+    // The minima of 2, of 4 and of 8 consecutive differences, from each odd index on.
     let (mut two, mut four, mut best) = ([0u8; 8], [0u8; 8], 0);
     for k in 0..8 {
         two[k] = d[2 * k + 1].min(d[(2 * k + 2) % 16]);
@@ -117,7 +120,7 @@ fn most_of_nine(d: &[u8; 16]) -> u8 {
     }
     for k in 0..8 {
         let eight = four[k].min(four[(k + 2) % 8]);
-        // Eight from 2k + 1 on make nine with the one before them or the one after.
+        // Eight from 2k + 1 on make nine with the one before or the one after.
         best = best.max(eight.min(d[2 * k].max(d[(2 * k + 9) % 16])));
     }
     best
@@ -133,23 +136,25 @@ fn score_row_plain(source: &[u8], start: usize, offsets: &[isize; 16], threshold
 }
 
 multiversion! {
-    /// Keeps in `peaks` the scores of `rows[1]` that are the largest of their 3x3 neighbourhood, and 0 elsewhere; among equals the first in
-    /// reading order wins. The rows are longer than `peaks` by one pixel at either end.
+    /// Writes to `peaks` the scores of `rows[1]` that are the maximum of their 3x3 neighbourhood,
+    /// and 0 elsewhere; on ties the first in reading order wins. The rows are one pixel longer than
+    /// `peaks` at either end.
     pub fn peak_row(rows: [&[u8]; 3], peaks: &mut [u8]);
     ["avx2"] => peak_row_blocked, else peak_row_blocked
 }
 
-/// Blocks of [`LANES`] pixels in registers, of which most have no score and are passed; rows shorter than one pixel by pixel.
+/// Blocks of [`LANES`] pixels in registers; most have no score and are skipped. Rows shorter than
+/// one block go pixel by pixel.
 #[inline(always)]
 fn peak_row_blocked(rows: [&[u8]; 3], peaks: &mut [u8]) {
     let n = peaks.len();
     if n < LANES {
         return peak_row_plain(rows, peaks);
     }
-    // The last block overlaps the one before it, so that no pixel is left over.
+    // The last block overlaps the one before, so that no pixel remains.
     for first in (0..n - LANES).step_by(LANES).chain([n - LANES]) {
         let lanes = |row: &[u8], at: usize| -> Lanes {
-            // The slice is exactly this long.
+            // The slice has exactly this length.
             row[first + at..][..LANES].try_into().unwrap_or([0; LANES])
         };
         let score = lanes(rows[1], 1);
@@ -168,7 +173,8 @@ fn peak_row_blocked(rows: [&[u8]; 3], peaks: &mut [u8]) {
     }
 }
 
-/// A score if it is the largest among its neighbours, else 0; `before` and `after` in reading order.
+/// Returns a score if it is the maximum among its neighbours, else 0; `before` and `after` in
+/// reading order.
 #[inline(always)]
 fn peak(score: u8, before: [u8; 4], after: [u8; 4]) -> u8 {
     let largest = |[a, b, c, d]: [u8; 4]| a.max(b).max(c).max(d);
@@ -185,8 +191,8 @@ fn peak_row_plain(rows: [&[u8]; 3], peaks: &mut [u8]) {
     }
 }
 
-/// FAST-9's score: the largest threshold at which nine contiguous circle pixels are all brighter or all darker than the
-/// centre; 0 where there is none.
+/// Returns FAST-9's score: the highest threshold at which nine contiguous circle pixels are all
+/// brighter or all darker than the centre; 0 if there is none.
 fn fast_score(circle: &[u8; 16], centre: u8) -> u8 {
     let least = |s: usize, difference: &dyn Fn(u8) -> u8| (0..9).map(|k| difference(circle[(s + k) % 16])).min().unwrap_or(0);
     let contrast = |s| least(s, &|v| v.saturating_sub(centre)).max(least(s, &|v| centre.saturating_sub(v)));

@@ -1,4 +1,5 @@
-//! What every detector gives and every descriptor takes: keypoints of a picture, and the picture in the forms that they ask for.
+//! The interface between detectors and descriptors: keypoints of a picture, and the derived forms
+//! of the picture they need.
 
 use std::cell::OnceCell;
 
@@ -11,31 +12,31 @@ use super::pyramid::{Level, Pyramid};
 use super::watch::Watch;
 use super::{Descriptor, extractor::BORDER, integral_image::IntegralImage, scale_space::ScaleSpace};
 
-/// A distinctive place of a picture with the region that belongs to it.
+/// A distinctive place of a picture with its region.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Keypoint {
-    /// Picture pixels.
+    /// Position, picture pixels.
     pub position: Vector2<f64>,
-    /// Maps the unit circle to the region's ellipse of one sigma, picture pixels: of a blob, the Gaussian that answers to it best; of a corner,
-    /// the window that its gradients are gathered in. Its first column is the region's direction, once one was assigned. Its determinant is
-    /// positive.
+    /// Maps the unit circle to the region's one-sigma ellipse, picture pixels: for a blob, the best
+    /// responding Gaussian; for a corner, the window of its gradients. Its first column is the
+    /// region's orientation, once assigned. Its determinant is positive.
     pub shape: Matrix2<f64>,
-    /// How distinctive it is, in the detector's own unit; larger is better.
+    /// Strength, in the detector's own unit; larger is better.
     pub response: f32,
 }
 
 impl Keypoint {
-    /// A round region of `scale` pixels (sigma) that has no direction yet.
+    /// Creates a round region of `scale` pixels (sigma) without orientation.
     pub fn round(position: Vector2<f64>, scale: f64, response: f32) -> Self {
         Self { position, shape: Matrix2::identity() * scale, response }
     }
 
-    /// Radius of the circle of the region's area, sigma, picture pixels.
+    /// Returns the sigma of a circle of the region's area, picture pixels.
     pub fn scale(&self) -> f64 {
         self.shape.determinant().abs().sqrt()
     }
 
-    /// Direction of the region, radians from x to y (clockwise in the picture).
+    /// Returns the orientation of the region, radians from x to y (clockwise in the picture).
     pub fn angle(&self) -> f64 {
         self.shape[(1, 0)].atan2(self.shape[(0, 0)])
     }
@@ -46,35 +47,36 @@ impl Keypoint {
         (self.shape.transpose() * self.shape - Matrix2::identity() * scale * scale).amax() < 1e-6 * scale * scale
     }
 
-    /// The same region with its direction turned to `angle` of its own normalised frame, radians.
+    /// Returns the region with its orientation set to `angle` in its own normalised frame, radians.
     pub fn turned(&self, angle: f64) -> Self {
         let (sin, cos) = angle.sin_cos();
         Self { shape: self.shape * Matrix2::new(cos, -sin, sin, cos), ..*self }
     }
 }
 
-/// The symmetric square root of a positive definite matrix (by Cayley & Hamilton): of a region's covariance, its shape without a direction.
+/// Returns the symmetric square root of a positive definite matrix (by Cayley-Hamilton): for a
+/// region's covariance, its shape without orientation.
 pub fn square_root(m: &Matrix2<f64>) -> Matrix2<f64> {
     let root = m.determinant().max(0.0).sqrt();
     (m + Matrix2::identity() * root) / (m.trace() + 2.0 * root).sqrt()
 }
 
-/// Descriptions of keypoints, one a keypoint.
+/// Descriptors of keypoints, one per keypoint.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Descriptors {
-    /// Vectors to be compared by their Euclidean distance, one after the other.
+    /// Vectors for Euclidean distance, concatenated.
     Vectors {
-        /// Numbers of each.
+        /// Length of each.
         length: usize,
-        /// All of them.
+        /// All values.
         values: Vec<f32>,
     },
-    /// Bits to be compared by their Hamming distance.
+    /// Bits for Hamming distance.
     Bits(Vec<Descriptor>),
 }
 
 impl Descriptors {
-    /// How many there are.
+    /// Returns the number of descriptors.
     pub fn len(&self) -> usize {
         match self {
             Self::Vectors { length, values } => values.len() / (*length).max(1),
@@ -82,28 +84,28 @@ impl Descriptors {
         }
     }
 
-    /// Whether there is none.
+    /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 }
 
-/// Keypoints with their descriptions, of one picture.
+/// Keypoints of one picture with their descriptors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Features {
-    /// Where.
+    /// The keypoints.
     pub keypoints: Vec<Keypoint>,
-    /// What surrounds each.
+    /// The descriptor of each.
     pub descriptors: Descriptors,
 }
 
-/// A picture in the forms that detectors and descriptors ask for, each made when it is first asked for: a detector and a descriptor of one family
-/// share theirs.
+/// A picture with the derived forms that detectors and descriptors need, each computed on first
+/// use, so that a detector and a descriptor of one family share them.
 #[derive(Debug)]
 pub struct PictureForms<'a> {
     /// The picture itself.
     pub grey: &'a GrayImage,
-    /// Who hears of the work with it.
+    /// Progress callback of the work.
     pub(super) watch: Watch<'a>,
     float: OnceCell<FloatImage>,
     scale_space: OnceCell<ScaleSpace>,
@@ -112,33 +114,33 @@ pub struct PictureForms<'a> {
 }
 
 impl<'a> PictureForms<'a> {
-    /// Nothing is made yet.
+    /// Wraps a picture without computing anything.
     pub fn new(grey: &'a GrayImage) -> Self {
         Self::watched(grey, Watch::NONE)
     }
 
-    /// The same; whoever works with it asks whether to go on.
+    /// Like [`new`](Self::new), with a callback that may stop the work.
     pub(super) fn watched(grey: &'a GrayImage, watch: Watch<'a>) -> Self {
         let (float, scale_space, integral, pyramid) = (OnceCell::new(), OnceCell::new(), OnceCell::new(), OnceCell::new());
         Self { grey, watch, float, scale_space, integral, pyramid }
     }
 
-    /// Its grey levels as numbers.
+    /// Returns its grey levels as floats.
     pub fn float(&self) -> &FloatImage {
         self.float.get_or_init(|| FloatImage::from_grey(self.grey))
     }
 
-    /// Its Gaussian scale space.
+    /// Returns its Gaussian scale space.
     pub fn scale_space(&self) -> &ScaleSpace {
         self.scale_space.get_or_init(|| ScaleSpace::watched(self.float(), &self.watch))
     }
 
-    /// Its integral image.
+    /// Returns its integral image.
     pub fn integral(&self) -> &IntegralImage {
         self.integral.get_or_init(|| IntegralImage::of(self.grey))
     }
 
-    /// The pyramid of the tracker's own corners and descriptors, largest level first.
+    /// Returns the pyramid of the tracker's own corners and descriptors, largest level first.
     pub fn pyramid(&self) -> &[Level] {
         let ExtractorOptions { factor, levels, .. } = ExtractorOptions::default();
         let build = || {

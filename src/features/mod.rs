@@ -1,8 +1,8 @@
-//! Local features of a grey picture: a scale pyramid, corners on each level, and a binary description of
-//! what surrounds them, turned with the corner.
+//! Local features of a grey picture: a scale pyramid, corners on each level, and a binary
+//! descriptor of their surroundings, rotated with the corner.
 //!
-//! [`FeatureExtractor`] owns the buffers and keeps them from frame to frame. Hot loops live in `kernels`,
-//! each beside a plain twin that the tests hold it to.
+//! [`FeatureExtractor`] owns the buffers and reuses them from frame to frame. Hot loops are in
+//! `kernels`, each with a plain twin that tests compare it with.
 
 mod choice;
 mod contrast;

@@ -1,7 +1,8 @@
-//! Where a picture may have corners: its mask, as the levels of its pyramid see it.
+//! Where corners are allowed: the mask of a picture, as seen by its pyramid levels.
 //!
-//! A level asks of each row which columns may be open, and looks for corners in these alone. So that the answer costs nothing, the mask is cut into
-//! tiles once, and a row's answer is that of the tiles it lies in, a little more than what is open; then each corner is asked by itself.
+//! A level searches corners only in the columns of each row that may be open. To make this cheap,
+//! the mask is divided into tiles once. A row searches the open tiles it is in, slightly more than
+//! what is open; each corner is then checked individually.
 
 use std::ops::Range;
 
@@ -9,13 +10,15 @@ use image::GrayImage;
 
 use super::pyramid::Level;
 
-/// Side of a tile, pixels. Chosen: about a vector register of pixels on the levels that take the most time. Raised, more of what is closed is searched; lowered, rows are searched in
-/// more and shorter pieces.
+/// Side of a tile, pixels. Chosen: about a vector register of pixels on the levels that take the
+/// most time. Raised, more closed pixels are searched; lowered, rows are searched in more and
+/// shorter pieces.
 const TILE: usize = 16;
-/// Columns between two open parts of a row that are searched along with these, level pixels: as many as are tested side by side.
+/// Maximum gap between two open parts of a row that is searched along with them, level pixels: the
+/// number of pixels tested side by side. Raised, more closed pixels are searched.
 const BRIDGED: usize = 32;
 
-/// The mask of a picture in tiles; keeps its buffer.
+/// The mask of a picture in tiles; reuses its buffer.
 #[derive(Debug, Clone, Default)]
 pub struct OpenTiles {
     across: usize,
@@ -25,7 +28,7 @@ pub struct OpenTiles {
 }
 
 impl OpenTiles {
-    /// Those of a mask, which is open where it is not 0.
+    /// Updates the tiles from a mask, which is open where it is not 0.
     pub fn update(&mut self, mask: &GrayImage) {
         let width = mask.width().max(1) as usize;
         (self.across, self.down) = (width.div_ceil(TILE), (mask.height() as usize).div_ceil(TILE));
@@ -44,23 +47,22 @@ impl OpenTiles {
     }
 }
 
-/// The mask of a picture as a level sees it.
+/// The mask of a picture as seen by a level.
 #[derive(Debug, Clone, Copy)]
 pub struct LevelMask<'a> {
-    /// Of the whole picture.
+    /// Mask of the whole picture.
     pub mask: &'a GrayImage,
-    /// The mask's.
+    /// Tiles of the mask.
     pub tiles: &'a OpenTiles,
-    /// The level.
     pub level: &'a Level,
 }
 
-/// The column or row of the picture that the middle of a level's lies in.
+/// Returns the picture column or row that contains the centre of a level's column or row.
 fn place(at: u32, scale: f64) -> u32 {
     ((f64::from(at) + 0.5) / scale) as u32
 }
 
-/// Of a row of a level, the row of the mask that its middle lies in.
+/// The row of the mask that contains the centre of a level's row.
 pub struct OpenRow<'a> {
     pixels: &'a [u8],
     columns: &'a [u32],
@@ -75,13 +77,14 @@ impl OpenRow<'_> {
 }
 
 impl LevelMask<'_> {
-    /// Fills `columns` with the column of the mask that the middle of each column of the level lies in.
+    /// Fills `columns` with the mask column that contains the centre of each column of the level.
     pub fn find_columns(&self, columns: &mut Vec<u32>) {
         columns.clear();
         columns.extend((0..self.level.image.width()).map(|x| place(x, self.level.scale[0])));
     }
 
-    /// Which pixels of a row of the level are open. `columns`: see [`find_columns`](Self::find_columns).
+    /// Returns which pixels of a row of the level are open. `columns`: see
+    /// [`find_columns`](Self::find_columns).
     pub fn open_row<'a>(&'a self, y: u32, columns: &'a [u32]) -> OpenRow<'a> {
         let width = self.mask.width() as usize;
         let first = (place(y, self.level.scale[1]) as usize).saturating_mul(width);
@@ -89,18 +92,20 @@ impl LevelMask<'_> {
         OpenRow { pixels, columns }
     }
 
-    /// Which rows of tiles the pixels of a row of the level and of its neighbours above and below lie in.
+    /// Returns the tile rows that contain a row of the level and its neighbours above and below.
     pub fn tile_rows(&self, y: usize) -> Range<usize> {
         let row = |y: f64| ((y + 0.5) / self.level.scale[1]) as usize / TILE;
         row(y as f64 - 1.0)..(row(y as f64 + 1.0) + 1).min(self.tiles.down)
     }
 
-    /// Fills `runs` with the columns of the level that lie in open tiles of some rows, and their neighbours, from left to right.
+    /// Fills `runs` with the columns of the level in open tiles of these rows, and their
+    /// neighbours, from left to right.
     pub fn open_runs(&self, tile_rows: Range<usize>, columns: Range<usize>, runs: &mut Vec<Range<usize>>) {
         runs.clear();
         let OpenTiles { across, is_open, .. } = self.tiles;
         let is_open = |tile: usize| tile < *across && tile_rows.clone().any(|row| is_open[row * across + tile]);
-        // A pixel of the picture is that of a level's pixel within half a pixel of its place; one more for its neighbours, and one for rounding.
+        // A picture pixel belongs to a level's pixel within half a pixel of its place; one more for
+        // its neighbours, and one for rounding.
         let place = |tile: usize| (TILE * tile) as f64 * self.level.scale[0] - 0.5;
         let mut tile = 0;
         while tile < *across {
@@ -131,7 +136,8 @@ mod tests {
     use super::*;
 
     proptest! {
-        /// Every open pixel lies within a run of its row and of the rows above and below, and so do its neighbours.
+        /// Every open pixel is in a run of its row and of the rows above and below, and so are its
+        /// neighbours.
         #[test]
         fn runs_hold_all_that_is_open(size in (33u32..150, 33u32..90), open in proptest::collection::vec((0u32..150, 0u32..90), 0..6), factor in 1.05..1.9f64) {
             let mut mask = GrayImage::new(size.0, size.1);

@@ -1,21 +1,23 @@
-//! Which pairs of pixels the descriptor compares.
+//! The pairs of pixels that the descriptor compares.
 //!
-//! Drawn once, at compile time, from a seeded generator: both ends isotropic around the corner, dense near
-//! it (a sum of uniform numbers with standard deviation 6.5 px, close to what BRIEF's authors found best),
-//! within reach of the patch, and no pair shorter than 3 px.
+//! Drawn at compile time from a seeded generator: both ends isotropic around the corner, dense near
+//! it (a sum of uniform numbers with standard deviation 6.5 px, close to what BRIEF's authors found
+//! best), within reach of the patch, and no pair shorter than 3 px.
 
-/// Comparisons, one bit each, as in BRIEF-32 and ORB. Raised, chance matches get rarer, and matching takes longer.
+/// Number of comparisons, one bit each, as in BRIEF-32 and ORB. Raised, chance matches get rarer,
+/// and matching takes longer.
 pub const DESCRIPTOR_BITS: usize = 256;
-/// Radius in level pixels of the disc that gives the orientation, and reach of the comparisons: ORB's patch of 31
-/// pixels. Raised, descriptors tell more apart, and tilts, borders and occluders disturb more of them.
+/// Radius of the disc that determines the orientation, and reach of the comparisons, level pixels:
+/// ORB's patch of 31 pixels. Raised, descriptors are more distinctive, and tilts, borders and
+/// occluders disturb more of them.
 pub const PATCH_RADIUS: i32 = 15;
 /// Two pixel offsets (dx, dy) from the corner.
 pub type Pair = ((i8, i8), (i8, i8));
 
-/// The comparisons of the descriptor, unturned.
+/// The comparisons of the descriptor, unrotated.
 pub const PAIRS: [Pair; DESCRIPTOR_BITS] = draw();
 
-/// Reach of an end, squared: one pixel less than the patch, because turning rounds.
+/// Squared reach of an end: one pixel less than the patch, because rotation rounds.
 const REACH_SQUARED: i32 = (PATCH_RADIUS - 1) * (PATCH_RADIUS - 1);
 
 const fn next(state: u64) -> u64 {

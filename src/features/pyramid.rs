@@ -1,14 +1,14 @@
 //! A pyramid of ever smaller copies of a picture.
 //!
-//! A level of scale `s` relates to the picture by `c_level = (c + 0.5) s - 0.5` (DESIGN section 2), with
-//! one exact factor per axis because sizes are whole pixels.
+//! A level of scale `s` relates to the picture by `c_level = (c + 0.5) s - 0.5` (DESIGN section 2),
+//! with one exact factor per axis because sizes are whole pixels.
 
 use image::GrayImage;
 
 use super::shrink::{ColumnTaps, shrink};
 use crate::simd::multiversion;
 
-/// One level: the picture at this size, and its smoothed copy that descriptors read.
+/// One level: the picture at this size, and the smoothed copy that descriptors read.
 #[derive(Debug, Clone, Default)]
 pub struct Level {
     /// Grey levels.
@@ -17,22 +17,22 @@ pub struct Level {
     pub smooth: GrayImage,
     /// Level pixels per picture pixel, along x and y.
     pub scale: [f64; 2],
-    /// Whether `image` is this picture's: the largest level is copied only where it is asked for.
+    /// Whether `image` is up to date: the largest level is copied only on demand.
     is_filled: bool,
-    /// Whether `smooth` is this picture's.
+    /// Whether `smooth` is up to date.
     is_smooth: bool,
-    /// What its columns take of those of the level before.
+    /// Column weights for reducing the previous level.
     columns: ColumnTaps,
 }
 
 impl Level {
-    /// A position on this level as a position in the full picture.
+    /// Converts a position on this level to the full picture.
     pub fn in_picture(&self, x: f64, y: f64) -> [f64; 2] {
         [(x + 0.5) / self.scale[0] - 0.5, (y + 0.5) / self.scale[1] - 0.5]
     }
 }
 
-/// The levels, largest first; buffers are kept between pictures.
+/// The levels, largest first; buffers are reused between pictures.
 #[derive(Debug, Clone, Default)]
 pub struct Pyramid {
     levels: Vec<Level>,
@@ -40,18 +40,20 @@ pub struct Pyramid {
 }
 
 impl Pyramid {
-    /// The levels that were built last.
+    /// Returns the levels built last.
     pub fn levels(&self) -> &[Level] {
         &self.levels
     }
 
-    /// Builds at most `count` levels, each `factor` (> 1) smaller than the one before, none with a side below `least` pixels.
+    /// Builds at most `count` levels, each `factor` (> 1) smaller than the previous one, none with
+    /// a side below `least` pixels.
     pub fn build(&mut self, picture: &GrayImage, factor: f64, count: usize, least: u32) -> &[Level] {
         self.shrink(picture, factor, count, least);
         self.smooth_from(0, picture)
     }
 
-    /// The same without the smoothed copies, and without a copy of the picture itself.
+    /// Like [`build`](Self::build), without the smoothed copies and without a copy of the picture
+    /// itself.
     pub(super) fn shrink(&mut self, picture: &GrayImage, factor: f64, count: usize, least: u32) {
         let (w, h) = picture.dimensions();
         let mut made = 0;
@@ -79,7 +81,8 @@ impl Pyramid {
         self.levels.truncate(made);
     }
 
-    /// Makes the smoothed copies of the levels from `finest` on that have none yet, and returns all levels. `picture`: the one that was shrunk.
+    /// Computes the missing smoothed copies of the levels from `finest` on, and returns all levels.
+    /// `picture`: the one that was shrunk.
     pub(super) fn smooth_from(&mut self, finest: usize, picture: &GrayImage) -> &[Level] {
         for level in self.levels.iter_mut().skip(finest).filter(|level| !level.is_smooth) {
             if !level.is_filled {
@@ -94,7 +97,7 @@ impl Pyramid {
     }
 }
 
-/// Gives a buffer another size, keeping its memory where it suffices.
+/// Resizes a buffer, reusing its memory if it suffices.
 pub(crate) fn resize_buffer(image: &mut GrayImage, width: u32, height: u32) {
     if image.dimensions() != (width, height) {
         let mut raw = std::mem::take(image).into_raw();
@@ -105,7 +108,7 @@ pub(crate) fn resize_buffer(image: &mut GrayImage, width: u32, height: u32) {
 }
 
 multiversion! {
-    /// The 5x5 binomial filter (1 4 6 4 1)/16 along both axes; edges repeat the border pixel.
+    /// Applies the 5x5 binomial filter (1 4 6 4 1)/16 along both axes; the border pixels repeat.
     pub fn smooth_into(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u16>); ["avx2"] => smooth_lanes, else smooth_lanes
 }
 
@@ -114,7 +117,7 @@ fn smooth_lanes(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u16>) {
     smooth_with(from, to, row, |sum| ((sum + 128) >> 8) as u8);
 }
 
-/// The same, with what becomes of the filter's sums: 256 times a grey level.
+/// Like [`smooth_into`], with a conversion of the filter's sums, which are 256 times a grey level.
 #[inline(always)]
 pub(super) fn smooth_with(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u16>, grey: impl Fn(u16) -> u8) {
     let (w, h) = (from.width() as usize, from.height() as usize);
@@ -137,7 +140,7 @@ pub(super) fn smooth_with(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u1
         }
         let (first, last) = (row[2], row[w + 1]);
         (row[0], row[1], row[w + 2], row[w + 3]) = (first, first, last, last);
-        // At most 256 * 255 + 128: 16 bits hold it.
+        // At most 256 * 255 + 128, which fits 16 bits.
         let [a, b, c, d, e] = [0, 1, 2, 3, 4].map(|k| &row[k..k + w]);
         for (x, out) in out.iter_mut().enumerate() {
             *out = grey(a[x] + e[x] + 4 * (b[x] + d[x]) + 6 * c[x]);
@@ -145,7 +148,7 @@ pub(super) fn smooth_with(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u1
     }
 }
 
-/// Means of 2x2 pixels; an odd last row or column is dropped, so that positions stay exact.
+/// Returns means of 2x2 pixels; an odd last row or column is dropped, so that positions stay exact.
 pub fn halved(image: &GrayImage) -> GrayImage {
     let mut half = GrayImage::new(image.width() / 2, image.height() / 2);
     let (w, stride) = (half.width() as usize, image.width() as usize);

@@ -1,9 +1,12 @@
-//! How many keypoints of a picture of a plane are found again in another picture of it, and how exactly (Mikolajczyk & Schmid, Scale & Affine
-//! Invariant Interest Point Detectors, IJCV 2004, section 6.1; Mikolajczyk et al., A Comparison of Affine Region Detectors, IJCV 2005, section 4).
+//! How many keypoints of a picture of a plane are found again in another picture of it, and how
+//! precisely (Mikolajczyk & Schmid, Scale & Affine Invariant Interest Point Detectors, IJCV 2004,
+//! section 6.1; Mikolajczyk et al., A Comparison of Affine Region Detectors, IJCV 2005, section 4).
 //!
-//! Two keypoints are partners when their places agree and, where their detector finds a size, their regions do. A detector of corners of one fixed
-//! size does not say how large a corner is: its regions would fail under any zoom, however well its places are found. Of those the place alone
-//! counts, as in Schmid, Mohr & Bauckhage, Evaluation of Interest Point Detectors, IJCV 2000, section 3.
+//! Two keypoints correspond if their positions agree and, if their detector estimates a size, their
+//! regions do. A detector of corners of one fixed size does not measure how large a corner is: its
+//! regions would fail under any zoom, however precise the positions. For those only the position
+//! counts, as in Schmid, Mohr & Bauckhage, Evaluation of Interest Point Detectors, IJCV 2000,
+//! section 3.
 
 use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -13,28 +16,33 @@ use nalgebra::{Matrix2, Vector2};
 use super::keypoint::Keypoint;
 use crate::geometry::Homography;
 
-/// How far partners may lie apart in the second picture, pixels (2004, section 6.1). Raised, neighbours pass for partners.
+/// Maximum distance of corresponding keypoints in the second picture, pixels (2004, section 6.1).
+/// Raised, neighbours count as corresponding.
 const SAME_PLACE_PX: f64 = 1.5;
-/// Share of the union of two regions that they may not have in common (2004, section 6.1; 2005, section 4.1). Raised, worse fitting regions
-/// count as found again, which descriptors bear less well.
+/// Maximum overlap error of two regions, as a fraction of their union (2004, section 6.1; 2005,
+/// section 4.1). Raised, worse fitting regions count as found again, which descriptors tolerate
+/// less.
 const MOST_OVERLAP_ERROR: f64 = 0.4;
-/// Sizes of one detector differ by less than this share where all are the same, up to rounding.
+/// Relative difference of sizes up to which they count as equal: rounding.
 const SAME_SIZE: f64 = 1e-6;
-/// Nearest candidates that are kept for each keypoint. More lie within [`SAME_PLACE_PX`] only in a heap of keypoints, where any is as good.
+/// Maximum number of candidates per keypoint, nearest first. More are within [`SAME_PLACE_PX`] only
+/// in a cluster of keypoints, where any will do.
 const CANDIDATES: usize = 16;
 
-/// How well keypoints are found again.
+/// Repeatability of keypoints.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Repeatability {
-    /// Share of the keypoints in the part that both pictures show that have a partner in the other, of the picture that has fewer there; 0 where
-    /// one has none.
+    /// Fraction of the keypoints in the common part of both pictures with a correspondence,
+    /// relative to the picture that has fewer there; 0 if one has none.
     pub share: f64,
-    /// Median distance of the partners in the second picture, pixels; none without partners.
+    /// Median distance of corresponding keypoints in the second picture, pixels; `None` without
+    /// any.
     pub error_px: Option<f64>,
 }
 
-/// Compares the keypoints of two pictures of `sizes` (width and height, pixels), of which `known` maps the first's pixels to the second's. A
-/// keypoint that comes several times, with other directions, counts once.
+/// Compares the keypoints of two pictures of `sizes` (width and height, pixels); `known` maps the
+/// first's pixels to the second's. A keypoint that occurs several times with different orientations
+/// counts once.
 pub fn repeatability(first: &[Keypoint], second: &[Keypoint], known: &Homography, sizes: [(u32, u32); 2]) -> Repeatability {
     let Some(back) = known.inverse() else { return Repeatability { share: 0.0, error_px: None } };
     let here: Vec<Seen> = first.iter().filter_map(|k| seen_through(k, known, sizes)).collect();
@@ -48,7 +56,7 @@ pub fn repeatability(first: &[Keypoint], second: &[Keypoint], known: &Homography
     Repeatability { share, error_px: median(distances) }
 }
 
-/// A keypoint as it lies in the second picture.
+/// A keypoint, mapped to the second picture.
 #[derive(Debug, Clone, Copy)]
 struct Seen {
     place: Vector2<f64>,
@@ -56,7 +64,7 @@ struct Seen {
     spread: Matrix2<f64>,
 }
 
-/// The keypoint of one picture in another, where both pictures show its place.
+/// Maps a keypoint to the other picture, if both pictures show its place.
 fn seen_through(keypoint: &Keypoint, map: &Homography, sizes: [(u32, u32); 2]) -> Option<Seen> {
     let shown =
         |p: Vector2<f64>, (w, h): (u32, u32)| (0.0..=f64::from(w) - 1.0).contains(&p.x) && (0.0..=f64::from(h) - 1.0).contains(&p.y);
@@ -68,26 +76,26 @@ fn seen_through(keypoint: &Keypoint, map: &Homography, sizes: [(u32, u32); 2]) -
     shown(place, sizes[1]).then(|| Seen { place, spread: shape * shape.transpose() })
 }
 
-/// Whether all keypoints are of one size: their detector finds none.
+/// Whether all keypoints have one size, so that their detector does not estimate it.
 fn one_size(first: &[Keypoint], second: &[Keypoint]) -> bool {
     let mut all = first.iter().chain(second);
     let Some(size) = all.next().map(Keypoint::scale) else { return true };
     all.all(|k| (k.scale() - size).abs() <= SAME_SIZE * size && k.is_round())
 }
 
-/// In the order of rows, each place and region once.
+/// Sorts by row and removes duplicates of position and region.
 fn distinct(mut all: Vec<Seen>) -> Vec<Seen> {
     let key = |s: &Seen| [s.place.y, s.place.x, s.spread[(0, 0)], s.spread[(1, 1)], s.spread[(0, 1)]];
     all.sort_by(|a, b| {
         let places = key(a).into_iter().zip(key(b)).map(|(a, b)| a.total_cmp(&b));
         places.fold(std::cmp::Ordering::Equal, std::cmp::Ordering::then)
     });
-    // Turning a region leaves its spread the same up to rounding.
+    // Rotating a region leaves its spread the same up to rounding.
     all.dedup_by(|a, b| a.place == b.place && (a.spread - b.spread).amax() <= SAME_SIZE * b.spread.amax());
     all
 }
 
-/// Distances of the partners, one to one, the nearest first.
+/// Returns the distances of corresponding keypoints, matched one to one, nearest first.
 fn partners(here: &[Seen], there: &[Seen], sized: bool) -> Vec<f64> {
     let cell = |p: Vector2<f64>| ((p.y / SAME_PLACE_PX).floor() as i64, (p.x / SAME_PLACE_PX).floor() as i64);
     let mut cells: BTreeMap<(i64, i64), Vec<usize>> = BTreeMap::new();
@@ -116,9 +124,10 @@ fn partners(here: &[Seen], there: &[Seen], sized: bool) -> Vec<f64> {
     pairs.into_iter().map(|(distance, _, _)| distance).collect()
 }
 
-/// Share of the union of two ellipses about the same middle that is not in both. Their places are compared by themselves.
+/// Returns the fraction of the union of two concentric ellipses that is not in both. Their
+/// positions are compared separately.
 fn overlap_error(a: &Matrix2<f64>, b: &Matrix2<f64>) -> f64 {
-    // In the frame that makes `a` the unit circle, `b` has these squared half axes.
+    // In the frame where `a` is the unit circle, `b` has these squared half axes.
     let Some(inverse) = a.try_inverse() else { return 1.0 };
     let product = inverse * b;
     let (half, determinant) = (0.5 * product.trace(), product.determinant());
@@ -129,7 +138,8 @@ fn overlap_error(a: &Matrix2<f64>, b: &Matrix2<f64>) -> f64 {
     } else if long <= 1.0 {
         PI * long * short
     } else {
-        // They cross at this height. The circle bounds the common part next to the long axis, the ellipse the rest.
+        // They cross at this height. The circle bounds the common part near the long axis, the
+        // ellipse the rest.
         let height = ((1.0 - long.powi(-2)) / (short.powi(-2) - long.powi(-2))).sqrt().min(short);
         2.0 * height.asin() + 2.0 * long * short * (FRAC_PI_2 - (height / short).asin())
     };
@@ -137,7 +147,7 @@ fn overlap_error(a: &Matrix2<f64>, b: &Matrix2<f64>) -> f64 {
     if error.is_finite() { error } else { 1.0 }
 }
 
-/// Of ascending values.
+/// Median of ascending values.
 fn median(values: Vec<f64>) -> Option<f64> {
     let upper = values.get(values.len() / 2)?;
     let lower = values.get((values.len() - 1) / 2)?;
@@ -162,7 +172,7 @@ mod tests {
         Homography(Matrix3::new(s, 0.1, 5.0, -0.1, s, 30.0, 1e-4, -1e-4, 1.0))
     }
 
-    /// The keypoints as the second picture has them, moved by `offset`.
+    /// The keypoints mapped to the second picture, moved by `offset`.
     fn moved(all: &[Keypoint], h: &Homography, offset: f64) -> Vec<Keypoint> {
         let there = |k: &Keypoint| {
             let position = h.map(k.position).unwrap();
@@ -189,7 +199,7 @@ mod tests {
             second.iter_mut().for_each(|k| k.shape *= factor);
             assert!((repeatability(&first, &second, &h, SIZES).share - share).abs() < 0.01, "{factor}");
             let mut second = moved(&first, &h, 0.0);
-            // An area that is the same, but an ellipse.
+            // The same area, but an ellipse.
             second.iter_mut().for_each(|k| k.shape = Matrix2::new(1.5, 0.0, 0.0, 1.0 / 1.5) * k.shape);
             assert!(repeatability(&first, &second, &h, SIZES).share < 0.01);
         }
@@ -207,17 +217,17 @@ mod tests {
     #[test]
     fn partners_are_one_to_one_and_only_the_common_part_counts() {
         let first = scattered(|_| 2.0);
-        // Two for each: half of them are nobody's partner, and the fewer count.
+        // Two for each: half of them correspond to none, and the smaller number counts.
         let twice: Vec<Keypoint> = first.iter().flat_map(|k| [0.2, 0.9].map(|d| moved(&[*k], &view(1.0), d)[0])).collect();
         let found = repeatability(&first, &twice, &view(1.0), SIZES);
         assert!(found.share > 0.95 && found.share <= 1.0 && (found.error_px.unwrap() - 0.2).abs() < 1e-3, "{found:?}");
-        // One keypoint with three directions is one, so that two of four are found again.
+        // A keypoint with three orientations counts once, so two of four are found again.
         let [a, b] = [first[0], first[5]];
         let turned = [a, a.turned(1.0), a.turned(2.0), b];
         let other = [a, Keypoint::round(Vector2::new(300.0, 200.0), 2.0, 1.0)];
         let still = Homography(Matrix3::identity());
         assert_eq!(repeatability(&turned, &other, &still, SIZES).share, 0.5);
-        // What the second picture does not show does not count against it.
+        // Parts that the second picture does not show do not count against it.
         let aside = Homography(Matrix3::new(1.0, 0.0, 200.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
         assert!(repeatability(&first, &moved(&first, &aside, 0.0), &aside, SIZES).share > 0.99);
     }

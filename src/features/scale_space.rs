@@ -1,69 +1,76 @@
-//! The Gaussian scale space of a picture: octaves of ever smoother copies, each octave half as large as the one before (Lowe, Distinctive Image
-//! Features from Scale-Invariant Keypoints, IJCV 2004, section 3).
+//! The Gaussian scale space of a picture: octaves of increasingly smoothed copies, each octave half
+//! as large as the previous (Lowe, Distinctive Image Features from Scale-Invariant Keypoints, IJCV
+//! 2004, section 3).
 //!
-//! The first octave is the picture doubled, which finds four times as many keypoints (section 3.3). Doubling puts the middle of its first pixel a
-//! quarter of a picture pixel before that of the picture's, and taking every second pixel keeps the first one's middle: each octave's pixels
-//! lie at `c * step - 0.25` of the picture's.
+//! The first octave is the picture doubled, which finds four times as many keypoints (section 3.3).
+//! Doubling puts the centre of the first pixel a quarter of a picture pixel before the picture's,
+//! and taking every second pixel keeps the first one's centre. So each octave's pixel c is at
+//! `c * step - 0.25` in the picture.
 
 use nalgebra::Vector2;
 
 use super::float_image::FloatImage;
 use super::watch::Watch;
 
-/// Scales sampled an octave: 3 has the most repeatable keypoints (Lowe 2004, figure 3). Raised, it finds more that are less stable and takes longer.
+/// Scales per octave: 3 gives the most repeatable keypoints (Lowe 2004, figure 3). Raised, more and
+/// less stable ones are found, and it takes longer.
 pub const SCALES: usize = 3;
-/// Copies an octave: an extremum of [`SCALES`] differences has a neighbour on either side, and a difference has two copies.
+/// Copies per octave: an extremum of [`SCALES`] differences has a neighbour on either side, and a
+/// difference has two copies.
 pub const LEVELS: usize = SCALES + 3;
-/// Sigma of the first copy of an octave, its own pixels (Lowe 2004, section 3.3). Raised, it repeats a little better and costs more.
+/// Sigma of the first copy of an octave, its own pixels (Lowe 2004, section 3.3). Raised,
+/// repeatability improves a little and it costs more.
 pub const BASE_SIGMA: f64 = 1.6;
-/// Blur that a camera's picture has already, sigma in pixels (Lowe 2004, section 3.3: at least this against aliasing).
+/// Blur already present in a camera's picture, sigma in pixels (Lowe 2004, section 3.3: at least
+/// this against aliasing). Raised, less is added.
 const CAMERA_SIGMA: f64 = 0.5;
-/// An octave with a shorter side is not made: it has no inner pixel beside the border that extrema keep.
+/// Minimum side of an octave, pixels; a smaller one has hardly any pixels inside the border that
+/// extrema keep.
 const SMALLEST_SIDE: usize = 12;
-/// Where the first pixel of every octave lies in the picture, pixels across and down.
+/// Position of the first pixel of every octave in the picture, pixels across and down.
 const ORIGIN: f64 = -0.25;
 
-/// Copies of one size, ever smoother.
+/// Copies of one size, increasingly smoothed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Octave {
-    /// Picture pixels from one of its pixels to the next: 0.5, 1, 2, ….
+    /// Pixel spacing in picture pixels: 0.5, 1, 2, ….
     pub step: f64,
     /// [`LEVELS`] copies.
     pub levels: Vec<FloatImage>,
 }
 
 impl Octave {
-    /// Sigma of a copy in the octave's own pixels, also between two copies.
+    /// Returns the sigma of a copy in the octave's own pixels, also between two copies.
     pub fn sigma(level: f64) -> f64 {
         BASE_SIGMA * (level / SCALES as f64).exp2()
     }
 
-    /// Where a place of the octave lies in the picture.
+    /// Converts a position in the octave to the picture.
     pub fn in_picture(&self, place: Vector2<f64>) -> Vector2<f64> {
         place.map(|c| c * self.step + ORIGIN)
     }
 
-    /// Where a place of the picture lies in the octave.
+    /// Converts a position in the picture to the octave.
     pub fn in_octave(&self, place: Vector2<f64>) -> Vector2<f64> {
         place.map(|c| (c - ORIGIN) / self.step)
     }
 }
 
-/// Ever smoother copies of a picture.
+/// Increasingly smoothed copies of a picture.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ScaleSpace {
-    /// Largest pictures first; none where the picture is too small for one.
+    /// Largest octave first; empty if the picture is too small.
     pub octaves: Vec<Octave>,
 }
 
 impl ScaleSpace {
-    /// Of a picture.
+    /// Builds the scale space of a picture.
     #[cfg(test)]
     pub fn of(picture: &FloatImage) -> Self {
         Self::watched(picture, &Watch::NONE)
     }
 
-    /// Of a picture; the octaves so far where the work was ended.
+    /// Builds the scale space of a picture; returns the octaves so far if the work was stopped.
     pub(super) fn watched(picture: &FloatImage, watch: &Watch) -> Self {
         let mut octaves: Vec<Octave> = Vec::new();
         let mut row = Vec::new();
@@ -72,8 +79,9 @@ impl ScaleSpace {
             return Self { octaves };
         }
         let mut base = FloatImage::default();
-        // Variances add up; that of the picture counts four times in the double. What interpolation adds (a variance of 3/16) is left out, as by
-        // Lowe: counted, structures at the limit of what the finest scale holds are lost, a sixth of the true matches between photographs.
+        // Variances add up; the picture's counts four times in the doubled one. The variance added
+        // by interpolation (3/16) is ignored, as Lowe does: counting it loses structures at the
+        // limit of the finest scale, a sixth of the true matches between photographs.
         picture.doubled().blur_into((BASE_SIGMA.powi(2) - 4.0 * CAMERA_SIGMA.powi(2)).sqrt(), &mut base, &mut row);
         let mut step = 0.5;
         loop {
@@ -88,25 +96,29 @@ impl ScaleSpace {
         }
     }
 
-    /// The copy whose smoothing is nearest to `sigma` picture pixels; None of a picture too small for any.
+    /// Returns the copy with smoothing nearest to `sigma` picture pixels; `None` if there are no
+    /// octaves.
     pub fn nearest(&self, sigma: f64) -> Option<SmoothedCopy<'_>> {
         self.copy(self.level(sigma)?.round())
     }
 
-    /// The smoothest copy of at most `sigma` picture pixels, else the first.
+    /// Returns the smoothest copy of at most `sigma` picture pixels, else the first; `None` if
+    /// there are no octaves.
     pub fn at_most(&self, sigma: f64) -> Option<SmoothedCopy<'_>> {
         self.copy(self.level(sigma)?.floor())
     }
 
-    /// Which copy has a smoothing, counted from the first one of the first octave.
+    /// Returns the fractional index of the copy with this smoothing, counted from the first one of
+    /// the first octave.
     fn level(&self, sigma: f64) -> Option<f64> {
         let first = self.octaves.first()?.step * BASE_SIGMA;
-        // A rounding error must not make it the copy before.
+        // A rounding error must not select the previous copy.
         Some((sigma / first).max(1.0).log2() * SCALES as f64 + 1e-6)
     }
 
     fn copy(&self, level: f64) -> Option<SmoothedCopy<'_>> {
-        // The first copy of an octave has the smoothing of one of the octave before, which is larger: take that.
+        // The first copy of an octave has the same smoothing as one of the previous octave, which
+        // is larger: use that.
         let number = (((level - 1.0) / SCALES as f64).floor().max(0.0) as usize).min(self.octaves.len() - 1);
         let within = (level as usize).saturating_sub(number * SCALES).min(SCALES);
         let octave = self.octaves.get(number)?;
@@ -117,7 +129,7 @@ impl ScaleSpace {
 /// One copy of a scale space.
 #[derive(Debug, Clone)]
 pub struct SmoothedCopy<'a> {
-    /// Where it belongs.
+    /// Its octave.
     pub octave: &'a Octave,
     /// Its pixels.
     pub image: &'a FloatImage,
@@ -125,11 +137,11 @@ pub struct SmoothedCopy<'a> {
     pub sigma: f64,
 }
 
-/// The copies of an octave, from its first; none where the work was ended.
+/// Builds the copies of an octave from its first; `None` if the work was stopped.
 fn smoothed(base: FloatImage, row: &mut Vec<f32>, watch: &Watch) -> Option<Vec<FloatImage>> {
     let mut levels = vec![base];
     for level in watch.over(1..LEVELS) {
-        // Each is made from the one before: variances add up, so that a small kernel is enough.
+        // Each is computed from the previous: variances add up, so a small kernel suffices.
         let [before, after] = [level - 1, level].map(|l| Octave::sigma(l as f64).powi(2));
         let mut next = FloatImage::default();
         levels[level - 1].blur_into((after - before).sqrt(), &mut next, row);
@@ -168,7 +180,8 @@ mod tests {
                 }
                 let [x, y, variance] = [1, 2, 3].map(|k| sums[k] / sums[0]);
                 assert!(x.abs() < 0.01 && y.abs() < 0.01, "step {}, level {level}: {x} {y}", octave.step);
-                // A camera's blur is part of what the scale counts, which this picture has not; interpolation's is not.
+                // The scale includes a camera's blur, which this picture lacks; it does not include
+                // interpolation's.
                 let smoothing = (variance - own * own + CAMERA_SIGMA * CAMERA_SIGMA - 3.0 / 16.0).sqrt();
                 let expected = Octave::sigma(level as f64) * octave.step;
                 assert!((smoothing / expected - 1.0).abs() < 0.02, "step {}, level {level}: {smoothing} not {expected}", octave.step);

@@ -1,30 +1,33 @@
-//! Products of a picture's gradients gathered in a Gaussian window: the second-moment matrix of each pixel, also called its structure tensor
-//! (Förstner & Gülch 1987; Harris & Stephens 1988).
+//! Products of a picture's gradients averaged in a Gaussian window: the second-moment matrix of
+//! each pixel, also called its structure tensor (Förstner & Gülch 1987; Harris & Stephens 1988).
 
 use super::float_image::FloatImage;
 use crate::simd::multiversion;
 
-/// Sigmas are kept between these, pixels: below, a Gaussian is one pixel; above, it is wider than any corner and takes seconds.
+/// Limits of sigmas, pixels: below, a Gaussian is a single pixel; above, it is wider than any
+/// corner and takes seconds.
 const SIGMAS: (f64, f64) = (0.01, 100.0);
 
-/// The three distinct elements of the matrix of each pixel, in squared grey levels a squared pixel.
+/// The three distinct elements of the matrix of each pixel, in squared grey levels per squared
+/// pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SecondMoments {
-    /// Mean square of the gradient across.
+    /// Mean square of the horizontal gradient.
     pub xx: FloatImage,
-    /// Mean square of the gradient down.
+    /// Mean square of the vertical gradient.
     pub yy: FloatImage,
     /// Mean product of both.
     pub xy: FloatImage,
 }
 
 impl SecondMoments {
-    /// Of gradients of the picture smoothed by `derivative_sigma` pixels, gathered in a window of `sigma` pixels.
+    /// Computes the moments of the picture smoothed by `derivative_sigma` pixels, in a window of
+    /// `sigma` pixels.
     pub fn of(picture: &FloatImage, derivative_sigma: f64, sigma: f64) -> Self {
         Self::of_smoothed(&picture.blurred(within(derivative_sigma)), sigma)
     }
 
-    /// Of gradients of a picture as it is, gathered in a window of `sigma` pixels.
+    /// Computes the moments of a picture without further smoothing, in a window of `sigma` pixels.
     pub fn of_smoothed(smooth: &FloatImage, sigma: f64) -> Self {
         let (across, down) = gradients(smooth);
         let gathered = |a: &FloatImage, b: &FloatImage| {
@@ -35,13 +38,13 @@ impl SecondMoments {
     }
 }
 
-/// A sigma that a picture can be smoothed by.
+/// Clamps a sigma to the usable range.
 pub fn within(sigma: f64) -> f64 {
     if sigma.is_nan() { SIGMAS.0 } else { sigma.clamp(SIGMAS.0, SIGMAS.1) }
 }
 
-/// Gradients across and down of each pixel, grey levels a pixel: half the differences of its neighbours; at the border, of the pixel itself and
-/// its only neighbour.
+/// Returns the horizontal and vertical gradients of each pixel, grey levels per pixel: half the
+/// difference of its neighbours; at the border, of the pixel itself and its only neighbour.
 pub fn gradients(picture: &FloatImage) -> (FloatImage, FloatImage) {
     let (mut across, mut down) = (FloatImage::new(picture.width, picture.height), FloatImage::new(picture.width, picture.height));
     if !picture.values.is_empty() {

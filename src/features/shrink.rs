@@ -1,31 +1,34 @@
-//! Bilinear reduction of a picture: a plain function, and its twin for AVX2.
+//! Bilinear reduction of a picture: a plain function, and its AVX2 twin.
 //!
-//! A pixel of the smaller picture is a weighted mean of four of the larger one, with weights in 128ths along each axis. All sums are exact, so that both
-//! twins give the same bytes.
+//! A pixel of the smaller picture is a weighted mean of four of the larger one, with weights in
+//! 128ths along each axis. All sums are exact, so both twins give the same bytes.
 
 use image::GrayImage;
 
 use crate::simd::multiversion;
 
-/// The weights of two neighbours add up to this. With more, a sum of two weighted pixels would not fit 16 bits.
+/// Sum of the weights of two neighbours. Raised, a sum of two weighted pixels would not fit 16
+/// bits.
 const WHOLE: u16 = 128;
-/// Weighted sums are 2^14 times a grey level, 128 along each axis. Half of that is added before they are divided, so that the level is rounded.
+/// Weighted sums are 2^14 times a grey level, 128 along each axis. Half of that is added before the
+/// division, for rounding.
 const BITS: i32 = 14;
 const HALF: i32 = 1 << (BITS - 1);
 
-/// What each column of a smaller picture takes of the larger one's columns.
+/// Weights of the larger picture's columns for each column of the smaller one.
 #[derive(Debug, Clone, Default)]
 pub struct ColumnTaps {
-    /// Widths of the larger and of the smaller picture that these are for.
+    /// Widths of the larger and the smaller picture.
     widths: [usize; 2],
-    /// The left one of two neighbours, and the weight of the right one.
+    /// The left of two neighbours, and the weight of the right one.
     taps: Vec<(u32, u16)>,
-    /// The same for columns side by side; none where there are fewer, or where they lie further apart.
+    /// The same in blocks of columns; empty if there are fewer columns, or they are too far apart.
     #[cfg(target_arch = "x86_64")]
     blocks: Vec<avx2::TapBlock>,
 }
 
-/// The left neighbour of place `k`, and the weight of the right one; pixel areas are aligned.
+/// Returns the left neighbour of position `k`, and the weight of the right one; pixel areas are
+/// aligned.
 fn tap(k: usize, from: usize, to: usize) -> (u32, u16) {
     let c = ((k as f64 + 0.5) * from as f64 / to as f64 - 0.5).clamp(0.0, (from - 1) as f64);
     let i = (c as usize).min(from.saturating_sub(2));
@@ -46,12 +49,14 @@ impl ColumnTaps {
 }
 
 multiversion! {
-    /// Fills a smaller picture, by a factor between 1 and 2 on both axes; pixel areas are aligned. `columns`: kept for pictures of the same widths.
+    /// Fills a smaller picture, reduced by a factor between 1 and 2 on both axes; pixel areas are
+    /// aligned. `columns` is reused for pictures of the same widths.
     pub fn shrink(from: &GrayImage, to: &mut GrayImage, columns: &mut ColumnTaps);
     ["avx2"] => avx2::shrink, else shrink_plain
 }
 
-/// The two rows of the larger picture that a row of the smaller one lies between, and the weight of the lower one.
+/// Returns the two rows of the larger picture around a row of the smaller one, and the weight of
+/// the lower one.
 #[inline(always)]
 fn rows(from: &GrayImage, y: usize, height: usize) -> (&[u8], &[u8], u16) {
     let (w, h) = (from.width() as usize, from.height() as usize);
@@ -71,7 +76,7 @@ fn shrink_plain(from: &GrayImage, to: &mut GrayImage, columns: &mut ColumnTaps) 
     }
 }
 
-/// A row, column by column.
+/// Computes a row, column by column.
 #[inline(always)]
 fn shrink_row(top: &[u8], bottom: &[u8], share: u16, taps: &[(u32, u16)], out: &mut [u8]) {
     let blended = |x: usize| i32::from(u16::from(top[x]) * (WHOLE - share) + u16::from(bottom[x]) * share);
@@ -82,7 +87,8 @@ fn shrink_row(top: &[u8], bottom: &[u8], share: u16, taps: &[(u32, u16)], out: &
     }
 }
 
-/// The same, sixteen columns at a time: neighbours are picked by a shuffle of bytes, which compilers do not find.
+/// The same, sixteen columns at a time: a byte shuffle gathers the neighbours, which compilers do
+/// not generate.
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
     use std::arch::x86_64::{
@@ -96,30 +102,33 @@ mod avx2 {
 
     use super::{BITS, ColumnTaps, HALF, WHOLE, rows, shrink_row};
 
-    /// Columns of the smaller picture that are made side by side, in two halves that are picked from 16 columns of the larger one each.
+    /// Columns of the smaller picture computed side by side, and columns of the larger one from
+    /// which each of their two halves is gathered.
     const LANES: usize = 16;
     const PICKED: usize = 16;
 
-    /// Of [`LANES`] columns side by side.
+    /// Taps of [`LANES`] adjacent columns.
     #[derive(Debug, Clone, Copy, Default)]
     pub struct TapBlock {
         /// The first of these columns.
         first: usize,
-        /// The first of the larger picture's columns that each half picks from.
+        /// The first column of the larger picture that each half gathers from.
         from: [usize; 2],
-        /// Where the neighbours of each column are from there, left and right in turns, and their weights.
+        /// Positions of each column's neighbours relative to that, alternating left and right, and
+        /// their weights.
         places: [u8; 2 * LANES],
         weights: [u8; 2 * LANES],
     }
 
-    /// Makes the blocks of columns with these taps; none where they are too few, or too far apart. `width`: of the larger picture.
+    /// Builds the blocks for these taps; none if there are too few, or they are too far apart.
+    /// `width` is that of the larger picture.
     pub fn fill_blocks(taps: &[(u32, u16)], width: usize, blocks: &mut Vec<TapBlock>) {
         blocks.clear();
         if taps.len() < LANES || width < PICKED {
             return;
         }
         let last = taps.len() - LANES;
-        // The last block overlaps the one before it, so that no column is left over.
+        // The last block overlaps the one before, so that no column remains.
         for first in (0..last).step_by(LANES).chain([last]) {
             let Some(block) = block_of(taps, first, width) else {
                 blocks.clear();
@@ -129,7 +138,8 @@ mod avx2 {
         }
     }
 
-    /// The block of these columns; `None` where they lie too far apart. `width`: of the larger picture.
+    /// Builds the block of these columns; `None` if they are too far apart. `width` is that of the
+    /// larger picture.
     fn block_of(taps: &[(u32, u16)], first: usize, width: usize) -> Option<TapBlock> {
         let mut block = TapBlock { first, ..TapBlock::default() };
         for (half, own) in taps[first..][..LANES].chunks_exact(LANES / 2).enumerate() {
@@ -153,7 +163,8 @@ mod avx2 {
     pub fn shrink(from: &GrayImage, to: &mut GrayImage, columns: &mut ColumnTaps) {
         let (width, height) = (to.width() as usize, to.height() as usize);
         columns.update(from.width() as usize, width);
-        // Grey levels less 128 have a sign, as the products ask; four weights add up to 128 times 128.
+        // Subtract 128 to make grey levels signed, as the products require; four weights add up to
+        // 128 times 128.
         let sign = _mm256_set1_epi8(i8::MIN);
         let offset = _mm256_set1_epi32(128 * (i32::from(WHOLE) * i32::from(WHOLE)) + HALF);
         for (y, out) in to.as_mut().chunks_exact_mut(width.max(1)).enumerate() {
@@ -162,7 +173,7 @@ mod avx2 {
                 shrink_row(top, bottom, share, &columns.taps, out);
             }
             let by_row = _mm256_set1_epi32(i32::from(WHOLE - share) | i32::from(share) << 16);
-            // Nothing is handed to `map`, which would be compiled without these registers.
+            // Not using `map`, whose closure would be compiled without these registers.
             for block in &columns.blocks {
                 // SAFETY: both arrays have 32 bytes.
                 let places = unsafe { _mm256_loadu_si256(block.places.as_ptr().cast::<__m256i>()) };
@@ -199,13 +210,13 @@ mod tests {
 
     use super::*;
 
-    /// Widths around whole blocks, and factors on both sides of what blocks can do.
+    /// Widths around whole blocks, and factors within and beyond what blocks can handle.
     #[test]
     fn columns_side_by_side_are_those_one_by_one() {
         let mut random = Pcg64Mcg::seed_from_u64(5);
         for width in [1, 2, 15, 16, 17, 20, 33, 64, 97, 128, 321, 1280] {
             for height in [1, 2, 7] {
-                // Black and white among them: the largest sums.
+                // Including black and white: the largest sums.
                 let grey = |random: &mut Pcg64Mcg| [0, 255, random.random()][random.random_range(0..3)];
                 let from = GrayImage::from_fn(width, height, |_, _| image::Luma([grey(&mut random)]));
                 for factor in [1.0, 1.05, 1.1, 1.2, 1.6, 2.0] {
@@ -213,7 +224,7 @@ mod tests {
                     let [mut plain, mut wide] = [(); 2].map(|()| GrayImage::new(side(width), side(height)));
                     shrink_plain(&from, &mut plain, &mut ColumnTaps::default());
                     let mut columns = ColumnTaps::default();
-                    // What is kept of other widths does not stay.
+                    // Taps of other widths are replaced.
                     columns.update(width as usize, 1);
                     shrink(&from, &mut wide, &mut columns);
                     assert!(plain == wide, "{width} x {height}, {factor}");
@@ -237,7 +248,7 @@ mod tests {
         let from = GrayImage::from_raw(3, 3, vec![10, 250, 30, 90, 0, 77, 255, 3, 128]).expect("nine pixels");
         let mut to = GrayImage::new(2, 2);
         shrink(&from, &mut to, &mut ColumnTaps::default());
-        // Places 0.25 and 1.75 along both axes.
+        // Positions 0.25 and 1.75 along both axes.
         let mean = |x: [u32; 2], y: [u32; 2], weights: [f64; 2]| {
             let row =
                 |y: u32| weights[0] * f64::from(from.get_pixel(x[0], y)[0]) + (1.0 - weights[0]) * f64::from(from.get_pixel(x[1], y)[0]);

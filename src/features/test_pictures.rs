@@ -1,14 +1,15 @@
-//! Pictures with known content, for the tests of detectors: exact at every place, each pixel the mean over its square.
+//! Pictures with known content, for tests of detectors: exact at every position, each pixel the
+//! mean over its square.
 
 use image::{GrayImage, Luma};
 use nalgebra::{Matrix2, Matrix3, Rotation2, Vector2};
 
 use crate::geometry::Homography;
 
-/// Samples of a pixel each way.
+/// Samples per pixel each way.
 const SAMPLES: u32 = 4;
 
-/// A picture of what has `level` at each place.
+/// Renders a picture with `level` at each position.
 pub fn rendered(width: u32, height: u32, level: impl Fn(Vector2<f64>) -> f64) -> GrayImage {
     GrayImage::from_fn(width, height, |x, y| {
         let offset = |k: u32| (f64::from(k) + 0.5) / f64::from(SAMPLES) - 0.5;
@@ -29,13 +30,13 @@ pub struct Ellipse {
 }
 
 impl Ellipse {
-    /// Maps the unit circle to it: symmetric.
+    /// Symmetric map from the unit circle to it.
     pub fn shape(&self) -> Matrix2<f64> {
         let turn = Rotation2::new(self.angle).into_inner();
         turn * Matrix2::from_diagonal(&self.axes.into()) * turn.transpose()
     }
 
-    /// Distance from its middle in half axes.
+    /// Distance from its centre in half axes.
     pub fn distance(&self, p: Vector2<f64>) -> f64 {
         let (sin, cos) = self.angle.sin_cos();
         let d = p - self.middle;
@@ -46,17 +47,17 @@ impl Ellipse {
 /// A shape of a painting.
 struct Stroke {
     middle: Vector2<f64>,
-    /// Maps what is within it to the unit circle, or of a bar to the square about it.
+    /// Maps its interior to the unit circle, or for a bar to the square around it.
     frame: Matrix2<f64>,
     is_bar: bool,
     level: f64,
 }
 
-/// A plane of 300 x 300 pixels with ellipses and bars one over another.
+/// A plane of 300 x 300 pixels with overlapping ellipses and bars.
 pub struct Painting(Vec<Stroke>);
 
 impl Painting {
-    /// Always the same.
+    /// Deterministic.
     pub fn new() -> Self {
         let mut state = 7u32;
         let mut random = move || {
@@ -76,7 +77,7 @@ impl Painting {
         Self((0..160).map(stroke).collect())
     }
 
-    /// The grey level of a place.
+    /// Grey level at a position.
     fn level(&self, p: Vector2<f64>) -> f64 {
         let inside = |stroke: &&Stroke| {
             let d = stroke.frame * (p - stroke.middle);
@@ -85,14 +86,14 @@ impl Painting {
         self.0.iter().rev().find(inside).map_or(128.0, |stroke| stroke.level)
     }
 
-    /// A picture of 300 x 300 pixels, of which `view` maps the plane's pixels to its.
+    /// A picture of 300 x 300 pixels; `view` maps the plane's pixels to it.
     pub fn seen(&self, view: &Homography) -> GrayImage {
         let back = view.inverse().expect("views are regular");
         rendered(300, 300, |p| back.map(p).map_or(128.0, |p| self.level(p)))
     }
 }
 
-/// A view of the painting about its middle: turned, tilted about an axis, scaled.
+/// A view of the painting about its centre: rotated, tilted about an axis, scaled.
 pub fn view(turn: f64, tilt: f64, scale: f64) -> Homography {
     let turned = Rotation2::new(turn).into_inner();
     let axis = Rotation2::new(0.6).into_inner();
@@ -102,7 +103,7 @@ pub fn view(turn: f64, tilt: f64, scale: f64) -> Homography {
     Homography(Matrix3::new(matrix.m11, matrix.m12, offset.x, matrix.m21, matrix.m22, offset.y, 0.0, 0.0, 1.0))
 }
 
-/// The same noise always.
+/// Deterministic noise.
 pub fn noise(width: u32, height: u32) -> GrayImage {
     let mut state = 1u32;
     GrayImage::from_fn(width, height, |_, _| {
@@ -111,5 +112,5 @@ pub fn noise(width: u32, height: u32) -> GrayImage {
     })
 }
 
-/// Sizes that have no inner pixel, or nearly none.
+/// Sizes with no inner pixel, or hardly any.
 pub const DEGENERATE: [(u32, u32); 9] = [(0, 0), (0, 9), (1, 1), (1, 40), (300, 1), (2, 2), (5000, 3), (13, 12), (7, 300)];

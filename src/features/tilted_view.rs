@@ -1,8 +1,10 @@
-//! The tracker's own features of a picture as a tilted camera sees it.
+//! The tracker's own features of a picture as seen by a tilted camera.
 //!
-//! A view from the side compresses the picture along one direction, by the inverse cosine of the angle between the line of sight and the
-//! picture's normal. Descriptors bear a compression of two. Beyond, they have to be taken from a picture that is compressed as much: the
-//! simulated views of ASIFT (see [`ViewSimulation`](super::ViewSimulation)), made of the reference alone and ahead of time.
+//! An oblique view compresses the picture along one direction, by the inverse cosine of the angle
+//! between the line of sight and the picture's normal. Descriptors tolerate a compression of two.
+//! Beyond that they must be computed from an equally compressed picture: the simulated views of
+//! ASIFT (see [`ViewSimulation`](super::ViewSimulation)), made from the reference alone and in
+//! advance.
 
 use image::GrayImage;
 use nalgebra::Matrix2;
@@ -12,18 +14,19 @@ use super::keypoint::PictureForms;
 use super::view_simulation::{SimulatedPicture, View};
 use super::workers::Workers;
 
-/// Views of one tilt, at even longitudes over the half turn.
+/// Views of one tilt, at evenly spaced longitudes over half a turn.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TiltedViews {
     /// Compression along one direction, above 1.
     pub tilt: f64,
-    /// How many.
+    /// Number of views.
     pub count: usize,
 }
 
 impl TiltedViews {
-    /// Maps the shape of a view's feature (scale and angle, see [`Feature::shape`]) to its shape in the picture. Its scale is measured along the compressed direction, so along that its size stays; along
-    /// the other it shrinks by the tilt.
+    /// Maps the shape of a view's feature (scale and angle, see [`Feature::shape`]) to its shape in
+    /// the picture. Its scale is measured along the compressed direction, so its size stays along
+    /// that and shrinks by the tilt along the other.
     pub fn shape_in_picture(&self, number: usize) -> Matrix2<f64> {
         let (sin, cos) = self.longitude(number).sin_cos();
         Matrix2::new(cos, -sin / self.tilt, sin, cos / self.tilt)
@@ -34,8 +37,9 @@ impl TiltedViews {
     }
 }
 
-/// Appends the features of a picture in views of one tilt, a list for each view, in the picture's own pixels. `options` are those of each view. A feature's
-/// scale is along the compressed direction, its largest; its angle is the view's.
+/// Appends the features of a picture in views of one tilt, one list per view, in the picture's own
+/// pixels. `options` apply to each view. A feature's scale is along the compressed direction, where
+/// it is largest; its angle is the view's.
 pub fn append_tilted_features(
     picture: &GrayImage,
     views: TiltedViews,

@@ -1,12 +1,15 @@
-//! Features of a picture as it would look from other sides (ASIFT: Morel & Yu, ASIFT: A New Framework for Fully Affine Invariant Image Comparison,
-//! SIAM Journal on Imaging Sciences 2009; Yu & Morel, ASIFT: An Algorithm for Fully Affine Invariant Comparison, IPOL 2011).
+//! Features of a picture as it would look from other directions (ASIFT: Morel & Yu, ASIFT: A New
+//! Framework for Fully Affine Invariant Image Comparison, SIAM Journal on Imaging Sciences 2009; Yu
+//! & Morel, ASIFT: An Algorithm for Fully Affine Invariant Comparison, IPOL 2011).
 //!
-//! A tilted camera sees a plane compressed along one direction. The compression loses detail, so no normalisation undoes it, but it can be
-//! simulated: the picture is turned, smoothed and compressed, and any detector and descriptor find what they find in it. Where both pictures
-//! are treated so, views far apart meet.
+//! A tilted camera sees a plane compressed along one direction. The compression loses detail, so no
+//! normalisation can undo it, but it can be simulated: the picture is rotated, smoothed and
+//! compressed, and any detector and descriptor run on the result. If both pictures are treated this
+//! way, views far apart become similar.
 //!
-//! Two matches of one place: every place is found in several views, whose descriptions are alike. A ratio test must therefore take as second
-//! nearest the nearest at another place, or the place's own other views make its match look ambiguous.
+//! Every place is found in several views with similar descriptors. A ratio test must therefore use
+//! the nearest at another place as second nearest; otherwise the place's own other views make its
+//! match look ambiguous.
 
 use std::collections::BTreeMap;
 
@@ -19,14 +22,17 @@ use super::keypoint::{Descriptors, Features, Keypoint, PictureForms};
 use super::watch::Share;
 use crate::simd::multiversion;
 
-/// Which views are simulated, and what is kept of them.
+/// Which views are simulated, and how many of their features are kept.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ViewSimulation {
-    /// Tilts beyond the picture itself: sqrt 2, 2, 2 sqrt 2, …. Default 5, the last 4 sqrt 2 (80 degrees from the normal). Each takes about two and
-    /// a half times as long as the picture itself.
+    /// Number of tilts beyond the picture itself: sqrt 2, 2, 2 sqrt 2, …. Default 5, the last 4
+    /// sqrt 2 (80 degrees from the normal). Each takes about two and a half times as long as the
+    /// picture itself.
     pub tilts: u32,
-    /// Keypoints of one view at most, strongest first. Default 400: some ten thousand features in all, which exact matching bears, and a
-    /// thousand true matches at a tilt of 5 in a picture of a painted wall. Raised, more is found, and matching takes longer by the square.
+    /// Maximum number of keypoints per view, strongest first. Default 400: about ten thousand
+    /// features in all, which exact matching can handle, and a thousand true matches at a tilt of 5
+    /// in a picture of a painted wall. Raised, more is found, and matching takes quadratically
+    /// longer.
     pub count: usize,
 }
 
@@ -36,23 +42,26 @@ impl Default for ViewSimulation {
     }
 }
 
-/// Tilts at most, whatever is asked for: the last is 64, of which no picture has any detail left.
+/// Maximum number of tilts: the last is 64, where no picture has any detail left.
 const MOST_TILTS: u32 = 12;
-/// Degrees between two simulated longitudes at tilt 1 (IPOL 2011, section 2.2): a step of 72 / t changes the view by the same amount at any tilt.
-/// Raised, fewer views are simulated and places between them are missed.
+/// Degrees between two simulated longitudes at tilt 1 (IPOL 2011, section 2.2): a step of 72 / t
+/// changes the view equally at any tilt. Raised, fewer views are simulated and places between them
+/// are missed.
 const LONGITUDE_STEP: f64 = 72.0;
-/// Blur against aliasing along the compressed direction, in pixels for each pixel that is lost (IPOL 2011, section 2.2).
+/// Anti-aliasing blur along the compressed direction, pixels per pixel lost (IPOL 2011, section
+/// 2.2). Raised, detail is lost.
 const ANTI_ALIASING: f64 = 0.8;
-/// Reach of that blur in sigmas, where 3e-4 of it is left.
+/// Radius of that blur, sigmas; 3e-4 of it is left there. Raised, it takes longer.
 const BLUR_REACH: f64 = 3.6;
-/// Least distance of a keypoint from a simulated view's border, in its sigmas: what SIFT reads (6 sqrt 2), as the authors' program does.
-/// Lowered, descriptions of the border itself come in.
+/// Minimum distance of a keypoint from a simulated view's border, in its sigmas: what SIFT reads (6
+/// sqrt 2), as in the authors' program. Lowered, descriptors of the border itself are included.
 const BORDER_SIGMAS: f64 = 8.5;
-/// Features are the same when their places differ by less than this share of the smaller region's sigma …
+/// Features are duplicates if their positions differ by less than this fraction of the smaller
+/// region's sigma …
 const SAME_PLACE: f64 = 0.5;
-/// … and their descriptions by less than this (unit vectors; unrelated ones differ by 1 and more) …
+/// … and their descriptors by less than this (unit vectors; unrelated ones differ by 1 or more) …
 const SAME_VECTOR: f32 = 0.25;
-/// … or, where they are bits, in fewer than this many of 256 (unrelated ones differ in about 128).
+/// … or, for bits, in fewer than this many of 256 (unrelated ones differ in about 128).
 const SAME_BITS: u32 = 16;
 
 /// A simulated camera.
@@ -65,7 +74,8 @@ pub(super) struct View {
 }
 
 impl ViewSimulation {
-    /// The features of a picture in all views, in the picture's own pixels: keypoints of simulated views have elliptic regions.
+    /// Returns the features of a picture in all views, in the picture's own pixels; keypoints of
+    /// simulated views have elliptic regions.
     pub fn features(&self, picture: &PictureForms, detector: &dyn Detector, describer: &dyn Describer) -> Features {
         let views = self.views();
         let at = |done: usize| picture.watch.at(Share { done, of: views.len() + 1 });
@@ -85,20 +95,21 @@ impl ViewSimulation {
         all
     }
 
-    /// The simulated views beside the picture itself, least tilted first.
+    /// Returns the simulated views besides the picture itself, least tilted first.
     fn views(&self) -> Vec<View> {
         let tilts = (1..=self.tilts.min(MOST_TILTS)).map(|k| (f64::from(k) / 2.0).exp2());
         tilts
             .flat_map(|tilt| {
                 let step = LONGITUDE_STEP / tilt;
-                // Opposite longitudes see the same; a last one nearer than half a step to the half turn is the first one over again.
+                // Opposite longitudes see the same; one closer than half a step to half a turn
+                // would repeat the first.
                 let count = (180.0 / step - 0.5).ceil() as usize;
                 (0..count).map(move |k| View { tilt, longitude: (k as f64 * step).to_radians() })
             })
             .collect()
     }
 
-    /// The strongest features of a view of those that are `usable`.
+    /// Returns the strongest `usable` features of a view.
     fn of_view(
         &self,
         view: &PictureForms,
@@ -115,22 +126,22 @@ impl ViewSimulation {
 
 /// The picture as a view sees it.
 pub(super) struct SimulatedPicture {
-    /// What it sees.
+    /// The simulated pixels.
     pub pixels: GrayImage,
-    /// From the view's pixels to the picture's.
+    /// Maps the view's pixels to the picture's.
     inverse: Matrix2<f64>,
     /// Picture pixel at the view's pixel 0.
     origin: Vector2<f64>,
-    /// Corners of the picture's area.
+    /// Width and height of the picture.
     size: Vector2<f64>,
 }
 
 impl SimulatedPicture {
-    /// None where the picture has no pixel.
+    /// Simulates a view; `None` if it would have no pixels.
     pub fn of(picture: &PictureForms, view: View) -> Option<Self> {
         let size = Vector2::new(f64::from(picture.grey.width()), f64::from(picture.grey.height()));
         let (sin, cos) = view.longitude.sin_cos();
-        // The turned picture's box: x along the direction that is compressed.
+        // The rotated picture's box: x along the compressed direction.
         let extent = Vector2::new(size.x * cos.abs() + size.y * sin.abs(), size.x * sin.abs() + size.y * cos.abs());
         let (width, height) = ((extent.x / view.tilt).floor() as u32, extent.y.floor() as u32);
         if size.min() < 1.0 || width == 0 || height == 0 {
@@ -143,7 +154,7 @@ impl SimulatedPicture {
         let mut row = vec![0.0; taps.length];
         let mut pixels = GrayImage::new(width, height);
         for (y, compressed) in pixels.chunks_exact_mut(width as usize).enumerate() {
-            // Along a row of the picture once it is turned so that the direction to be compressed lies along the rows.
+            // Along a row of the rotated picture, whose rows run along the compressed direction.
             let start = origin + Vector2::new(-sin, cos) * y as f64 - Vector2::new(cos, sin) * taps.margin as f64;
             picture.float().sample_line([start.x as f32, start.y as f32], [cos as f32, sin as f32], &mut row);
             compress(&row, &taps, compressed);
@@ -151,17 +162,17 @@ impl SimulatedPicture {
         Some(Self { pixels, inverse, origin, size })
     }
 
-    /// A place of the view in the picture.
+    /// Converts a position in the view to the picture.
     pub fn place_in_picture(&self, place: Vector2<f64>) -> Vector2<f64> {
         self.origin + self.inverse * place
     }
 
-    /// Whether what a keypoint's description reads lies within the picture.
+    /// Whether the pixels that a keypoint's descriptor reads are inside the picture.
     fn holds(&self, keypoint: &Keypoint) -> bool {
         self.holds_ellipse(keypoint.position, &(keypoint.shape * BORDER_SIGMAS))
     }
 
-    /// Whether a disc of the view lies within the picture.
+    /// Whether a disc of the view is inside the picture.
     pub fn holds_disc(&self, middle: Vector2<f64>, radius: f64) -> bool {
         self.holds_ellipse(middle, &(Matrix2::identity() * radius))
     }
@@ -169,7 +180,7 @@ impl SimulatedPicture {
     fn holds_ellipse(&self, middle: Vector2<f64>, shape: &Matrix2<f64>) -> bool {
         let place = self.place_in_picture(middle);
         let shape = self.inverse * shape;
-        // Half the box of an ellipse: the lengths of its matrix' rows.
+        // Half the bounding box of an ellipse: the lengths of its matrix' rows.
         (0..2).all(|k| {
             let reach = shape.row(k).norm();
             place[k] >= reach && place[k] <= self.size[k] - 1.0 - reach
@@ -181,24 +192,25 @@ impl SimulatedPicture {
     }
 }
 
-/// How a row is smoothed and compressed at once: the Gaussian is centred on each new pixel's exact place, so nothing is interpolated.
+/// Kernels that smooth and compress a row at once: the Gaussian is centred on each new pixel's
+/// exact position, so nothing is interpolated.
 struct Taps {
-    /// Pixels of a row before the place of the first new pixel.
+    /// Pixels of a row before the position of the first new pixel.
     margin: usize,
-    /// Pixels of a row that are read.
+    /// Number of pixels of a row that are read.
     length: usize,
-    /// First pixel that goes into each new one.
+    /// First input pixel of each new one.
     first: Vec<usize>,
-    /// Weights of the pixels of each, one after the other.
+    /// Weights of the input pixels of each, concatenated.
     weights: Vec<f32>,
-    /// Weights of one.
+    /// Number of weights of each.
     count: usize,
 }
 
 impl Taps {
     fn of(tilt: f64, width: usize) -> Self {
         let sigma = ANTI_ALIASING * (tilt * tilt - 1.0).sqrt();
-        // What goes beyond the reach adds next to nothing, but no pixel is left over when lanes are full.
+        // Taps beyond the reach add next to nothing, but fill the lanes.
         let margin = ((BLUR_REACH * sigma).ceil() as usize + 1).next_multiple_of(LANES / 2);
         let count = 2 * margin;
         let (mut first, mut weights) = (Vec::with_capacity(width), Vec::with_capacity(width * count));
@@ -216,11 +228,11 @@ impl Taps {
 }
 
 multiversion! {
-    /// Smooths and compresses a row.
     fn compress(row: &[f32], taps: &Taps, out: &mut [u8]); ["avx2"] => compress_plain, else compress_plain
 }
 
-/// Taps that are added side by side. Each lane has its own sum, so that wide registers and narrow ones come to the same.
+/// Number of taps added side by side. Each lane has its own sum, so wide and narrow registers give
+/// the same result.
 const LANES: usize = 8;
 
 #[inline(always)]
@@ -232,12 +244,12 @@ fn compress_plain(row: &[f32], taps: &Taps, out: &mut [u8]) {
                 *sum += value * weight;
             }
         }
-        // Weights that add up to 1 keep what is between 0 and 255 there.
+        // Weights that add up to 1 keep values between 0 and 255.
         *out = (sums.iter().sum::<f32>() + 0.5) as u8;
     }
 }
 
-/// Leaves the features whose place in `kept` is true.
+/// Keeps the features marked in `kept`.
 fn keep(features: &mut Features, kept: &[bool]) {
     let mut flags = kept.iter();
     features.keypoints.retain(|_| flags.next().copied().unwrap_or(false));
@@ -258,16 +270,17 @@ fn append(all: &mut Features, more: Features) {
     match (&mut all.descriptors, more.descriptors) {
         (Descriptors::Vectors { values, .. }, Descriptors::Vectors { values: more, .. }) => values.extend(more),
         (Descriptors::Bits(bits), Descriptors::Bits(more)) => bits.extend(more),
-        // A describer gives one kind.
+        // A describer returns only one kind.
         _ => return,
     }
     all.keypoints.extend(more.keypoints);
 }
 
-/// Side of the cells in which features are looked for, pixels. Only those in the same cell or beside it can be the same.
+/// Side of the grid cells for finding duplicates, pixels: only features in the same or a
+/// neighbouring cell can be duplicates. Raised, more pairs are compared.
 const CELL_PX: f64 = 8.0;
 
-/// Of features at the same place with alike descriptions leaves the first.
+/// Keeps the first of features at the same place with similar descriptors.
 fn thin(features: &mut Features) {
     let cell = |place: Vector2<f64>| place.map(|c| (c / CELL_PX).floor() as i64);
     let mut cells: BTreeMap<(i64, i64), Vec<usize>> = BTreeMap::new();
@@ -310,7 +323,7 @@ mod tests {
     use crate::features::descriptors::SiftDescriber;
     use crate::features::detectors::SiftDetector;
 
-    /// A Gaussian spot: middle, covariance, grey levels above its surroundings.
+    /// A Gaussian spot: centre, covariance, contrast in grey levels.
     type Spot = (Vector2<f64>, Matrix2<f64>, f64);
 
     fn spots(count: usize, side: f64, seed: u64) -> Vec<Spot> {
@@ -326,7 +339,8 @@ mod tests {
         (0..count).map(|_| spot()).collect()
     }
 
-    /// The spots about the middle of a picture with `matrix` applied, by a camera that blurs by half a pixel.
+    /// The spots about the picture's centre with `matrix` applied, seen by a camera that blurs by
+    /// half a pixel.
     fn picture(spots: &[Spot], matrix: Matrix2<f64>, (width, height): (u32, u32)) -> GrayImage {
         let mut levels = vec![120.0; (width * height) as usize];
         let middle = Vector2::new(f64::from(width - 1), f64::from(height - 1)) / 2.0;
@@ -373,7 +387,7 @@ mod tests {
         assert!(mean.norm() < 0.03 && errors.iter().all(|e| e.norm() < 0.3), "{mean} {errors:?}");
     }
 
-    /// Features whose nearest description, both ways, is at the same place.
+    /// Features whose mutually nearest descriptor is at the same place.
     fn true_matches(a: &Features, b: &Features, map: impl Fn(Vector2<f64>) -> Vector2<f64>) -> usize {
         let part = |f: &Features, k: usize| match &f.descriptors {
             Descriptors::Vectors { length, values } => values[k * length..][..*length].to_vec(),

@@ -1,20 +1,21 @@
-//! Slow work that is heard of while it runs, and that can be ended: in a large picture a detector may take many seconds.
+//! Progress and cancellation of slow work: a detector may take many seconds on a large picture.
 
-/// How far work is that is done in parts.
+/// Progress of work that is done in parts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Share {
-    /// Parts that are done.
+    /// Number of parts done.
     pub done: usize,
-    /// Parts in all: the simulated views of `asift`; 1 where there are none.
+    /// Total number of parts: the simulated views of `asift`; 1 if there are none.
     pub of: usize,
 }
 
 impl Share {
-    /// Nothing of work that has no parts.
+    /// No progress, in work without parts.
     pub const NOTHING: Self = Self { done: 0, of: 1 };
 }
 
-/// Asks whether work goes on, at least every few hundred thousand pixels and at every keypoint. Work that is ended gives something of no use.
+/// Checks whether to continue, at least every few hundred thousand pixels and at every keypoint.
+/// Results of stopped work are useless.
 #[derive(Clone, Copy)]
 pub(super) struct Watch<'a> {
     goes_on: Option<&'a dyn Fn(Share) -> bool>,
@@ -22,25 +23,26 @@ pub(super) struct Watch<'a> {
 }
 
 impl<'a> Watch<'a> {
-    /// Nobody hears of the work, and it goes on.
+    /// No callback: the work always continues.
     pub const NONE: Self = Self { goes_on: None, share: Share::NOTHING };
 
-    /// `goes_on` hears how far the work is; false ends it, and must stay false.
+    /// Creates a watch. `goes_on` receives the progress; returning false stops the work, and it
+    /// must keep returning false.
     pub fn new(goes_on: &'a dyn Fn(Share) -> bool) -> Self {
         Self { goes_on: Some(goes_on), share: Share::NOTHING }
     }
 
-    /// The same at another part of the work.
+    /// Returns the watch for another part of the work.
     pub fn at(self, share: Share) -> Self {
         Self { share, ..self }
     }
 
-    /// Whether the work goes on.
+    /// Whether to continue.
     pub fn goes_on(&self) -> bool {
         self.goes_on.is_none_or(|goes_on| goes_on(self.share))
     }
 
-    /// These, until the work is ended.
+    /// Iterates until the work is stopped.
     pub fn over<I: IntoIterator>(self, items: I) -> impl Iterator<Item = I::Item> {
         items.into_iter().take_while(move |_| self.goes_on())
     }

@@ -1,7 +1,7 @@
-//! Worker threads inside one frame: the same pure function over the pieces of a slice.
+//! Worker threads within one frame: the same pure function over the pieces of a slice.
 //!
-//! Every piece is computed by itself and lands in its own place, so the result does not depend on how many
-//! threads there are. One worker means the calling thread, and no pool at all.
+//! Every piece is computed independently and stored at its own index, so the result does not depend
+//! on the number of threads. One worker means the calling thread, without a pool.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -14,29 +14,31 @@ use crate::compute_clock::{ComputeClock, Stopwatch};
 pub struct Workers {
     pool: Option<rayon::ThreadPool>,
     clock: ComputeClock,
-    /// Processor time of the pool's threads, nanoseconds, since the last [`Workers::take_extra_ms`].
+    /// CPU time of the pool's threads since the last [`Workers::take_extra_ms`], nanoseconds.
     extra_ns: AtomicU64,
 }
 
 impl Workers {
-    /// `threads` workers (0 counts as 1). Where the system refuses threads, the calling thread does it all.
+    /// Creates `threads` workers (0 counts as 1). If the system refuses threads, the calling thread
+    /// does all the work.
     pub fn new(threads: usize) -> Self {
         let build = |n| rayon::ThreadPoolBuilder::new().num_threads(n).thread_name(|k| format!("worker-{k}")).build().ok();
         let pool = (threads > 1).then(|| build(threads)).flatten();
         Self { pool, clock: ComputeClock::default(), extra_ns: AtomicU64::new(0) }
     }
 
-    /// One for each processor: for the start, when there are no frames yet. Frames take as many as they are allowed.
+    /// Creates one per processor, for start-up, when there are no frames yet. Frames use as many as
+    /// configured.
     pub fn of_all_processors() -> Self {
         Self::new(std::thread::available_parallelism().map_or(1, usize::from))
     }
 
-    /// Their work is measured with `clock`.
+    /// Measures their work with `clock`.
     pub fn measured_with(self, clock: ComputeClock) -> Self {
         Self { clock, ..self }
     }
 
-    /// `output[k] = compute(&input[k])` for every k.
+    /// Computes `output[k] = compute(&input[k])` for every k.
     pub fn map_into<T: Sync, U: Send>(&self, input: &[T], output: &mut Vec<U>, compute: impl Fn(&T) -> U + Sync) {
         let Some(pool) = &self.pool else {
             output.clear();
@@ -52,7 +54,7 @@ impl Workers {
                 .map_init(|| Busy { watch: self.clock.start(), total: &busy }, |_, x| compute(x))
                 .collect_into_vec(output);
         });
-        // The calling thread waited meanwhile.
+        // The calling thread only waited meanwhile.
         self.extra_ns.fetch_add(busy.load(Ordering::Relaxed), Ordering::Relaxed);
     }
 
@@ -69,17 +71,18 @@ impl Workers {
                 compute(x);
             });
         });
-        // The calling thread waited meanwhile.
+        // The calling thread only waited meanwhile.
         self.extra_ns.fetch_add(busy.load(Ordering::Relaxed), Ordering::Relaxed);
     }
 
-    /// Processor time that the pool's threads spent while the caller waited, milliseconds, since the last call.
+    /// Returns the CPU time that the pool's threads spent while the caller waited, milliseconds,
+    /// since the last call.
     pub fn take_extra_ms(&self) -> f64 {
         self.extra_ns.swap(0, Ordering::Relaxed) as f64 * 1e-6
     }
 }
 
-/// Adds the time of one worker's turn when it ends.
+/// Adds a worker's time when it finishes.
 struct Busy<'a> {
     watch: Stopwatch,
     total: &'a AtomicU64,

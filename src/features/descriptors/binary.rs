@@ -1,4 +1,5 @@
-//! The tracker's own descriptor at any keypoint: oriented brightness comparisons (see `descriptor`) on the pyramid level of the keypoint's size.
+//! The tracker's own descriptor for any keypoint: oriented brightness comparisons (see
+//! `descriptor`) on the pyramid level that matches the keypoint's size.
 
 use super::Describer;
 use crate::features::descriptor::{describe, orientation};
@@ -7,7 +8,7 @@ use crate::features::extractor::BORDER;
 use crate::features::keypoint::{Descriptors, Features, Keypoint, PictureForms};
 use crate::features::pyramid::Level;
 
-/// 256 brightness comparisons, turned with the patch.
+/// 256 brightness comparisons, rotated with the patch.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct BinaryComparisons;
 
@@ -31,7 +32,7 @@ impl Describer for BinaryComparisons {
     }
 }
 
-/// The level whose corners' regions are nearest in size, by ratio.
+/// Returns the level whose corner regions are closest in size, by ratio.
 fn level_of(levels: &[Level], sigma: f64) -> Option<&Level> {
     let off = |level: &&Level| (sigma * level.scale[0] / REGION_SIGMA).ln().abs();
     levels.iter().min_by(|a, b| off(a).total_cmp(&off(b)))

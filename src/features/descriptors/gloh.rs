@@ -1,9 +1,10 @@
-//! Histograms of gradient directions over a log-polar grid, reduced by principal components (GLOH: Mikolajczyk & Schmid, A Performance Evaluation of
-//! Local Descriptors, PAMI 2005, section 4.1).
+//! Histograms of gradient directions over a log-polar grid, reduced by principal components (GLOH:
+//! Mikolajczyk & Schmid, A Performance Evaluation of Local Descriptors, PAMI 2005, section 4.1).
 //!
-//! 17 places (one in the middle, which is not divided, and two rings of eight) with 16 directions each are 272 numbers. Their principal
-//! components come from features of the project's own virtual backdrops, rendered from many sides; the test in src/simulate/gloh_basis_tests.rs
-//! makes `gloh.basis` and says how.
+//! 17 cells (an undivided centre and two rings of eight) with 16 directions each give 272 numbers.
+//! Their principal components come from features of the project's own virtual backdrops, rendered
+//! from many sides; the test in src/simulate/gloh_basis_tests.rs generates `gloh.basis` and
+//! documents how.
 
 use std::f32::consts::TAU;
 
@@ -20,7 +21,8 @@ use crate::simd::multiversion;
 /// 272 numbers of unit length, or their first 128 principal components.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GlohDescriber {
-    /// Reduce to 128 numbers, as the source does. Default true. Without, matching takes twice as long.
+    /// Whether to reduce to 128 numbers, as in the source. Default true. Without reduction,
+    /// matching takes twice as long.
     pub reduced: bool,
 }
 
@@ -30,20 +32,20 @@ impl Default for GlohDescriber {
     }
 }
 
-/// Outer radii of the middle and of both rings (section 4.1), pixels of the normalised region.
+/// Outer radii of the centre and of both rings (section 4.1), pixels of the normalised region.
 const RADII: [f32; 3] = [6.0, 11.0, 15.0];
-/// Parts of a ring (section 4.1).
+/// Sectors per ring (section 4.1).
 const SECTORS: usize = 8;
-/// Directions of a histogram (section 4.1).
+/// Directions per histogram (section 4.1).
 const DIRECTIONS: usize = 16;
-/// The middle, the inner ring, the outer ring.
+/// Number of cells: the centre, the inner ring, the outer ring.
 const PLACES: usize = 1 + 2 * SECTORS;
-/// Numbers before reduction.
+/// Length before reduction.
 pub const FULL_LENGTH: usize = PLACES * DIRECTIONS;
-/// Numbers after it (section 4.1).
+/// Length after reduction (section 4.1).
 pub const REDUCED_LENGTH: usize = 128;
-/// Pixels of the normalised region in a sigma of the keypoint: the grid is as wide as SIFT's, whose half is six sigmas. Raised, the grid covers
-/// less of the picture and is less distinctive.
+/// Pixels of the normalised region per sigma of the keypoint: the grid is as wide as SIFT's, whose
+/// half width is six sigmas. Raised, the grid covers less of the picture and is less distinctive.
 const PIXELS_PER_SIGMA: f64 = 2.5;
 
 impl Describer for GlohDescriber {
@@ -69,22 +71,23 @@ impl Describer for GlohDescriber {
     }
 }
 
-/// Mean and principal components of descriptions.
+/// Mean and principal components of descriptors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Basis {
     /// `FULL_LENGTH` numbers.
     pub mean: Vec<f32>,
-    /// `REDUCED_LENGTH` unit vectors of `FULL_LENGTH` numbers, that of the largest variance first.
+    /// `REDUCED_LENGTH` unit vectors of `FULL_LENGTH` numbers, largest variance first.
     pub components: Vec<f32>,
 }
 
 impl Basis {
-    /// That of the project.
+    /// Returns the project's own basis.
     pub fn own() -> Self {
         Self::from_bytes(include_bytes!("gloh.basis"))
     }
 
-    /// From a file: the mean as `f32`, then each component as an `f32` that multiplies its signed bytes; little-endian. What is missing is 0.
+    /// Parses a file: the mean as `f32`, then each component as an `f32` scale and signed bytes;
+    /// little-endian. Missing data are 0.
     pub fn from_bytes(bytes: &[u8]) -> Self {
         let number = |b: &[u8]| b.first_chunk().map_or(0.0, |four| f32::from_le_bytes(*four));
         let (mean, rest) = bytes.split_at(bytes.len().min(4 * FULL_LENGTH));
@@ -99,7 +102,7 @@ impl Basis {
         Self { mean, components }
     }
 
-    /// The file of it: a component's largest number becomes 127.
+    /// Writes the file; a component's largest number becomes 127.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes: Vec<u8> = self.mean.iter().flat_map(|v| v.to_le_bytes()).collect();
         for component in self.components.chunks_exact(FULL_LENGTH) {
@@ -111,10 +114,11 @@ impl Basis {
     }
 }
 
-/// Reduces descriptions.
+/// Applies the reduction.
 struct Reduction {
     mean: Vec<f32>,
-    /// For each number its part in all components, so that these are added up side by side.
+    /// For each input number its contribution to all components, so that these are summed side by
+    /// side.
     parts: Vec<[f32; REDUCED_LENGTH]>,
 }
 
@@ -124,7 +128,7 @@ impl Reduction {
         Self { mean: basis.mean.clone(), parts: (0..FULL_LENGTH).map(part).collect() }
     }
 
-    /// The components of a description.
+    /// Returns the components of a descriptor.
     fn of(&self, numbers: &[f32; FULL_LENGTH]) -> [f32; REDUCED_LENGTH] {
         let mut out = [0.0; REDUCED_LENGTH];
         let centred: [f32; FULL_LENGTH] = std::array::from_fn(|k| numbers[k] - self.mean[k]);
@@ -134,11 +138,12 @@ impl Reduction {
 }
 
 multiversion! {
-    /// Adds the parts of all numbers.
+    /// Sums the contributions of all numbers.
     fn multiply(parts: &[[f32; REDUCED_LENGTH]], numbers: &[f32], out: &mut [f32; REDUCED_LENGTH]); ["avx2"] => multiply_plain, else multiply_plain
 }
 
-/// Components whose sums are kept in registers at once: eight of AVX2. Raised, they no longer fit beside what is added.
+/// Number of components summed in registers at once: eight AVX2 registers. Raised, they no longer
+/// fit beside the operands.
 const BLOCK: usize = 64;
 
 #[inline(always)]
@@ -155,12 +160,12 @@ fn multiply_plain(parts: &[[f32; REDUCED_LENGTH]], numbers: &[f32], out: &mut [f
     }
 }
 
-/// Cells of a ring, the first one once more at the end, so that the last one's next is behind it. The middle is a ring that is added up.
+/// Cells per ring, with the first one repeated at the end so that the last one has a successor. The
+/// centre is stored as a ring and summed.
 const ROW: usize = SECTORS + 1;
-/// The middle and both rings.
+/// Total number of stored cells: the centre and both rings.
 const CELLS: usize = 3 * ROW;
 
-/// Buffers.
 #[derive(Debug, Default)]
 struct PolarGrid {
     window: Window,
@@ -168,24 +173,25 @@ struct PolarGrid {
     shares: Shares,
 }
 
-/// A row of pixels from a region's middle.
+/// A row of pixels relative to a region's centre.
 #[derive(Debug, Clone, Copy)]
 struct Line {
-    /// Column and row of the first, pixels.
+    /// Column and row of the first pixel.
     start: [f32; 2],
-    /// Pixels of the normalised region in a pixel.
+    /// Pixels of the normalised region per pixel.
     scale: f32,
-    /// Direction of the grid, radians.
+    /// Rotation of the grid, radians.
     turn: f32,
 }
 
 impl PolarGrid {
-    /// The histograms of a region, its grid turned to `turn` radians: the middle, the inner ring from that direction on, the outer ring.
+    /// Returns the histograms of a region with the grid rotated by `turn` radians: the centre, the
+    /// inner ring from that direction on, the outer ring.
     fn gather(&mut self, region: &Region, turn: f32) -> [f32; FULL_LENGTH] {
         let pixel = region.sigma / PIXELS_PER_SIGMA;
         let reach = f64::from(RADII[2] + OUTER_FADE) * pixel;
         self.window.set(region, reach, f64::from(RADII[2]) * pixel);
-        // From -pi to pi, so that no angle in its frame is two turns below 0.
+        // Wrapped to -pi..pi, so that no relative angle is below minus two turns.
         let turn = turn - TAU * (turn / TAU).round();
         let mut grids = [[[0.0; DIRECTIONS]; CELLS]; 2];
         for y in self.window.rows() {
@@ -209,11 +215,13 @@ impl PolarGrid {
     }
 }
 
-/// Pixels of the normalised region over which what lies outside of the outer ring fades out: half the ring.
+/// Distance over which weights fade out at the outer ring, pixels of the normalised region, either
+/// way: half the ring's width. Raised, the fade starts earlier.
 const OUTER_FADE: f32 = 2.0;
 
-/// Place between the middle (0), the inner ring (1) and the outer one (2) of a pixel `radius` from the middle, by the distance to the middles of
-/// both that share it; and what the fade leaves of it.
+/// Returns the radial position of a pixel `radius` from the centre, interpolated between the
+/// mid-radii of the centre (0), the inner ring (1) and the outer ring (2); and its weight after
+/// fading.
 #[inline(always)]
 fn ring(radius: f32) -> (f32, f32) {
     let middles = [0.5 * RADII[0], 0.5 * (RADII[0] + RADII[1]), 0.5 * (RADII[1] + RADII[2])];
@@ -236,7 +244,7 @@ fn place_row_plain(line: Line, directions: &[f32], lengths: &mut [f32], shares: 
         let (x, y) = (line.start[0] + i as f32, line.start[1]);
         let (place, inside) = ring((x * x + y * y).sqrt() * line.scale);
         let place = place.min(2.0 - 1e-6);
-        // Rounding may make a little below 0 a whole turn.
+        // Rounding may turn a value slightly below 0 into a whole turn.
         let sector = bin(direction(x, y) - line.turn, SECTORS as f32).min(SECTORS as f32 - 1e-6);
         let (first, column) = (place as i32, sector as i32);
         cells[i] = (first * ROW as i32 + column) as u32;
@@ -248,7 +256,6 @@ fn place_row_plain(line: Line, directions: &[f32], lengths: &mut [f32], shares: 
 }
 
 multiversion! {
-    /// Adds a row to the grids.
     fn add_row(shares: &Shares, lengths: &[f32], grids: &mut Grids<DIRECTIONS, CELLS>);
     ["avx2"] => shares::add_row::<DIRECTIONS, CELLS, ROW>, else shares::add_row::<DIRECTIONS, CELLS, ROW>
 }
@@ -271,19 +278,20 @@ mod tests {
 
     #[test]
     fn an_edge_is_in_the_places_and_the_direction_where_it_is() {
-        // Along y at 16 pixels to the right, which are 8 of the normalised region: the inner ring's first sector, direction 0.
+        // An edge along y, 16 pixels to the right, 8 of the normalised region: the inner ring's
+        // first sector, direction 0.
         let numbers = grid(|x, _| if x > 16.0 { 100.0 } else { 0.0 }, 0.0);
         let largest = (0..FULL_LENGTH).max_by(|a, b| numbers[*a].total_cmp(&numbers[*b]));
         assert_eq!(largest, Some(DIRECTIONS));
         let of_other_direction: f32 = numbers.iter().enumerate().filter(|(k, _)| k % DIRECTIONS != 0).map(|(_, v)| v).sum();
         assert!(of_other_direction < 1e-3 * numbers.iter().sum::<f32>());
-        // Seen from a frame turned by a quarter, it lies a quarter before: sector 6, direction 12.
+        // In a frame rotated by a quarter turn it is a quarter earlier: sector 6, direction 12.
         let turned = grid(|x, _| if x > 16.0 { 100.0 } else { 0.0 }, TAU / 4.0);
         let largest = (0..FULL_LENGTH).max_by(|a, b| turned[*a].total_cmp(&turned[*b]));
         assert_eq!(largest, Some((1 + 6) * DIRECTIONS + 12));
     }
 
-    /// As [`PolarGrid::gather`], pixel by pixel and place by place.
+    /// Like [`PolarGrid::gather`], pixel by pixel and cell by cell.
     fn plain_grid(region: &Region, turn: f64) -> Vec<f64> {
         let (image, pixel) = (region.image, region.sigma / PIXELS_PER_SIGMA);
         let mut histograms = vec![0.0; FULL_LENGTH];
@@ -295,7 +303,7 @@ mod tests {
             let at = |x: usize, y: usize| f64::from(image.values[y * image.width + x]);
             let (gx, gy) = (at(x + 1, y) - at(x - 1, y), at(x, y + 1) - at(x, y - 1));
             let d = (Vector2::new(x as f64, y as f64) - region.middle) / pixel;
-            // Middles of the rings: 3, 8.5 and 13 pixels; from 13 to 17 all fades out.
+            // Mid-radii of the rings: 3, 8.5 and 13 pixels; weights fade out from 13 to 17.
             let radius = d.norm();
             let fade = ((17.0 - radius) / 4.0).clamp(0.0, 1.0);
             let rings = [(8.5 - radius) / 5.5, ((radius - 3.0) / 5.5).min((13.0 - radius) / 4.5), (radius - 8.5) / 4.5];
@@ -339,7 +347,8 @@ mod tests {
 
     #[test]
     fn a_pixel_counts_once_however_it_is_shared() {
-        // Shares of two neighbours add up to 1 by their making; what the rings leave is all up to the fade.
+        // Shares of two neighbours add up to 1 by construction; the rings' total is limited only by
+        // the fade.
         for (radius, place, inside) in
             [(0.0, 0.0, 1.0), (3.0, 0.0, 1.0), (5.75, 0.5, 1.0), (8.5, 1.0, 1.0), (13.0, 2.0, 1.0), (15.0, 2.0, 0.5)]
         {
@@ -370,7 +379,7 @@ mod tests {
                 assert!((product - f32::from(i == k)).abs() < 0.03, "{i} {k}: {product}");
             }
         }
-        // A file that was cut off is no panic.
+        // A truncated file causes no panic.
         assert_eq!(Basis::from_bytes(&[]).components.len(), REDUCED_LENGTH * FULL_LENGTH);
         assert_eq!(Basis::from_bytes(&basis.to_bytes()), basis);
     }

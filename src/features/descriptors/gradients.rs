@@ -2,17 +2,18 @@
 
 use crate::simd::multiversion;
 
-/// Lengths and directions of the gradients of neighbouring pixels.
+/// Lengths and directions of gradients of neighbouring pixels.
 #[derive(Debug, Default)]
 pub struct Gradients {
-    /// Half grey levels a pixel (differences over two pixels), times the weights.
+    /// In half grey levels per pixel (differences over two pixels), times the weights.
     pub lengths: Vec<f32>,
     /// Radians from x to y, -pi to pi.
     pub directions: Vec<f32>,
 }
 
 impl Gradients {
-    /// Of the inner pixels of three rows that lie under each other; one weight each, which its length is multiplied by together with `weight`.
+    /// Computes the gradients of the inner pixels of the middle of three adjacent rows; lengths are
+    /// multiplied by each pixel's weight and by `weight`.
     pub fn of_row(&mut self, rows: [&[f32]; 3], weights: &[f32], weight: f32) {
         let n = rows[1].len().saturating_sub(2).min(weights.len());
         self.lengths.resize(n, 0.0);
@@ -24,7 +25,6 @@ impl Gradients {
 }
 
 multiversion! {
-    /// Fills lengths and directions.
     fn gradient_row(rows: [&[f32]; 3], weights: &[f32], weight: f32, lengths: &mut [f32], directions: &mut [f32]);
     ["avx2"] => gradient_row_plain, else gradient_row_plain
 }
@@ -42,7 +42,8 @@ fn gradient_row_plain(rows: [&[f32]; 3], weights: &[f32], weight: f32, lengths: 
     }
 }
 
-/// atan2(y, x) to 1e-5 radians, without a branch: Abramowitz & Stegun 4.4.47 for the first eighth of the circle, reflected. 0 of (0, 0).
+/// Computes atan2(y, x) to 1e-5 radians without branches: Abramowitz & Stegun 4.4.47 for the first
+/// eighth of the circle, reflected. Returns 0 for (0, 0).
 #[inline(always)]
 pub fn direction(x: f32, y: f32) -> f32 {
     let (ax, ay) = (x.abs(), y.abs());

@@ -1,4 +1,5 @@
-//! Descriptors: from a keypoint to numbers or bits that say what surrounds it. One a file, with its source.
+//! Descriptors: turn a keypoint into numbers or bits that describe its surroundings. One per file,
+//! with its source.
 
 mod binary;
 mod gloh;
@@ -23,7 +24,8 @@ use super::keypoint::{Features, Keypoint, PictureForms};
 
 /// Describes keypoints.
 pub trait Describer {
-    /// The keypoints that can be described, each with its description. A keypoint too close to the border is left out; one with two directions
-    /// comes twice. Directions of the keypoints that came are assigned anew.
+    /// Returns the keypoints that can be described, with their descriptors. A keypoint too close to
+    /// the border is dropped; one with two orientations occurs twice. Orientations of the input
+    /// keypoints are recomputed.
     fn describe(&self, picture: &PictureForms, keypoints: &[Keypoint]) -> Features;
 }

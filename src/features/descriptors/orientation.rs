@@ -1,4 +1,5 @@
-//! Dominant directions of the gradients around a keypoint (Lowe, Distinctive Image Features from Scale-Invariant Keypoints, IJCV 2004, section 5).
+//! Dominant gradient directions around a keypoint (Lowe, Distinctive Image Features from
+//! Scale-Invariant Keypoints, IJCV 2004, section 5).
 
 use std::f32::consts::TAU;
 
@@ -6,19 +7,24 @@ use super::gradients::Gradients;
 use super::region::Region;
 use super::window::Window;
 
-/// Directions of the histogram (section 5). Raised, near directions are separated better and the histogram is noisier.
+/// Number of histogram bins (section 5). Raised, close directions are separated better and the
+/// histogram is noisier.
 const BINS: usize = 36;
-/// Sigma of the weights, in sigmas of the region (section 5).
+/// Sigma of the weights, in sigmas of the region (section 5). Raised, more of the surroundings
+/// count.
 const WEIGHT_SIGMA: f64 = 1.5;
-/// Radius of what is read, in sigmas of the weights, where a hundredth of the weight is left.
+/// Radius read, in sigmas of the weights; a hundredth of the weight remains there. Raised, it takes
+/// longer.
 const REACH: f64 = 3.0;
-/// Peaks at least this high against the highest give a keypoint of their own (section 5: 15 % of the keypoints have several, which adds much to
-/// the stability of matching).
+/// Minimum height of a peak, relative to the highest, that gives another keypoint (section 5: 15 %
+/// of keypoints have several, which adds much to the stability of matching). Raised, fewer
+/// keypoints are duplicated.
 const PEAK: f32 = 0.8;
-/// Directions of a keypoint at most. Raised, keypoints without any direction are repeated more often.
+/// Maximum number of directions per keypoint. Raised, keypoints without a clear orientation are
+/// duplicated more often.
 const MOST: usize = 4;
 
-/// Buffers.
+/// Reusable buffers.
 #[derive(Debug, Default)]
 pub struct Orientation {
     window: Window,
@@ -27,14 +33,15 @@ pub struct Orientation {
 }
 
 impl Orientation {
-    /// The dominant directions of a region, radians from x to y, the strongest first; none where there is no gradient.
+    /// Returns the dominant directions of a region, radians from x to y, strongest first; none if
+    /// there is no gradient.
     pub fn directions(&mut self, region: &Region) -> impl Iterator<Item = f32> + use<> {
         let histogram = smoothed(&self.histogram(region));
         let highest = histogram.iter().fold(0.0_f32, |a, b| a.max(*b));
         self.found.clear();
         for (k, &value) in histogram.iter().enumerate() {
             let [before, after] = [histogram[(k + BINS - 1) % BINS], histogram[(k + 1) % BINS]];
-            // Of two equal neighbours the first is the peak.
+            // Of two equal neighbours, the first is the peak.
             if value > before && value >= after && value >= PEAK * highest {
                 // The vertex of the parabola through the three.
                 let offset = 0.5 * (before - after) / (before + after - 2.0 * value);
@@ -49,7 +56,7 @@ impl Orientation {
         directions.into_iter().filter(|d| d.is_finite())
     }
 
-    /// Weighted lengths of the gradients by direction, each shared by the two nearest bins.
+    /// Weighted gradient lengths by direction, each shared by the two nearest bins.
     fn histogram(&mut self, region: &Region) -> [f32; BINS] {
         let sigma = WEIGHT_SIGMA * region.sigma;
         let reach = REACH * sigma;
@@ -67,7 +74,7 @@ impl Orientation {
                 bins[first + 1] += length * share;
             }
         }
-        // Bin 0 is at -pi, that is at pi; direction 0 is half a turn on.
+        // Bin 0 is at -pi, which equals pi; direction 0 is half a turn further.
         std::array::from_fn(|k| {
             let bin = (k + BINS / 2) % BINS;
             bins[bin] + if bin < 2 { bins[bin + BINS] } else { 0.0 }
@@ -75,7 +82,7 @@ impl Orientation {
     }
 }
 
-/// Each bin with its neighbours, weighted 1 4 6 4 1: peaks of single pixels merge.
+/// Smooths the bins with weights 1 4 6 4 1, so that single-pixel peaks merge.
 fn smoothed(histogram: &[f32; BINS]) -> [f32; BINS] {
     std::array::from_fn(|k| {
         let at = |offset: usize| histogram[(k + BINS + offset - 2) % BINS];

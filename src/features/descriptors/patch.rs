@@ -1,16 +1,19 @@
-//! The picture itself around a keypoint, as grey levels of zero mean and unit norm: the dot product of two is their normalised
-//! cross-correlation (ZNCC), and half their squared distance is 1 less that.
+//! The pixels around a keypoint as grey levels of zero mean and unit norm. The dot product of two
+//! patches is their normalised cross-correlation (ZNCC), and half their squared distance is 1 -
+//! ZNCC.
 //!
-//! Upright and of one size, so it bears neither turns nor changes of scale, but any change of brightness and contrast.
+//! Upright and of fixed size: not invariant to rotation or scale, but to any change of brightness
+//! and contrast.
 
 use super::Describer;
 use crate::features::keypoint::{Descriptors, Features, Keypoint, PictureForms};
 
-/// Describes by the pixels around.
+/// Describes a keypoint by the surrounding pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PatchDescriber {
-    /// Pixels from the middle to the border: a patch has (2 `half_width` + 1)² values. Default 20: 41 x 41 = 1681. Raised, patches are more
-    /// distinctive, differ more between two views, and are compared more slowly. At most 100 is used.
+    /// Pixels from the centre to the border: a patch has (2 `half_width` + 1)² values. Default 20:
+    /// 41 x 41 = 1681. Raised, patches are more distinctive, differ more between two views, and are
+    /// compared more slowly. Limited to 100.
     pub half_width: usize,
 }
 
@@ -20,9 +23,11 @@ impl Default for PatchDescriber {
     }
 }
 
-/// Largest half-width used, pixels: 40401 values each. Raised, a few thousand of them fill the memory of a small computer.
+/// Maximum half-width used, pixels: 40401 values each. Raised, a few thousand patches fill the
+/// memory of a small computer.
 const MOST_HALF_WIDTH: usize = 100;
-/// Least standard deviation of a patch, grey levels: half of one's rounding. What varies less is even but for rounding.
+/// Minimum standard deviation of a patch, grey levels: half a rounding step. Patches with less are
+/// uniform except for rounding; raised, faint ones are dropped too.
 const LEAST_DEVIATION: f64 = 0.5;
 
 impl Describer for PatchDescriber {
@@ -52,7 +57,7 @@ impl Describer for PatchDescriber {
     }
 }
 
-/// Gives a patch zero mean and unit norm; false where it is even.
+/// Normalises a patch to zero mean and unit norm; returns false if it is uniform.
 fn normalise(patch: &mut [f32]) -> bool {
     let count = patch.len() as f64;
     let mean = patch.iter().map(|v| f64::from(*v)).sum::<f64>() / count;
@@ -106,11 +111,11 @@ mod tests {
 
     #[test]
     fn it_is_read_between_the_pixels() {
-        // A ramp of 2 grey levels a pixel and a step: half a pixel farther, the step is too.
+        // A step of 100 grey levels: half a pixel further, the step moves along.
         let describer = PatchDescriber { half_width: 3 };
         let picture = GrayImage::from_fn(40, 40, |x, _| Luma([if x < 20 { 50 } else { 150 }]));
         let (_, values) = describe(describer, &picture, &[(19.5, 20.0)]);
-        // Columns 16.5 … 22.5: three dark, one in the middle of both, three bright.
+        // Columns 16.5 … 22.5: three dark, one halfway, three bright.
         assert!((values[3]).abs() < 1e-4 && (values[0] + values[6]).abs() < 1e-4 && values[2] < 0.0 && values[4] > 0.0);
     }
 

@@ -1,5 +1,7 @@
-//! The pixels around a keypoint, smoothed to its scale: of a round region a copy of the scale space itself, of an ellipse a patch of the picture
-//! in which the ellipse is a circle (Mikolajczyk & Schmid, Scale & Affine Invariant Interest Point Detectors, IJCV 2004, section 4.1).
+//! The pixels around a keypoint, smoothed to its scale. For a round region it is a copy of the
+//! scale space itself; for an ellipse, a patch of the picture in which the ellipse becomes a circle
+//! (Mikolajczyk & Schmid, Scale & Affine Invariant Interest Point Detectors, IJCV 2004, section
+//! 4.1).
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -10,27 +12,30 @@ use crate::features::scale_space::SmoothedCopy;
 /// A region as a descriptor reads it.
 #[derive(Debug, Clone, Copy)]
 pub struct Region<'a> {
-    /// Smoothed by about `sigma`.
+    /// Picture, smoothed by about `sigma`.
     pub image: &'a FloatImage,
-    /// Where the keypoint lies in it.
+    /// Position of the keypoint in it.
     pub middle: Vector2<f64>,
     /// Sigma of the region in it, pixels.
     pub sigma: f64,
 }
 
-/// Sigma of an elliptic region in its patch, pixels. Raised, patches are finer and take longer; below 1.5 they lose detail.
+/// Sigma of an elliptic region in its patch, pixels. Raised, patches are finer and take longer;
+/// below 1.5 they lose detail.
 const PATCH_SIGMA: f64 = 2.0;
-/// Half the side of a patch in sigmas: what SIFT reads, five bins of three sigmas turned by 45 degrees and a pixel for the gradient.
+/// Half the side of a patch in sigmas: what SIFT reads, five bins of three sigmas rotated by 45
+/// degrees, plus a pixel for the gradient. Lowered, SIFT's corners are cut off.
 const PATCH_REACH: f64 = 11.5;
 /// Half the side of a patch, pixels.
 const HALF: usize = (PATCH_REACH * PATCH_SIGMA) as usize;
-/// Samples of a copy for each sigma that it is smoothed by already. Raised, patches take longer by as much along either axis; below 1, detail of
-/// the copy is lost between the samples.
+/// Samples of a copy per sigma of its own smoothing. Raised, patches take proportionally longer
+/// along either axis; below 1, detail between samples is lost.
 const SAMPLES_PER_SIGMA: f64 = 1.5;
-/// Samples at most between the picture and a patch. Only a region far larger than its picture, or a needle, needs more.
+/// Maximum number of samples for a patch. Only a region far larger than its picture, or a needle,
+/// needs more. Raised, such a region may take very long.
 const MOST_SAMPLES: f64 = 1e6;
 
-/// Buffers for elliptic regions.
+/// Reusable buffers for elliptic regions.
 #[derive(Debug, Default)]
 pub struct Patch {
     samples: FloatImage,
@@ -39,8 +44,9 @@ pub struct Patch {
 }
 
 impl Patch {
-    /// The region of a keypoint with the keypoint in that region's frame: its ellipse is the same, the direction that it had is lost. None of what
-    /// has no pixels: regions outside of the picture, not finite or far too large, and pictures too small to be smoothed.
+    /// Returns the region of a keypoint, and the keypoint in that region's frame: the same ellipse
+    /// without its previous orientation. `None` for regions outside the picture, not finite or far
+    /// too large, and for pictures too small to be smoothed.
     pub fn region<'a>(&'a mut self, picture: &'a PictureForms, keypoint: &Keypoint) -> Option<(Region<'a>, Keypoint)> {
         let [width, height] = [picture.grey.width(), picture.grey.height()].map(f64::from);
         let [x, y] = [keypoint.position.x, keypoint.position.y];
@@ -60,11 +66,12 @@ impl Patch {
         Some((Region { image: &self.patch, middle: Vector2::from_element(HALF as f64), sigma: PATCH_SIGMA }, keypoint))
     }
 
-    /// Fills the patch, whose columns lie along the short axis and whose rows follow the long one. It takes its samples from the copy that is
-    /// smoothed nearly as much as the short axis asks for, as dense as that copy needs, so that the time depends on the ratio of the axes only.
+    /// Fills the patch; its columns run along the short axis, its rows along the long one. Samples
+    /// the copy smoothed nearly as much as the short axis requires, as densely as that copy needs,
+    /// so that the time depends only on the ratio of the axes.
     fn warp(&mut self, picture: &PictureForms, position: Vector2<f64>, axes: Matrix2<f64>, sigmas: Vector2<f64>) -> Option<()> {
         let copy = picture.scale_space().at_most(sigmas.min())?;
-        // Samples a pixel of the patch along either axis.
+        // Samples per patch pixel along either axis.
         let finer = sigmas.map(|sigma| (SAMPLES_PER_SIGMA / PATCH_SIGMA * sigma / copy.sigma).ceil().max(1.0));
         let side = (2 * HALF + 1) as f64;
         if finer.product() * side * side > MOST_SAMPLES {
@@ -72,13 +79,14 @@ impl Patch {
         }
         let spacing = sigmas.component_div(&finer) / PATCH_SIGMA;
         self.sample(&copy, position, axes * Matrix2::from_diagonal(&spacing), [finer.x as usize, finer.y as usize]);
-        // What the copy's own smoothing lacks along either axis.
+        // The smoothing missing from the copy along either axis.
         let missing = [0, 1].map(|k| (sigmas[k].powi(2) - copy.sigma.powi(2)).max(0.0).sqrt() / spacing[k]);
         self.samples.blur_and_thin_into(missing, [finer.x as usize, finer.y as usize], &mut self.patch, &mut self.row);
         Some(())
     }
 
-    /// Samples a copy about a place of the picture: `steps` has the picture pixels from a sample to the next in its row and in its column.
+    /// Samples a copy around a position of the picture; `steps` has the picture pixels from one
+    /// sample to the next in its row and in its column.
     fn sample(&mut self, copy: &SmoothedCopy, position: Vector2<f64>, steps: Matrix2<f64>, finer: [usize; 2]) {
         let [across, down] = finer.map(|n| n * HALF);
         let (width, height) = (2 * across + 1, 2 * down + 1);
@@ -92,9 +100,10 @@ impl Patch {
     }
 }
 
-/// Directions of the short and of the long axis of an ellipse, a right-handed frame, and its half axes.
+/// Returns the directions of an ellipse's short and long axis as a right-handed frame, and its half
+/// axes.
 fn short_and_long_axis(shape: &Matrix2<f64>) -> Option<(Matrix2<f64>, Vector2<f64>)> {
-    // The larger singular value is the first.
+    // The larger singular value comes first.
     let parts = shape.svd(true, false);
     let (axes, sigmas) = (parts.u?, parts.singular_values);
     let (short, long) = (axes.column(1), axes.column(0));
@@ -108,7 +117,7 @@ mod tests {
 
     use super::*;
 
-    /// Waves of many lengths.
+    /// Waves of many wavelengths.
     fn texture() -> GrayImage {
         GrayImage::from_fn(400, 300, |x, y| {
             let wave = |k: u32| {
@@ -119,7 +128,8 @@ mod tests {
         })
     }
 
-    /// A pixel of a patch by its definition: the mean of the copy under the Gaussian that its smoothing lacks, densely sampled.
+    /// A patch pixel by definition: the mean of the copy under the missing Gaussian, densely
+    /// sampled.
     fn plain_pixel(copy: &SmoothedCopy, keypoint: &Keypoint, axes: &Matrix2<f64>, offset: Vector2<f64>) -> f64 {
         let sigmas = Vector2::new(keypoint.shape.column(0).norm(), keypoint.shape.column(1).norm());
         let missing = sigmas.map(|s| (s * s - copy.sigma * copy.sigma).max(0.0).sqrt());
@@ -155,7 +165,7 @@ mod tests {
             assert!(framed.shape.determinant() > 0.0);
             let (axes, _) = short_and_long_axis(&shape).unwrap();
             let copy = forms.scale_space().at_most(short).unwrap();
-            // Nearer to the rim of the patch its smoothing repeats the rim.
+            // Closer to the rim of the patch, smoothing repeats the rim.
             for k in 0..81 {
                 let offset = Vector2::new(f64::from(k % 9) - 4.0, f64::from(k / 9) - 4.0) * 3.0;
                 let exact = plain_pixel(&copy, &framed, &axes, offset);

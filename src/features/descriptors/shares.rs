@@ -1,10 +1,11 @@
-//! A row of pixels shared out among the cells of a grid and the directions of their histograms: what descriptions by histograms of gradients have in
-//! common (trilinear interpolation: Lowe, Distinctive Image Features from Scale-Invariant Keypoints, IJCV 2004, section 6.1).
+//! Distributes a row of pixels over the cells of a grid and the directions of their histograms;
+//! shared by descriptors based on gradient histograms (trilinear interpolation: Lowe, Distinctive
+//! Image Features from Scale-Invariant Keypoints, IJCV 2004, section 6.1).
 
-/// Where the pixels of a row fall in a grid.
+/// Grid coordinates of the pixels of a row.
 #[derive(Debug, Default)]
 pub struct Shares {
-    /// Number of the first of the four cells that share a pixel, row by row of the grid.
+    /// Index of the first of the four cells that share a pixel, in row-major order.
     pub cells: Vec<u32>,
     /// Share of the next cell in the row.
     pub next: Vec<f32>,
@@ -15,14 +16,15 @@ pub struct Shares {
 }
 
 impl Shares {
-    /// For `n` pixels.
+    /// Resizes the buffers for `n` pixels.
     pub fn resize(&mut self, n: usize) {
         self.cells.resize(n, 0);
         [&mut self.next, &mut self.below, &mut self.bins].into_iter().for_each(|v| v.resize(n, 0.0));
     }
 }
 
-/// Place of an angle among `count` bins around the circle, 0 to `count`, of an angle from -2 turns to 1 turn.
+/// Converts an angle from -2 turns to 1 turn to a position among `count` bins around the circle, 0
+/// to `count`.
 #[inline(always)]
 pub fn bin(angle: f32, count: f32) -> f32 {
     let bin = angle * (count / std::f32::consts::TAU);
@@ -30,16 +32,18 @@ pub fn bin(angle: f32, count: f32) -> f32 {
     if bin < 0.0 { bin + count } else { bin }
 }
 
-/// Two grids of `CELLS` histograms. Neighbouring pixels mostly fall in the same cells: taking turns, an addition need not wait for the one before.
+/// Two grids of `CELLS` histograms. Neighbouring pixels mostly fall into the same cells;
+/// alternating between two grids, an addition need not wait for the previous one.
 pub type Grids<const BINS: usize, const CELLS: usize> = [[[f32; BINS]; CELLS]; 2];
 
-/// Adds the lengths of a row's gradients to grids with `ROW` cells a row. Inlined, so that it is compiled for the processor of its caller.
+/// Adds the gradient lengths of a row to grids with `ROW` cells per row. Inlined, so that it is
+/// compiled for its caller's instruction set.
 #[inline(always)]
 pub fn add_row<const BINS: usize, const CELLS: usize, const ROW: usize>(shares: &Shares, lengths: &[f32], grids: &mut Grids<BINS, CELLS>) {
     let n = lengths.len();
     let (cells, next, below, bins) = (&shares.cells[..n], &shares.next[..n], &shares.below[..n], &shares.bins[..n]);
     for i in 0..n {
-        // All shares at once: a bin loses one for each bin that it is away, around the circle.
+        // All shares at once: a bin's share falls with its distance, around the circle.
         let mut parts = [0.0; BINS];
         for (k, part) in parts.iter_mut().enumerate() {
             let away = (bins[i] - k as f32).abs();

@@ -1,5 +1,5 @@
-//! Histograms of gradient directions over a grid that turns and grows with the keypoint (Lowe, Distinctive Image Features from Scale-Invariant
-//! Keypoints, IJCV 2004, section 6).
+//! Histograms of gradient directions over a grid that rotates and scales with the keypoint (Lowe,
+//! Distinctive Image Features from Scale-Invariant Keypoints, IJCV 2004, section 6).
 
 use super::Describer;
 use super::gradients::Gradients;
@@ -13,9 +13,11 @@ use crate::simd::multiversion;
 /// 4 x 4 histograms of 8 directions: 128 numbers of unit length.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SiftDescriber {
-    /// Take the square roots of the shares (RootSIFT: Arandjelovic & Zisserman, Three things everyone should know to improve object retrieval,
-    /// CVPR 2012), so that Euclidean distance compares histograms by the Hellinger kernel. Default true: of photographs of the same plane it
-    /// has a twentieth more true matches at the same ratio and half as many wrong ones (measured on the Oxford pairs).
+    /// Whether to take square roots of the normalised values (RootSIFT: Arandjelovic & Zisserman,
+    /// Three things everyone should know to improve object retrieval, CVPR 2012), so that Euclidean
+    /// distance compares histograms by the Hellinger kernel. Default true: on photographs of the
+    /// same plane it has a twentieth more true matches at the same ratio and half as many wrong
+    /// ones (measured on the Oxford pairs).
     pub root: bool,
 }
 
@@ -25,17 +27,20 @@ impl Default for SiftDescriber {
     }
 }
 
-/// Cells of the grid each way (section 6.2, figure 8).
+/// Grid cells each way (section 6.2, figure 8).
 const CELLS: usize = 4;
-/// Directions of a histogram (section 6.2).
+/// Directions per histogram (section 6.2).
 const DIRECTIONS: usize = 8;
-/// Numbers of a description.
+/// Length of a descriptor.
 pub const LENGTH: usize = CELLS * CELLS * DIRECTIONS;
-/// Side of a cell in sigmas of the region: Lowe's own program has 3. Raised, descriptions are more distinctive and bear less deformation.
+/// Side of a cell in sigmas of the region; Lowe's own program uses 3. Raised, descriptors are more
+/// distinctive and tolerate less deformation.
 const CELL_SIGMAS: f64 = 3.0;
-/// A number of a unit description at most (section 6.1): strong edges, which other light changes, count less.
+/// Maximum value in a unit descriptor (section 6.1), so that strong edges, which lighting affects,
+/// count less. Raised, they count more.
 const CLIP: f32 = 0.2;
-/// Cells each way with the rim, which takes the shares of pixels beside the grid and is thrown away.
+/// Cells each way including the rim, which absorbs the shares of pixels outside the grid and is
+/// discarded.
 const RIMMED: usize = CELLS + 2;
 
 impl Describer for SiftDescriber {
@@ -56,7 +61,7 @@ impl Describer for SiftDescriber {
     }
 }
 
-/// Scales a description to unit length, clipped in between; false if it is empty.
+/// Scales a descriptor to unit length, clipping it in between; returns false if it is empty.
 pub(super) fn normalise(numbers: &mut [f32], root: bool) -> bool {
     let unit = |numbers: &mut [f32]| {
         let length = numbers.iter().map(|v| v * v).sum::<f32>().sqrt();
@@ -75,7 +80,6 @@ pub(super) fn normalise(numbers: &mut [f32], root: bool) -> bool {
     unit(numbers)
 }
 
-/// Buffers.
 #[derive(Debug, Default)]
 struct Grid {
     window: Window,
@@ -83,17 +87,17 @@ struct Grid {
     shares: Shares,
 }
 
-/// A straight line of pixels in the grid's frame, in cells from the middle of the rim's first.
+/// A straight line of pixels in the grid's frame, in cells from the centre of the rim's first cell.
 #[derive(Debug, Clone, Copy)]
 struct Line {
     start: [f32; 2],
     step: [f32; 2],
-    /// Direction of the grid, radians.
+    /// Rotation of the grid, radians.
     turn: f32,
 }
 
 impl Grid {
-    /// The histograms of a region, its grid turned to `direction`.
+    /// Returns the histograms of a region, with the grid rotated to `direction`.
     fn gather(&mut self, region: &Region, direction: f32) -> [f32; LENGTH] {
         let cell = CELL_SIGMAS * region.sigma;
         let (sin, cos) = f64::from(direction).sin_cos();
@@ -121,7 +125,7 @@ impl Grid {
     }
 }
 
-/// Where |slope x + offset| is less than `half`.
+/// Returns the interval of x where |slope x + offset| < `half`.
 fn within(slope: f64, offset: f64, half: f64) -> (f64, f64) {
     if slope.abs() < 1e-12 {
         return if offset.abs() < half { (f64::NEG_INFINITY, f64::INFINITY) } else { (f64::INFINITY, f64::NEG_INFINITY) };
@@ -135,7 +139,6 @@ fn overlap(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
 }
 
 multiversion! {
-    /// Fills the shares of a row.
     fn place_row(line: Line, directions: &[f32], shares: &mut Shares); ["avx2"] => place_row_plain, else place_row_plain
 }
 
@@ -158,7 +161,6 @@ fn place_row_plain(line: Line, directions: &[f32], shares: &mut Shares) {
 }
 
 multiversion! {
-    /// Adds a row to the grids.
     fn add_row(shares: &Shares, lengths: &[f32], grids: &mut Grids<DIRECTIONS, { RIMMED * RIMMED }>);
     ["avx2"] => shares::add_row::<DIRECTIONS, { RIMMED * RIMMED }, RIMMED>, else shares::add_row::<DIRECTIONS, { RIMMED * RIMMED }, RIMMED>
 }
@@ -170,7 +172,7 @@ mod tests {
 
     use super::*;
 
-    /// A texture without an end: waves of several lengths in all directions.
+    /// An unbounded texture: waves of several wavelengths in all directions.
     fn texture(place: Vector2<f64>) -> f64 {
         let wave = |k: u32| {
             let (angle, length) = (f64::from(k) * 2.4, 7.0 + f64::from(k * 5 % 23));
@@ -181,7 +183,7 @@ mod tests {
 
     const MIDDLE: f64 = 90.0;
 
-    /// The texture with `matrix` applied to it about the middle of the picture.
+    /// The texture with `matrix` applied about the picture's centre.
     fn seen_through(matrix: Matrix2<f64>) -> GrayImage {
         let inverse = matrix.try_inverse().unwrap();
         GrayImage::from_fn(181, 181, |x, y| {
@@ -190,7 +192,7 @@ mod tests {
         })
     }
 
-    /// Regions of the texture itself, from its origin.
+    /// Regions of the texture, relative to its origin.
     fn regions() -> Vec<Keypoint> {
         let place = |k: u32| Vector2::new(f64::from(k % 4) * 9.0 - 13.5, f64::from(k / 4) * 9.0 - 13.5);
         (0..16).map(|k| Keypoint::round(place(k), 2.5, 1.0)).collect()
@@ -210,7 +212,8 @@ mod tests {
         a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f32>().sqrt()
     }
 
-    /// How many of the regions are described nearest to themselves where `matrix` has been applied, of all 16, and how far directions are off.
+    /// Number of the 16 regions whose nearest descriptor under `matrix` is their own, and the
+    /// errors of the directions.
     fn found_again(matrix: Matrix2<f64>) -> (usize, Vec<f64>) {
         let middle = Vector2::from_element(MIDDLE);
         let placed = |matrix: Matrix2<f64>| -> Vec<Keypoint> {
@@ -286,7 +289,7 @@ mod tests {
         }
     }
 
-    /// As [`Grid::gather`], pixel by pixel and cell by cell.
+    /// Like [`Grid::gather`], pixel by pixel and cell by cell.
     fn plain_grid(region: &Region, direction: f64) -> [f64; LENGTH] {
         let (image, cell) = (region.image, CELL_SIGMAS * region.sigma);
         let mut grid = [0.0; LENGTH];

@@ -1,17 +1,21 @@
-//! The three distinct elements of a keypoint's second-moment matrix: mean squares of the gradient across and down, and the mean of their product.
+//! The three distinct elements of a keypoint's second-moment matrix: mean squares of the horizontal
+//! and vertical gradient, and the mean of their product.
 //!
-//! Three numbers tell few corners apart: this one is here to be compared with, not to be matched by. It bears no turn and no change of contrast.
+//! Three numbers distinguish few corners: it exists for comparison, not for matching. It is not
+//! invariant to rotation or contrast.
 
 use super::Describer;
 use crate::features::keypoint::{Descriptors, Features, Keypoint, PictureForms};
 use crate::features::second_moments::SecondMoments;
 
-/// Describes by the second-moment matrix.
+/// Describes a keypoint by its second-moment matrix.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StructureTensorDescriber {
-    /// Sigma of the window that gradients are gathered in, pixels. Default 2. Raised, more of the surroundings count.
+    /// Sigma of the window in which gradients are averaged, pixels. Default 2. Raised, more of the
+    /// surroundings count.
     pub sigma: f64,
-    /// Sigma that the picture is smoothed by before its gradients are taken, pixels. Default 2. Raised, noise counts less and detail too.
+    /// Sigma of the smoothing before taking gradients, pixels. Default 2. Raised, noise counts
+    /// less, and so does detail.
     pub derivative_sigma: f64,
 }
 
@@ -21,7 +25,8 @@ impl Default for StructureTensorDescriber {
     }
 }
 
-/// Least sum of the mean squares, squared grey levels a squared pixel; what has less is even but for rounding.
+/// Minimum sum of the mean squares, squared grey levels per squared pixel; less is uniform except
+/// for rounding. Raised, faint places are dropped.
 const LEAST_TRACE: f32 = 1e-3;
 
 impl Describer for StructureTensorDescriber {

@@ -1,7 +1,9 @@
-//! Sums of Haar wavelet responses around a keypoint (Bay, Ess, Tuytelaars & Van Gool, Speeded-Up Robust Features (SURF), CVIU 2008, section 4).
+//! Sums of Haar wavelet responses around a keypoint (Bay, Ess, Tuytelaars & Van Gool, Speeded-Up
+//! Robust Features (SURF), CVIU 2008, section 4).
 //!
-//! 64 values of unit norm and one more, the sign of the Laplacian: bright and dark blobs, which never correspond, differ there by 2, and two
-//! vectors of equal signs never differ by more (section 4.3 compares equal signs only).
+//! 64 values of unit norm, plus the sign of the Laplacian: bright and dark blobs, which never
+//! correspond, differ there by 2, and two vectors of equal sign never differ by more (section 4.3
+//! compares equal signs only).
 
 use std::f64::consts::{FRAC_PI_3, TAU};
 
@@ -12,27 +14,30 @@ use crate::features::detectors::surf_hessian;
 use crate::features::integral_image::IntegralImage;
 use crate::features::keypoint::{Descriptors, Features, Keypoint, PictureForms};
 
-/// Describes by wavelet responses.
+/// Describes a keypoint by wavelet responses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct SurfDescriber {
-    /// Whether regions are left upright (U-SURF): faster, and more distinctive where the camera does not roll by more than 15 degrees. Default no.
+    /// Whether regions are left upright (U-SURF): faster, and more distinctive if the camera rolls
+    /// by at most 15 degrees. Default false.
     pub upright: bool,
 }
 
-/// Sub-regions along a side (section 4.2).
+/// Sub-regions per side (section 4.2).
 const GRID: usize = 4;
-/// Samples along the side of a sub-region (section 4.2).
+/// Samples per side of a sub-region (section 4.2).
 const SAMPLES: usize = 5;
-/// Values of a description: four sums a sub-region, and the sign.
+/// Length of a descriptor: four sums per sub-region, and the sign.
 const LENGTH: usize = GRID * GRID * 4 + 1;
-/// Sigma of the weights about the keypoint, in its scales (section 4.2).
+/// Sigma of the weights around the keypoint, in its scales (section 4.2).
 const WEIGHT_SIGMA: f64 = 3.3;
-/// Radius of the samples that the direction is found from, and sigma of their weights, in scales (section 4.1).
+/// Radius of the samples that determine the orientation, and sigma of their weights, in scales
+/// (section 4.1).
 const DIRECTION_REACH: i32 = 6;
 const DIRECTION_SIGMA: f64 = 2.0;
-/// Least norm of the sums, grey levels; below, the surroundings are even but for rounding.
+/// Minimum norm of the sums, grey levels; with less, the surroundings are uniform except for
+/// rounding. Raised, faint places are dropped.
 const LEAST_NORM: f64 = 1.0;
-/// Largest scale described, pixels. Its wavelets are wider than any picture.
+/// Maximum scale described, pixels; larger wavelets are wider than any picture.
 const MOST_SCALE: f64 = 1e4;
 
 impl Describer for SurfDescriber {
@@ -56,9 +61,10 @@ impl Describer for SurfDescriber {
     }
 }
 
-/// Wavelet responses across and down at a place, of a square of 2 `half` pixels, mean grey levels; none where it leaves the picture.
+/// Returns the horizontal and vertical wavelet responses of a square of 2 `half` pixels at a
+/// position, mean grey levels; `None` if it leaves the picture.
 fn wavelets(integral: &IntegralImage, at: Vector2<f64>, half: isize) -> Option<Vector2<f64>> {
-    // The square lies between pixels: its middle is the corner of four.
+    // The square's centre is between pixels, at a corner of four.
     let (x, y) = ((at.x + 0.5).round() as isize, (at.y + 0.5).round() as isize);
     let (left, right, top, bottom) = (x - half, x + half, y - half, y + half);
     if left < 0 || top < 0 || right > integral.width as isize || bottom > integral.height as isize {
@@ -70,7 +76,7 @@ fn wavelets(integral: &IntegralImage, at: Vector2<f64>, half: isize) -> Option<V
     Some(Vector2::new(across, down) / (2 * half * half) as f64)
 }
 
-/// Direction of the largest sum of responses within 60 degrees of each other.
+/// Returns the direction of the largest sum of responses within 60 degrees of each other.
 fn direction(integral: &IntegralImage, place: Vector2<f64>, scale: f64) -> f64 {
     let half = ((2.0 * scale).round() as isize).max(1);
     let mut responses = Vec::with_capacity(113);
@@ -85,7 +91,7 @@ fn direction(integral: &IntegralImage, place: Vector2<f64>, scale: f64) -> f64 {
             responses.push((weighted.y.atan2(weighted.x), weighted));
         }
     }
-    // A window begins at each response: between two of them it holds the same.
+    // A window starts at each response; between two of them its content does not change.
     let window = |start: f64| -> Vector2<f64> {
         responses.iter().filter(|(angle, _)| (angle - start).rem_euclid(TAU) <= FRAC_PI_3).map(|(_, r)| *r).sum()
     };
@@ -99,7 +105,8 @@ fn direction(integral: &IntegralImage, place: Vector2<f64>, scale: f64) -> f64 {
     best.y.atan2(best.x)
 }
 
-/// Sums of the responses, of their magnitudes, in each sub-region, and the sign of the Laplacian. None where all is even.
+/// Returns the sums of the responses and of their magnitudes in each sub-region, and the sign of
+/// the Laplacian. `None` if the region is uniform.
 fn described(integral: &IntegralImage, place: Vector2<f64>, scale: f64, angle: f64) -> Option<[f32; LENGTH]> {
     let (sin, cos) = angle.sin_cos();
     let half = (scale.round() as isize).max(1);
@@ -132,7 +139,7 @@ mod tests {
     use super::*;
     use image::{GrayImage, Luma};
 
-    /// Bumps at random places about (100, 100), turned and scaled about it.
+    /// Bumps at random places around (100, 100), rotated and scaled about it.
     fn texture(angle: f64, scale: f64, gain: f64) -> GrayImage {
         let mut state = 7u32;
         let mut random = || {
@@ -149,7 +156,7 @@ mod tests {
         })
     }
 
-    /// Descriptions of 25 places about (100, 100) that turn and grow with the texture.
+    /// Descriptors of 25 places around (100, 100) that rotate and scale with the texture.
     fn places(picture: &GrayImage, angle: f64, scale: f64) -> Vec<(Vec<f32>, f64)> {
         let (sin, cos) = angle.sin_cos();
         let offsets = (0..25).map(|k| Vector2::new(f64::from(k % 5 - 2), f64::from(k / 5 - 2)) * 9.0 * scale);

@@ -1,10 +1,10 @@
-//! The pixels of a region row by row, with the weights of a Gaussian about its middle.
+//! Reads the pixels of a region row by row, with Gaussian weights around its centre.
 
 use std::ops::RangeInclusive;
 
 use super::region::Region;
 
-/// Rows and columns that a window reads, clipped to the pixels with neighbours on all sides.
+/// The rows and columns of a window, clipped to pixels with neighbours on all sides.
 #[derive(Debug, Default)]
 pub struct Window {
     /// Weight of each column.
@@ -18,7 +18,8 @@ pub struct Window {
 }
 
 impl Window {
-    /// Sets the window of `reach` pixels about the middle of a region, and its weights, a Gaussian of `sigma` pixels.
+    /// Sets the window to `reach` pixels around the centre of a region, with Gaussian weights of
+    /// `sigma` pixels.
     pub fn set(&mut self, region: &Region, reach: f64, sigma: f64) {
         let span = |middle: f64, side: usize| {
             ((middle - reach).ceil().max(1.0) as isize, (middle + reach).floor().min(side as f64 - 2.0) as isize)
@@ -30,13 +31,14 @@ impl Window {
         self.columns.extend((self.across.0..=self.across.1).map(|x| ((x as f64 - region.middle.x).powi(2) * self.exponent).exp() as f32));
     }
 
-    /// Its rows.
+    /// Returns its rows.
     pub fn rows(&self) -> RangeInclusive<isize> {
         self.down.0..=self.down.1
     }
 
-    /// Of the pixels `low` to `high` columns from the middle in row `y`: the first one's column, its row with those above and below (each with
-    /// one more pixel at either end), the columns' weights, and the row's. None where there is no pixel.
+    /// Returns the pixels `low` to `high` columns from the centre in row `y`: the position of the
+    /// first one, its row with those above and below (each with one more pixel at either end), the
+    /// column weights, and the row weight. `None` if there is no pixel.
     pub fn row<'a>(&'a self, region: &Region<'a>, y: isize, low: f64, high: f64) -> Option<WindowRow<'a>> {
         let first = ((region.middle.x + low).ceil() as isize).max(self.across.0);
         let last = ((region.middle.x + high).floor() as isize).min(self.across.1);
@@ -54,9 +56,9 @@ impl Window {
 /// Part of a row of a window.
 #[derive(Debug)]
 pub struct WindowRow<'a> {
-    /// Column and row of the first pixel from the region's middle.
+    /// Column and row of the first pixel relative to the region's centre.
     pub place: [f32; 2],
-    /// The rows above, here and below, each with one more pixel at either end.
+    /// The rows above, at and below, each with one more pixel at either end.
     pub rows: [&'a [f32]; 3],
     /// Weights of the columns.
     pub weights: &'a [f32],

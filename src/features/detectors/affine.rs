@@ -1,5 +1,6 @@
-//! Harris-Affine and Hessian-Affine: corners or blobs found at every scale, each with the ellipse that moves with the picture under any affine map
-//! (Mikolajczyk & Schmid, Scale & Affine Invariant Interest Point Detectors, IJCV 2004, sections 3 and 4).
+//! Harris-Affine and Hessian-Affine: corners or blobs found at every scale, each with the ellipse
+//! that is covariant under any affine map of the picture (Mikolajczyk & Schmid, Scale & Affine
+//! Invariant Interest Point Detectors, IJCV 2004, sections 3 and 4).
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -11,24 +12,27 @@ use crate::features::keypoint::{Keypoint, PictureForms};
 use crate::features::scale_space::Octave;
 use crate::features::watch::Watch;
 
-/// What to look for, and what to keep of it.
+/// Options of the affine detectors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AffineDetector {
     /// Corners or blobs. Default blobs.
     pub measure: AffineMeasure,
-    /// Keypoints at most, strongest first. Default 5000: more than a picture of 640x480 usually has. Raised, matching takes longer by its square.
+    /// Maximum number of keypoints, strongest first. Default 5000: more than a 640x480 picture
+    /// usually has. Raised, matching takes quadratically longer.
     pub count: usize,
-    /// Least height of the blob or corner, as a share of the range from black to white. Default 0.08: about the threshold in use for the
-    /// determinant, 16 / 3 grey levels of its root (Perďoch, Chum & Matas, Efficient Representation of Local Geometry for Large Scale Object
-    /// Retrieval, CVPR 2009, their program). Raised, fewer and stronger ones are left.
+    /// Minimum contrast of the blob or corner, as a fraction of the range from black to white.
+    /// Default 0.08: about the commonly used threshold for the determinant, 16 / 3 grey levels of
+    /// its root (Perďoch, Chum & Matas, Efficient Representation of Local Geometry for Large Scale
+    /// Object Retrieval, CVPR 2009, their program). Raised, fewer and stronger ones remain.
     pub contrast: f64,
-    /// Steps of the shape's iteration at most. Default 16, as in the same program; most end before the tenth (IJCV 2004). Raised, a few
-    /// more come to an end.
+    /// Maximum number of shape iterations. Default 16, as in the same program; most converge before
+    /// the tenth (IJCV 2004). Raised, a few more converge.
     pub steps: usize,
-    /// Least ratio of the eigenvalues of the gradients' moments in the frame of the ellipse. Default 0.95, as in the paper. Raised,
-    /// shapes are more exact and take more steps.
+    /// Minimum ratio of the eigenvalues of the second moments in the ellipse's frame. Default 0.95,
+    /// as in the paper. Raised, shapes are more exact and take more iterations.
     pub isotropy: f64,
-    /// Largest ratio of an ellipse's axes. Default 6, as in the paper. Raised, needles are kept, whose length is uncertain.
+    /// Maximum ratio of an ellipse's axes. Default 6, as in the paper. Raised, needles are kept,
+    /// whose length is uncertain.
     pub elongation: f64,
 }
 
@@ -40,18 +44,24 @@ impl Default for AffineDetector {
 
 /// Grey levels from black to white.
 const RANGE: f64 = 255.0;
-/// What a maximum must have of the least height before its shape is known: a blob of axes 4 to 1 has 0.64 of it in a round window.
+/// Fraction of the minimum contrast that a maximum needs before its shape is known: a blob with
+/// axes 4 to 1 has 0.64 of its contrast in a round window. Raised, elongated blobs are lost.
 const BEFORE_SHAPE: f64 = 0.6;
-/// Ratio of the axes at most of a maximum in its round window, in largest ratios: an edge, whose shape the steps would only find to be a needle, is
-/// left out at once, which saves a fifth of the time. Lowered to 1, a twentieth of the keypoints is lost: few structures are Gaussian blobs.
+/// Maximum ratio of the axes of a maximum in its round window, as a multiple of the final limit: an
+/// edge, which the iterations would only find to be a needle, is dropped at once, which saves a
+/// fifth of the time. Lowered to 1, a twentieth of the keypoints is lost: few structures are
+/// Gaussian blobs.
 const MARGIN: f64 = 2.0;
-/// Copies from the one that the derivatives are taken of to the one whose scale is looked at.
+/// Number of copies between the examined one and the finer one used for its derivatives.
 const FINER: usize = 2;
-/// Copies of an octave whose scale is looked at. Each has a finer one for its derivatives, and one on either side.
+/// Copies of an octave whose scale is examined. Each has a finer one for its derivatives, and one
+/// on either side.
 const LOOKED_AT: std::ops::RangeInclusive<usize> = FINER..=4;
-/// Keypoints nearer than this share of their sigma, in the frame of the stronger one, may be the same one.
+/// Maximum distance of duplicate keypoints, in sigmas, in the frame of the stronger one. Raised,
+/// more neighbours are merged.
 const SAME_PLACE: f64 = 0.5;
-/// Ratio of the axes at most of the same ellipse in the frame of the stronger one.
+/// Maximum ratio of the axes of duplicate ellipses, in the frame of the stronger one. Raised, more
+/// different shapes are merged.
 const SAME_SHAPE: f64 = 1.25;
 
 impl Detector for AffineDetector {
@@ -78,7 +88,8 @@ impl Detector for AffineDetector {
 }
 
 impl AffineDetector {
-    /// Pixels of a copy that are maxima of the measure in their copy and at the scale of their structure, by rows.
+    /// Returns the pixels of a copy that are maxima of the measure in their copy and at the scale
+    /// of their structure, row by row.
     fn maxima(&self, octave: &Octave, level: usize) -> Vec<(usize, usize)> {
         let sigma = |level: usize| Octave::sigma(level as f64);
         let map = self.measure.strength(&octave.levels[level], &octave.levels[level - FINER], sigma(level));
@@ -92,7 +103,8 @@ impl AffineDetector {
     }
 }
 
-/// Inner pixels of at least `least`, positive, and above their neighbours; of equal ones the first.
+/// Returns inner pixels of at least `least`, positive, and above their neighbours; on ties the
+/// first.
 fn local_maxima(map: &FloatImage, least: f32) -> Vec<(usize, usize)> {
     let mut found = Vec::new();
     for y in 1..map.height.saturating_sub(1) {
@@ -108,7 +120,7 @@ fn local_maxima(map: &FloatImage, least: f32) -> Vec<(usize, usize)> {
     found
 }
 
-/// Of keypoints that several scales led to the same ellipse, the first.
+/// Keeps the first of keypoints for which several scales led to the same ellipse.
 fn distinct(sorted: &[Keypoint], watch: &Watch) -> Vec<Keypoint> {
     let mut kept: Vec<Keypoint> = Vec::new();
     for keypoint in watch.over(sorted) {
@@ -145,7 +157,7 @@ mod tests {
         AffineDetector { measure, ..AffineDetector::default() }.detect(&PictureForms::new(picture))
     }
 
-    /// A Gaussian blob of the axes as sigmas.
+    /// A Gaussian blob with the axes as sigmas.
     fn blob(ellipse: &Ellipse, contrast: f64) -> GrayImage {
         rendered(140, 130, |p| 128.0 + contrast * (-0.5 * ellipse.distance(p).powi(2)).exp())
     }
@@ -161,7 +173,7 @@ mod tests {
                 assert!((found[0].position - middle).norm() < 0.05, "{ellipse:?}: {found:?}");
                 let ratio = ellipse.shape().try_inverse().unwrap() * found[0].shape;
                 assert!((ratio - Matrix2::identity()).amax() < 0.1, "{ellipse:?}: {ratio}");
-                // As high as it is, whatever its shape.
+                // The response is its contrast, whatever its shape.
                 assert!((found[0].response - 100.0).abs() < 6.0, "{}", found[0].response);
             }
         }
@@ -189,7 +201,8 @@ mod tests {
             let known = view(turn, tilt, scale);
             let map = known.0.fixed_view::<2, 2>(0, 0).into_owned();
             let second = detect(AffineMeasure::Hessian, &painting.seen(&known));
-            // Ratio of the axes that one ellipse has in the frame of the other, of the nearest in shape at the same place.
+            // Ratio of the axes of one ellipse in the frame of the other, for the most similar
+            // shape at the same place.
             let mut ratios: Vec<f64> = Vec::new();
             for k in &first {
                 let (place, shape) = (known.map(k.position).unwrap(), (map * k.shape).try_inverse().unwrap());

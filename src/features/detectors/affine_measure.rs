@@ -1,34 +1,41 @@
-//! What makes a place stand out at one scale: the two measures of the affine invariant detectors, both normalised to the scale (Mikolajczyk &
-//! Schmid, Scale & Affine Invariant Interest Point Detectors, IJCV 2004, sections 2 and 3; Lindeberg, Feature Detection with Automatic Scale
-//! Selection, IJCV 1998, for the determinant over scales).
+//! Saliency at one scale: the two measures of the affine detectors, both scale-normalised
+//! (Mikolajczyk & Schmid, Scale & Affine Invariant Interest Point Detectors, IJCV 2004, sections 2
+//! and 3; Lindeberg, Feature Detection with Automatic Scale Selection, IJCV 1998, for the
+//! determinant over scales).
 
 use crate::features::float_image::FloatImage;
 use crate::features::second_moments::SecondMoments;
 use crate::simd::multiversion;
 
-/// What keypoints are maxima of.
+/// The measure whose maxima are keypoints.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum AffineMeasure {
-    /// Corners: the measure of Harris & Stephens on the second-moment matrix; their scale is where the Laplacian has its extremum.
+    /// Corners: the Harris & Stephens measure of the second-moment matrix; their scale is the
+    /// Laplacian's extremum.
     Harris,
-    /// Blobs: the determinant of the Hessian matrix, over place and scale.
+    /// Blobs: the determinant of the Hessian matrix, over position and scale.
     #[default]
     Hessian,
 }
 
-/// Weight of the squared trace in the Harris measure (IJCV 2004, section 2.1, as is in use). Raised, corners must be nearer to a right angle.
+/// Weight of the squared trace in the Harris measure (IJCV 2004, section 2.1, commonly used).
+/// Raised, corners must be closer to a right angle.
 const HARRIS_K: f32 = 0.04;
-/// Sigma of the derivatives by the sigma of the window. Two copies of a scale space of three an octave lie this far apart; Mikolajczyk & Schmid
-/// take 0.7 (section 2.1), and 0.5 to 0.75 for shapes (section 4.2). Raised, the window holds fewer independent gradients; lowered, noise counts more.
+/// Ratio of the derivatives' sigma to the window's. Two copies of a scale space with three per
+/// octave are this far apart; Mikolajczyk & Schmid use 0.7 (section 2.1), and 0.5 to 0.75 for
+/// shapes (section 4.2). Raised, the window holds fewer independent gradients; lowered, noise
+/// counts more.
 pub const DERIVATIVE_SHARE: f64 = 0.629_960_524_947_436_6;
-/// Fourth root of the Harris measure of a right-angled corner one grey level high, without smoothing but its own (computed from such a corner
-/// of many pixels).
+/// Fourth root of the Harris measure of a right-angled corner of one grey level contrast, with no
+/// smoothing but the measure's own (computed from such a corner of many pixels).
 const CORNER: f64 = 0.1668;
-/// Square root of the determinant of a round Gaussian blob one grey level high at its own scale: its second derivatives are a quarter there.
+/// Square root of the determinant of a round Gaussian blob of one grey level contrast at its own
+/// scale, where its second derivatives are a quarter.
 const BLOB: f64 = 0.25;
 
 impl AffineMeasure {
-    /// The measure of each pixel of a picture smoothed by `sigma` pixels; `fine` is the same smoothed by `DERIVATIVE_SHARE` of it.
+    /// Returns the measure of each pixel of a picture smoothed by `sigma` pixels; `fine` is the
+    /// same smoothed by `DERIVATIVE_SHARE` of it.
     pub fn strength(self, smooth: &FloatImage, fine: &FloatImage, sigma: f64) -> FloatImage {
         let mut out = FloatImage::new(smooth.width, smooth.height);
         if out.width < 3 || out.height < 3 {
@@ -45,8 +52,9 @@ impl AffineMeasure {
         out
     }
 
-    /// What is largest at the scale of the structure at a pixel: of a picture smoothed by `sigma` pixels the size of the normalised Laplacian, or
-    /// the determinant. Zero at the border.
+    /// Returns the value that is maximal at the structure's scale at a pixel of a picture smoothed
+    /// by `sigma` pixels: the magnitude of the normalised Laplacian, or the determinant. Zero at
+    /// the border.
     pub fn at_scale(self, smooth: &FloatImage, sigma: f64, x: usize, y: usize) -> f64 {
         let Some([xx, yy, xy]) = derivatives_at(smooth, x, y) else { return 0.0 };
         let squared = sigma * sigma;
@@ -56,8 +64,9 @@ impl AffineMeasure {
         }
     }
 
-    /// Whether the structure at a pixel can be a blob of axes of at most `ratio`: in the round window of its size, the second derivatives of a
-    /// Gaussian blob along its axes have the ratio of the axes. Of corners the measure itself bounds it.
+    /// Whether the structure at a pixel can be a blob with axes of at most `ratio`: in the round
+    /// window of its size, a Gaussian blob's second derivatives along its axes have the ratio of
+    /// the axes. For corners the measure itself bounds it.
     pub fn is_bounded(self, smooth: &FloatImage, x: usize, y: usize, ratio: f64) -> bool {
         if self == Self::Harris {
             return true;
@@ -66,7 +75,7 @@ impl AffineMeasure {
         (xx + yy).powi(2) * ratio <= (ratio + 1.0).powi(2) * (xx * yy - xy * xy)
     }
 
-    /// The height in grey levels of the blob or corner that would have a strength.
+    /// Converts a strength to the contrast in grey levels of the blob or corner that would have it.
     pub fn contrast(self, strength: f64) -> f64 {
         match self {
             Self::Hessian => strength.max(0.0).sqrt() / BLOB,
@@ -74,7 +83,7 @@ impl AffineMeasure {
         }
     }
 
-    /// The strength of a blob or corner of a height in grey levels.
+    /// Converts the contrast of a blob or corner in grey levels to its strength.
     pub fn of_contrast(self, contrast: f64) -> f64 {
         match self {
             Self::Hessian => (BLOB * contrast.max(0.0)).powi(2),
@@ -83,7 +92,7 @@ impl AffineMeasure {
     }
 }
 
-/// Second derivatives of a pixel across, down and mixed; none at the border.
+/// Returns the second derivatives at a pixel: horizontal, vertical and mixed; `None` at the border.
 fn derivatives_at(smooth: &FloatImage, x: usize, y: usize) -> Option<[f64; 3]> {
     if x == 0 || y == 0 || x + 1 >= smooth.width || y + 1 >= smooth.height {
         return None;
@@ -92,7 +101,7 @@ fn derivatives_at(smooth: &FloatImage, x: usize, y: usize) -> Option<[f64; 3]> {
     Some(second_derivatives(above?, here?, below?).map(f64::from))
 }
 
-/// Second derivatives across, down and mixed, from a pixel's eight neighbours.
+/// Returns the second derivatives, horizontal, vertical and mixed, from a pixel's eight neighbours.
 #[inline(always)]
 fn second_derivatives(above: &[f32; 3], here: &[f32; 3], below: &[f32; 3]) -> [f32; 3] {
     let twice = 2.0 * here[1];
@@ -100,7 +109,7 @@ fn second_derivatives(above: &[f32; 3], here: &[f32; 3], below: &[f32; 3]) -> [f
 }
 
 multiversion! {
-    /// Determinants of the Hessian matrix of the inner pixels, times `factor`.
+    /// Computes the determinants of the Hessian matrix of the inner pixels, times `factor`.
     fn determinants(smooth: &FloatImage, factor: f32, out: &mut [f32]); ["avx2"] => determinants_plain, else determinants_plain
 }
 
@@ -119,7 +128,7 @@ fn determinants_plain(smooth: &FloatImage, factor: f32, out: &mut [f32]) {
 }
 
 multiversion! {
-    /// The Harris measure of every pixel, of moments times `factor`.
+    /// Computes the Harris measure of every pixel, of moments times `factor`.
     fn corners(moments: &SecondMoments, factor: f32, out: &mut [f32]); ["avx2"] => corners_plain, else corners_plain
 }
 
@@ -136,7 +145,7 @@ fn corners_plain(moments: &SecondMoments, factor: f32, out: &mut [f32]) {
 mod tests {
     use super::*;
 
-    /// A picture from its levels, about its middle.
+    /// A picture as a function of position relative to its centre.
     fn picture(side: usize, level: impl Fn(f64, f64) -> f64) -> FloatImage {
         let half = (side / 2) as f64;
         let values = (0..side * side).map(|k| level((k % side) as f64 - half, (k / side) as f64 - half) as f32).collect();

@@ -1,8 +1,10 @@
-//! Corners: places whose second-moment matrix has two large eigenvalues. Three measures of that: Harris & Stephens, A Combined Corner and Edge
-//! Detector, 1988 (section 4); Noble, Finding Corners, 1988; Shi & Tomasi, Good Features to Track, 1994 (section 4).
+//! Corners: places whose second-moment matrix has two large eigenvalues. Three measures: Harris &
+//! Stephens, A Combined Corner and Edge Detector, 1988 (section 4); Noble, Finding Corners, 1988;
+//! Shi & Tomasi, Good Features to Track, 1994 (section 4).
 //!
-//! A place is found as a local maximum of the measure, which lies inside of the corner by an amount that grows with the smoothing. It is then
-//! moved to the point that the lines along the window's edges meet in (Förstner & Gülch 1987), which does not.
+//! A corner is found as a local maximum of the measure, which is inside the true corner by an
+//! amount that grows with the smoothing. It is then moved to the intersection of the edges in the
+//! window (Förstner & Gülch 1987), which has no such bias.
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -12,13 +14,13 @@ use crate::features::keypoint::{Keypoint, PictureForms};
 use crate::features::second_moments::{SecondMoments, gradients, within};
 use crate::simd::multiversion;
 
-/// How distinctive a second-moment matrix is.
+/// Measure of a second-moment matrix.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum CornerMeasure {
-    /// Determinant less `k` times the squared trace.
+    /// Determinant minus `k` times the squared trace.
     #[default]
     Harris,
-    /// Determinant by trace.
+    /// Determinant divided by trace.
     Noble,
     /// Smaller eigenvalue.
     ShiTomasi,
@@ -27,24 +29,26 @@ pub enum CornerMeasure {
 /// Finds corners of one size.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HarrisDetector {
-    /// Default Harris.
+    /// The corner measure. Default Harris.
     pub measure: CornerMeasure,
-    /// Weight of the squared trace in the Harris measure. Default 0.04 (Harris & Stephens leave it open; this is what is in use). Raised, corners
-    /// must be nearer to a right angle.
+    /// Weight of the squared trace in the Harris measure. Default 0.04 (Harris & Stephens leave it
+    /// open; this is commonly used). Raised, corners must be closer to a right angle.
     pub k: f64,
-    /// Sigma of the window that gradients are gathered in, pixels. Default 2. Raised, corners are fewer, steadier, and found less exactly.
+    /// Sigma of the window in which gradients are averaged, pixels. Default 2. Raised, corners are
+    /// fewer, more stable, and less precise.
     pub sigma: f64,
-    /// Sigma that the picture is smoothed by before its gradients are taken, pixels. Default 2. Raised, noise counts less and detail too.
+    /// Sigma of the smoothing before taking gradients, pixels. Default 2. Raised, noise counts
+    /// less, and so does detail.
     pub derivative_sigma: f64,
-    /// Corners at most, strongest first. Default: no limit.
+    /// Maximum number of corners, strongest first. Default: no limit.
     pub count: usize,
-    /// Least strength, in the measure's own unit. Default 0.
+    /// Minimum strength, in the measure's own unit. Default 0.
     pub least_strength: f64,
-    /// Least strength as a share of the strongest. Default 0.
+    /// Minimum strength as a fraction of the strongest. Default 0.
     pub least_share: f64,
-    /// Pixels at the border where no corner is looked for. Default 2.
+    /// Width of the border without corners, pixels. Default 2.
     pub edge_gap: usize,
-    /// Pixels around a corner where no weaker one is kept. Default 0: all are kept.
+    /// Radius around a corner in which weaker ones are dropped, pixels. Default 0: all are kept.
     pub suppress: f64,
 }
 
@@ -64,17 +68,20 @@ impl Default for HarrisDetector {
     }
 }
 
-/// The measure's rounding errors, as a share of the strongest corner: what is below is an even surface or a straight edge. Raised, faint corners
-/// beside a very strong one are lost.
+/// Rounding error of the measure, relative to the strongest corner; anything below is a uniform
+/// surface or a straight edge. Raised, faint corners beside a very strong one are lost.
 const ROUNDING: f64 = 1e-6;
-/// Sigma at most that the picture is smoothed by for the point that edges meet in, pixels. Smoothing rounds a corner off, and the edges of a round
-/// one meet inside of it: at 2 pixels by 0.6 pixels, at 0.7 by 0.16 to 0.29 (the corners of the test below). Lowered, noise counts more.
+/// Maximum smoothing sigma for locating the intersection of edges, pixels. Smoothing rounds a
+/// corner off, and the edges of a round one meet inside it: by 0.6 pixels at 2 pixels, by 0.16 to
+/// 0.29 at 0.7 (the corners of the test below). Lowered, noise counts more.
 const EDGE_SIGMA: f64 = 0.7;
-/// Steps of the window after the point that its edges meet in. It seldom moves after the third.
+/// Maximum number of iterations for the intersection; it seldom moves after the third.
 const STEPS: usize = 5;
-/// Sigmas at most from the maximum to the point. What is farther is another corner or none; the maximum itself is taken then.
+/// Maximum distance from the maximum to the intersection, sigmas. If it is farther, it is another
+/// corner or none, and the maximum itself is used. Raised, wrong intersections are accepted.
 const MOST_SIGMAS: f64 = 2.0;
-/// Least ratio of the eigenvalues for a point: below, the window shows one line, along which the point could be anywhere.
+/// Minimum ratio of the eigenvalues for an intersection: below, the window shows a single line,
+/// along which the point is undetermined. Raised, more corners stay at their maximum.
 const LEAST_RATIO: f64 = 0.02;
 
 impl Detector for HarrisDetector {
@@ -101,15 +108,16 @@ impl Detector for HarrisDetector {
 }
 
 impl HarrisDetector {
-    /// The measure of each pixel.
+    /// Returns the measure of each pixel.
     fn strength(&self, moments: &SecondMoments) -> FloatImage {
         let mut out = FloatImage::new(moments.xx.width, moments.xx.height);
         measure_all(self.measure, self.k as f32, moments, &mut out.values);
         out
     }
 
-    /// Where the edges within the window about `start` meet: the point with the least sum of squared distances from the lines through the
-    /// window's pixels across their gradients, each weighted by the squared gradient and the window.
+    /// Returns the intersection of the edges in the window around `start`: the point with the
+    /// minimum sum of squared distances from the lines through the window's pixels perpendicular to
+    /// their gradients, weighted by squared gradient and window.
     fn meeting_point(&self, across: &FloatImage, down: &FloatImage, start: Vector2<f64>) -> Option<Vector2<f64>> {
         let sigma = within(self.sigma);
         let reach = (2.5 * sigma).ceil() as isize;
@@ -161,7 +169,8 @@ fn measure_all_plain(measure: CornerMeasure, k: f32, moments: &SecondMoments, ou
         }
         CornerMeasure::Noble => {
             for (o, ((xx, yy), xy)) in out.iter_mut().zip(elements) {
-                // The smallest positive number takes the place of a trace of 0, of which the determinant is 0 too.
+                // The smallest positive number replaces a trace of 0, where the determinant is 0
+                // too.
                 *o = (xx * yy - xy * xy) / (xx + yy).max(f32::MIN_POSITIVE);
             }
         }
@@ -174,7 +183,8 @@ fn measure_all_plain(measure: CornerMeasure, k: f32, moments: &SecondMoments, ou
     }
 }
 
-/// Pixels above `least` that none of their eight neighbours exceeds, and none of those before them in the order of rows equals.
+/// Returns pixels above `least` that no neighbour exceeds and no earlier neighbour in reading order
+/// equals.
 pub(super) fn local_maxima(image: &FloatImage, gap: usize, least: f32) -> Vec<(usize, usize)> {
     let gap = gap.max(1);
     let mut found = Vec::new();
@@ -193,7 +203,7 @@ pub(super) fn local_maxima(image: &FloatImage, gap: usize, least: f32) -> Vec<(u
     found
 }
 
-/// The peak of the parabolas through a maximum and its neighbours across and down.
+/// Returns the peak of the parabolas through a maximum and its horizontal and vertical neighbours.
 pub(super) fn parabola_peak(image: &FloatImage, x: usize, y: usize) -> Vector2<f64> {
     let at = |dx: isize, dy: isize| f64::from(image.at(x as isize + dx, y as isize + dy));
     let peak = |before: f64, here: f64, after: f64| {
@@ -203,8 +213,8 @@ pub(super) fn parabola_peak(image: &FloatImage, x: usize, y: usize) -> Vector2<f
     Vector2::new(x as f64 + peak(at(-1, 0), at(0, 0), at(1, 0)), y as f64 + peak(at(0, -1), at(0, 0), at(0, 1)))
 }
 
-/// At most `count` keypoints, each at least `radius` pixels from all before it. Cells of that size are sorted in, so that only neighbouring ones
-/// are compared.
+/// Returns at most `count` keypoints, each at least `radius` pixels from all before it. Uses a grid
+/// of cells of that size, so that only neighbouring cells are compared.
 fn apart(sorted: &[Keypoint], radius: f64, count: usize) -> Vec<Keypoint> {
     let mut kept: Vec<Keypoint> = Vec::new();
     let mut cells: std::collections::BTreeMap<(i64, i64), Vec<usize>> = std::collections::BTreeMap::new();
@@ -231,7 +241,8 @@ mod tests {
 
     const MEASURES: [CornerMeasure; 3] = [CornerMeasure::Harris, CornerMeasure::Noble, CornerMeasure::ShiTomasi];
 
-    /// A bright square with its middle at `middle`, half a side of `half` pixels, turned; each pixel the mean of 8 x 8 samples.
+    /// A bright square centred at `middle`, with half side `half` pixels, rotated; each pixel is
+    /// the mean of 8 x 8 samples.
     fn square(middle: Vector2<f64>, half: f64, angle: f64) -> GrayImage {
         let (sin, cos) = angle.sin_cos();
         GrayImage::from_fn(100, 90, |x, y| {

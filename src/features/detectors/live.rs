@@ -1,4 +1,5 @@
-//! The tracker's own corners: FAST-9 on a pyramid, ranked by the smaller eigenvalue of the structure tensor (see `corners`).
+//! The tracker's own corners: FAST-9 on a pyramid, ranked by the smaller eigenvalue of the
+//! structure tensor (see `corners`).
 
 use std::cell::RefCell;
 
@@ -10,21 +11,23 @@ use crate::features::keypoint::{Keypoint, PictureForms};
 use crate::features::pattern::PATCH_RADIUS;
 use crate::features::workers::Workers;
 
-/// The corners that a running tracker looks for.
+/// The corners that a running tracker detects.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct LiveCorners {
-    /// How they are found.
+    /// Extraction options.
     pub options: ExtractorOptions,
 }
 
-/// One sigma of a corner's region, pixels of its level: that of an even disc as large as the patch that describes it.
+/// One sigma of a corner's region, pixels of its level: that of a uniform disc as large as the
+/// descriptor's patch.
 pub(in crate::features) const REGION_SIGMA: f64 = PATCH_RADIUS as f64 / 2.0;
 
 impl LiveCorners {
-    /// The corners with their binary descriptions, found and described in one go.
+    /// Finds and describes the corners in one pass.
     pub fn features(&self, picture: &PictureForms) -> Vec<Feature> {
         thread_local! {
-            /// Its buffers, and the contrast that the last picture needed, make the next picture quicker and change nothing else.
+            /// Its buffers, and the contrast that the last picture needed, only speed up the next
+            /// picture.
             static EXTRACTOR: RefCell<FeatureExtractor> = RefCell::default();
         }
         let mut features = Vec::new();
@@ -32,7 +35,8 @@ impl LiveCorners {
         features
     }
 
-    /// A corner as a keypoint. All have the same response: those of different levels cannot be compared, and each level had its share.
+    /// Converts a corner to a keypoint. All have the same response: strengths on different levels
+    /// are not comparable, and each level has its quota.
     pub fn keypoint(feature: &Feature) -> Keypoint {
         let turn: Matrix2<f64> = Rotation2::new(f64::from(feature.angle)).into_inner();
         Keypoint { position: feature.position, shape: turn * (REGION_SIGMA * feature.scale), response: 1.0 }

@@ -1,4 +1,4 @@
-//! Detectors: from a picture to its keypoints. One a file, with its source.
+//! Detectors: find the keypoints of a picture. One per file, with its source.
 
 mod affine;
 mod affine_measure;
@@ -23,11 +23,12 @@ use super::keypoint::{Keypoint, PictureForms};
 
 /// Finds keypoints.
 pub trait Detector {
-    /// The keypoints of a picture, most distinctive first; among equals in the order of rows and columns, so that the same picture gives the same.
+    /// Returns the keypoints of a picture, most distinctive first; ties are in reading order, so
+    /// that results are reproducible.
     fn detect(&self, picture: &PictureForms) -> Vec<Keypoint>;
 }
 
-/// Sorts the strongest first; among equals in the order of rows, columns and scales.
+/// Sorts by strength, strongest first; ties by row, column and scale.
 fn strongest_first(keypoints: &mut [Keypoint]) {
     keypoints.sort_by(|a, b| {
         let key = |k: &Keypoint| [k.position.y, k.position.x, k.shape[(0, 0)], k.shape[(1, 1)], k.shape[(0, 1)]];

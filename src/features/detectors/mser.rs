@@ -1,9 +1,11 @@
-//! Maximally stable extremal regions (Matas, Chum, Urban & Pajdla, Robust Wide Baseline Stereo from Maximally Stable Extremal Regions, BMVC 2002):
-//! connected sets of pixels darker, or lighter, than all around them, whose area changes little while the threshold between moves. A view from
-//! another side, and other light, leave them what they are.
+//! Maximally stable extremal regions (Matas, Chum, Urban & Pajdla, Robust Wide Baseline Stereo from
+//! Maximally Stable Extremal Regions, BMVC 2002): connected sets of pixels darker, or lighter, than
+//! everything around them, whose area changes little as the threshold varies. They are covariant
+//! with the viewpoint and invariant to lighting.
 //!
-//! The regions of all thresholds form a tree, which is built by union-find in the order of the grey levels (Berger, Géraud, Levillain, Widynski,
-//! Baillard & Bertin, Effective Component Tree Computation with Application to Pattern Recognition in Astronomical Imaging, ICIP 2007).
+//! The regions of all thresholds form a tree, built by union-find in order of grey level (Berger,
+//! Géraud, Levillain, Widynski, Baillard & Bertin, Effective Component Tree Computation with
+//! Application to Pattern Recognition in Astronomical Imaging, ICIP 2007).
 
 use image::GrayImage;
 use nalgebra::{Matrix2, Vector2};
@@ -12,22 +14,26 @@ use super::{Detector, strongest_first};
 use crate::features::keypoint::{Keypoint, PictureForms, square_root};
 use crate::features::watch::Watch;
 
-/// Which regions are stable, and what to keep of them.
+/// Criteria of stability, and which regions to keep.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MserDetector {
-    /// Regions at most, most stable first. Default 5000: more than a picture of 640x480 usually has. Raised, matching takes longer by its square.
+    /// Maximum number of regions, most stable first. Default 5000: more than a 640x480 picture
+    /// usually has. Raised, matching takes quadratically longer.
     pub count: usize,
-    /// Grey levels that the threshold moves by while the change of the area is measured. Default 5, as in the programs in use. Raised, regions must
-    /// have more contrast.
+    /// Change of the threshold over which the area's change is measured, grey levels. Default 5, as
+    /// in common programs. Raised, regions must have more contrast.
     pub delta: u8,
-    /// Least area, pixels. Default 60: a disc of 9 pixels across. Raised, small regions are left out, whose shape is less certain.
+    /// Minimum area, pixels. Default 60: a disc 9 pixels across. Raised, small regions, whose shape
+    /// is less certain, are dropped.
     pub least_area: usize,
-    /// Largest area as a share of the picture. Default 0.25. Raised, regions come that few other views show as a whole.
+    /// Maximum area as a fraction of the picture. Default 0.25. Raised, regions appear that few
+    /// other views show completely.
     pub most_area_share: f64,
-    /// Most growth of the area over `delta` levels, as a share of it. Default 0.25. Raised, less stable regions are kept.
+    /// Maximum relative growth of the area over `delta` levels. Default 0.25. Raised, less stable
+    /// regions are kept.
     pub most_variation: f64,
-    /// Least difference of the areas of two regions of which one holds the other, as a share of the larger. Default 0.2. Raised, fewer regions
-    /// about the same place are kept, the most stable ones.
+    /// Minimum relative difference in area of two nested regions. Default 0.2. Raised, fewer
+    /// regions at the same place are kept, the most stable ones.
     pub least_diversity: f64,
 }
 
@@ -37,16 +43,18 @@ impl Default for MserDetector {
     }
 }
 
-/// Sigma of a keypoint by the root of the second moments of its region. A disc of radius r has second moments of r²/4, and the Gaussian whose
-/// Laplacian answers to it best has a sigma of r / √2: the same as of a blob of any other detector, so that descriptors read as much around it.
+/// Ratio of a keypoint's sigma to the root of its region's second moments. A disc of radius r has
+/// second moments of r²/4, and the Gaussian whose Laplacian responds best to it has a sigma of r /
+/// √2. So blobs get the same sigma as from other detectors, and descriptors read as much around
+/// them.
 const SIGMA_BY_MOMENT: f64 = std::f64::consts::SQRT_2;
-/// Second moment of a pixel's own square about its middle, squared pixels.
+/// Second moment of a pixel's own square about its centre, squared pixels.
 const PIXEL_MOMENT: f64 = 1.0 / 12.0;
 
 impl Detector for MserDetector {
     fn detect(&self, picture: &PictureForms) -> Vec<Keypoint> {
         let mut found = Vec::new();
-        // Dark regions, then light ones: those are dark in the negative.
+        // Dark regions, then light ones, which are dark in the negative.
         for flip in [0, u8::MAX] {
             found.extend(ComponentTree::of(picture.grey, flip, &picture.watch).map_or(Vec::new(), |tree| self.stable(&tree)));
         }
@@ -57,7 +65,7 @@ impl Detector for MserDetector {
 }
 
 impl MserDetector {
-    /// The stable regions of a tree.
+    /// Returns the stable regions of a tree.
     fn stable(&self, tree: &ComponentTree) -> Vec<Keypoint> {
         let largest = (self.most_area_share * tree.pixels as f64).clamp(0.0, tree.pixels as f64) as usize;
         let variations = tree.variations(self.delta);
@@ -65,7 +73,7 @@ impl MserDetector {
             .filter(|&n| {
                 let region = &tree.nodes[n];
                 let area = region.area as usize;
-                // What the border cuts off has another shape than it has in another view.
+                // A region cut off by the border has another shape in another view.
                 area >= self.least_area.max(1) && area <= largest && f64::from(variations[n]) <= self.most_variation && !region.at_border
             })
             .collect();
@@ -74,7 +82,7 @@ impl MserDetector {
         kept.into_iter().map(|n| keypoint(&tree.nodes[n], variations[n])).collect()
     }
 
-    /// Of regions within one another that hardly differ, the first.
+    /// Keeps the first of nested regions that hardly differ.
     fn diverse(&self, tree: &ComponentTree, candidates: &[usize]) -> Vec<usize> {
         let (mut kept, mut is_kept, mut holds_kept) = (Vec::new(), vec![false; tree.nodes.len()], vec![false; tree.nodes.len()]);
         for &candidate in candidates {
@@ -91,7 +99,7 @@ impl MserDetector {
     }
 }
 
-/// The ellipse of a region's moments.
+/// Returns the ellipse of a region's moments.
 fn keypoint(region: &Region, variation: f32) -> Keypoint {
     let area = f64::from(region.area);
     let mean = region.first / area;
@@ -101,7 +109,7 @@ fn keypoint(region: &Region, variation: f32) -> Keypoint {
     Keypoint { position: mean + region.origin, shape, response: 1.0 / (1.0 + variation) }
 }
 
-/// Nodes with less variation than the region that holds them, and no more than any that they hold.
+/// Returns nodes with less variation than the region around them, and no more than any inside them.
 fn local_minima<'a>(tree: &'a ComponentTree, variations: &'a [f32]) -> impl Iterator<Item = usize> + 'a {
     let mut least_inside = vec![f32::INFINITY; tree.nodes.len()];
     for (n, node) in tree.nodes.iter().enumerate().skip(1) {
@@ -114,14 +122,15 @@ fn local_minima<'a>(tree: &'a ComponentTree, variations: &'a [f32]) -> impl Iter
 /// A connected set of pixels up to a grey level.
 #[derive(Debug, Clone, Copy)]
 struct Region {
-    /// The region that holds this one, up to the next higher level at which more pixels join; the root's is itself.
+    /// The smallest larger region, at the next higher level at which pixels join; the root's is
+    /// itself.
     parent: u32,
     /// Grey level of its lightest pixels.
     level: u8,
     at_border: bool,
-    /// Pixels.
+    /// Number of pixels.
     area: u32,
-    /// Where sums are counted from: the picture's middle.
+    /// Origin of the sums: the picture's centre.
     origin: Vector2<f64>,
     /// Sums of x and y.
     first: Vector2<f64>,
@@ -129,17 +138,18 @@ struct Region {
     second: [f64; 3],
 }
 
-/// All regions of a picture, each behind the one that holds it; the first is the whole.
+/// All regions of a picture, each after its parent; the first is the whole picture.
 struct ComponentTree {
     nodes: Vec<Region>,
     pixels: usize,
 }
 
 impl ComponentTree {
-    /// Of the grey levels, each exclusive-or `flip`; none where there is no pixel, or the work was ended.
+    /// Builds the tree of the grey levels, each exclusive-or `flip`; `None` if there are no pixels
+    /// or the work was stopped.
     fn of(picture: &GrayImage, flip: u8, watch: &Watch) -> Option<Self> {
         let (width, pixels) = (picture.width() as usize, picture.as_raw().len());
-        // Pixels are counted by u32, as a picture's sides are; no picture in memory has more than those.
+        // Pixels are counted by u32, like a picture's sides; no picture in memory has more.
         if pixels == 0 || u32::try_from(pixels).is_err() {
             return None;
         }
@@ -149,13 +159,13 @@ impl ComponentTree {
         Some(Self { nodes: regions(&levels, &order, &parents, width, watch)?, pixels })
     }
 
-    /// The regions that hold a node, from the smallest.
+    /// Returns the regions that contain a node, smallest first.
     fn above(&self, node: usize) -> impl Iterator<Item = usize> + '_ {
         let parent = |n: usize| (n != 0).then(|| self.nodes[n].parent as usize);
         std::iter::successors(parent(node), move |n| parent(*n))
     }
 
-    /// How much each region grows over `delta` levels, as a share of its area.
+    /// Returns the relative growth of each region over `delta` levels.
     fn variations(&self, delta: u8) -> Vec<f32> {
         let growth = |n: usize| {
             let node = &self.nodes[n];
@@ -167,7 +177,7 @@ impl ComponentTree {
     }
 }
 
-/// Numbers of the pixels in the order of their levels, in one level in the order of rows.
+/// Returns pixel indices sorted by level, within a level in reading order.
 fn by_level(levels: &[u8]) -> Vec<u32> {
     let mut next = [0u32; 257];
     levels.iter().for_each(|v| next[usize::from(*v) + 1] += 1);
@@ -183,17 +193,18 @@ fn by_level(levels: &[u8]) -> Vec<u32> {
     order
 }
 
-/// Pixels between two questions whether to go on: a few hundredths of a second. Raised, an interrupt waits longer; lowered to some hundred, asking
-/// takes time of its own.
+/// Pixels between two calls of the watch: a few hundredths of a second. Raised, an interrupt takes
+/// longer; lowered to some hundred, the calls take time themselves.
 const BETWEEN_LOOKS: usize = 1 << 18;
 
-/// No pixel yet.
+/// Marks a pixel that has not been visited.
 const NONE: u32 = u32::MAX;
 
-/// For each pixel the pixel that stands for the set it joined: pixels of one level and set share one of them, whose own is that of the next level.
-/// The last pixel of the order is its own. None where the work was ended.
+/// Returns for each pixel the representative of the set it joined: pixels of one level and set
+/// share one, whose own is that of the next level. The last pixel in order is its own. `None` if
+/// the work was stopped.
 fn parents(levels: &[u8], order: &[u32], width: usize, watch: &Watch) -> Option<Vec<u32>> {
-    // `roots` leads to the last pixel of each set so far, by ever shorter ways.
+    // `roots` leads to the last pixel of each set so far, with path compression.
     let (mut parents, mut roots) = (vec![NONE; levels.len()], vec![NONE; levels.len()]);
     for (k, &pixel) in order.iter().enumerate() {
         if k % BETWEEN_LOOKS == 0 && !watch.goes_on() {
@@ -211,7 +222,8 @@ fn parents(levels: &[u8], order: &[u32], width: usize, watch: &Watch) -> Option<
             }
         }
     }
-    // From the whole to its parts: what has a parent of its own level takes the one that stands for that.
+    // From the whole to its parts: a pixel whose parent has a same-level parent takes that
+    // representative.
     for &pixel in order.iter().rev() {
         let parent = parents[pixel as usize];
         let above = parents[parent as usize];
@@ -222,7 +234,7 @@ fn parents(levels: &[u8], order: &[u32], width: usize, watch: &Watch) -> Option<
     Some(parents)
 }
 
-/// The pixels beside, above and below one.
+/// Returns the pixels beside, above and below one.
 fn neighbours(at: usize, width: usize, pixels: usize) -> impl Iterator<Item = usize> {
     let column = at % width;
     let sides = [
@@ -234,7 +246,7 @@ fn neighbours(at: usize, width: usize, pixels: usize) -> impl Iterator<Item = us
     sides.into_iter().filter_map(|(inside, place)| inside.then_some(place))
 }
 
-/// The end of a way, which is halved for the next time.
+/// Finds the root, halving the path for the next time.
 fn root_of(roots: &mut [u32], mut at: u32) -> u32 {
     loop {
         let next = roots[at as usize];
@@ -246,11 +258,12 @@ fn root_of(roots: &mut [u32], mut at: u32) -> u32 {
     }
 }
 
-/// The regions, from the whole to its parts, with the sums over their pixels. None where the work was ended.
+/// Returns the regions, from the whole to its parts, with sums over their pixels. `None` if the
+/// work was stopped.
 fn regions(levels: &[u8], order: &[u32], parents: &[u32], width: usize, watch: &Watch) -> Option<Vec<Region>> {
     let height = levels.len() / width;
     let origin = Vector2::new((width / 2) as f64, (height / 2) as f64);
-    // Number of the region that each pixel belongs to.
+    // Index of the region that each pixel belongs to.
     let (mut numbers, mut nodes) = (vec![0u32; levels.len()], Vec::new());
     for (k, &pixel) in order.iter().rev().enumerate() {
         if k % BETWEEN_LOOKS == 0 && !watch.goes_on() {
@@ -314,7 +327,7 @@ mod tests {
                 // The slope of the edge may hold another, less stable one.
                 assert!((1..4).contains(&found.len()), "{ellipse:?}: {found:?}");
                 assert!((found[0].position - middle).norm() < 0.1, "{ellipse:?}: {found:?}");
-                // Its sigma is the radius by √2.
+                // Its sigma is the radius divided by √2.
                 let ratio = ellipse.shape().try_inverse().unwrap() * found[0].shape * std::f64::consts::SQRT_2;
                 assert!((ratio - Matrix2::identity()).amax() < 0.05, "{ellipse:?}: {ratio}");
             }
@@ -339,7 +352,7 @@ mod tests {
                     pixels.push(at);
                     front.extend(neighbours(at, 23, open.len()).filter(|n| std::mem::take(&mut open[*n])));
                 }
-                // A set without a pixel of the level is that of a lower one.
+                // A set without a pixel of the level belongs to a lower one.
                 if pixels.iter().any(|p| picture.as_raw()[*p] == level) {
                     flooded.push((level, pixels.len() as u32, pixels.iter().map(|p| (p % 23) as u32).sum()));
                 }
@@ -363,7 +376,7 @@ mod tests {
         assert!(first.len() > 50, "{}", first.len());
         for (turn, tilt, scale) in [(0.7, 0.0, 1.0), (0.0, 0.52, 1.0), (0.0, 0.0, 0.6), (1.9, 0.52, 0.8)] {
             let known = view(turn, tilt, scale);
-            // What is too small to be found in the second picture is not asked for.
+            // Skip what is too small to be found in the second picture.
             let large: Vec<Keypoint> = first.iter().filter(|k| k.scale() * scale > 4.0).copied().collect();
             let found = repeatability(&large, &detect(&painting.seen(&known)), &known, [(300, 300); 2]);
             assert!(found.share > 0.6 && found.error_px.unwrap() < 0.4, "{turn} {tilt} {scale}: {found:?} of {}", large.len());

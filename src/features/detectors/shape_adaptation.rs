@@ -1,7 +1,10 @@
-//! Affine shape adaptation: the ellipse about a place in whose frame the picture's gradients are as strong in all directions (Lindeberg & Gårding,
-//! Shape-Adapted Smoothing in Estimation of 3-D Shape Cues from Affine Deformations of Local 2-D Brightness Structure, 1997; Baumberg, Reliable
-//! Feature Matching across Widely Separated Views, CVPR 2000), with place and scale found anew in that frame at every step (Mikolajczyk & Schmid,
-//! Scale & Affine Invariant Interest Point Detectors, IJCV 2004, section 4.2). What it ends at moves with the picture under any affine map.
+//! Affine shape adaptation: finds the ellipse around a place in whose frame the picture's gradients
+//! are equally strong in all directions (Lindeberg & Gårding, Shape-Adapted Smoothing in Estimation
+//! of 3-D Shape Cues from Affine Deformations of Local 2-D Brightness Structure, 1997; Baumberg,
+//! Reliable Feature Matching across Widely Separated Views, CVPR 2000). Position and scale are
+//! re-estimated in that frame at every step (Mikolajczyk & Schmid, Scale & Affine Invariant
+//! Interest Point Detectors, IJCV 2004, section 4.2). The fixed point is covariant under any affine
+//! map of the picture.
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -11,42 +14,48 @@ use crate::features::keypoint::{Keypoint, square_root};
 use crate::features::scale_space::{SCALES, ScaleSpace};
 use crate::features::second_moments::gradients;
 
-/// When the iteration ends.
+/// Limits of the iteration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
-    /// Steps at most.
+    /// Maximum number of steps.
     pub steps: usize,
-    /// Least ratio of the second-moment matrix' eigenvalues of what is isotropic.
+    /// Minimum ratio of the second-moment matrix' eigenvalues that counts as isotropic.
     pub isotropy: f64,
-    /// Largest ratio of the axes.
+    /// Maximum ratio of the axes.
     pub elongation: f64,
 }
 
-/// Side of a patch, pixels: a sigma of 4 reaches 3.9 sigmas to either side. The place lies in its middle, between four pixels. It is a whole number
-/// of registers wide.
+/// Side of a patch, pixels: a sigma of 4 reaches 3.9 sigmas to either side. The place is at its
+/// centre, between four pixels. A whole number of registers wide. Raised, each step takes longer.
 const SIDE: usize = 32;
-/// Sigma of the ellipse in its patch, pixels. Raised, the patch would have to be larger; below 3 its derivatives lose accuracy.
+/// Sigma of the ellipse in its patch, pixels. Raised, the patch would have to be larger; below 3
+/// its derivatives lose accuracy.
 const SIGMA: f64 = 4.0;
-/// Where the place lies in the patch, both coordinates.
+/// Position of the place in the patch, both coordinates.
 const MIDDLE: f64 = 0.5 * (SIDE - 1) as f64;
-/// Pixels of a patch from one sample to the next at most, in sigmas of the copy that is sampled. Raised, what lies between samples is missed.
+/// Maximum sample spacing in a patch, in sigmas of the sampled copy. Raised, details between
+/// samples are missed.
 const WIDEST_STEP: f64 = 1.0;
-/// Variance that bilinear interpolation adds, squared pixels of what is interpolated: the mean of a (1 - a).
+/// Variance added by bilinear interpolation, squared pixels of the interpolated copy: the mean of a
+/// (1 - a).
 const INTERPOLATION: f64 = 1.0 / 6.0;
-/// Pixels of the patch that a place may move at a step; one that is farther from its maximum belongs to another structure (section 4.2 takes the
-/// nearest maximum).
+/// Maximum distance that a place may move in a step, patch pixels; a maximum farther away belongs
+/// to another structure (section 4.2 takes the nearest maximum). Raised, more places jump to other
+/// structures.
 const FARTHEST: f64 = 2.0 * SIGMA;
-/// What is still said to stay at its place, pixels of the patch: a hundredth of its sigma by 2.5.
+/// Movement below which the position has converged, patch pixels: a fortieth of its sigma. Lowered,
+/// more steps are taken.
 const STILL: f64 = 0.1;
-/// What is still said to keep its scale, octaves.
+/// Change below which the scale has converged, octaves. Lowered, more steps are taken.
 const STEADY: f64 = 0.03;
-/// Octaves between the scales that a patch is looked at.
+/// Octaves between the scales at which a patch is examined.
 const OCTAVES: f64 = 1.0 / SCALES as f64;
-/// Reach of the ellipse that must lie within the picture, sigmas: beyond lies a fortieth of the window's weight. Raised, more keypoints next to the
-/// border are lost; lowered, their shapes are those of a picture that goes on beyond its border as it does not.
+/// Extent of the ellipse that must be inside the picture, sigmas; a fortieth of the window's weight
+/// is beyond it. Raised, more keypoints near the border are lost; lowered, their shapes are
+/// distorted by the repeated border.
 const INSIDE: f64 = 2.0;
 
-/// Adapts shapes, and keeps the buffers.
+/// Adapts shapes; reuses its buffers.
 #[derive(Debug)]
 pub struct ShapeAdaptation<'a> {
     space: &'a ScaleSpace,
@@ -58,13 +67,13 @@ pub struct ShapeAdaptation<'a> {
     fine: FloatImage,
     smooth: FloatImage,
     row: Vec<f32>,
-    /// Variance of what `fine` is smoothed by along rows and columns, squared pixels.
+    /// Variance of the smoothing of `fine` along rows and columns, squared pixels.
     variances: [f64; 2],
 }
 
-/// What is found in a patch.
+/// Result for one patch.
 struct Found {
-    /// From the middle, pixels.
+    /// Offset from the centre, pixels.
     offset: Vector2<f64>,
     strength: f64,
     /// Octaves from the patch's scale to that of the structure.
@@ -74,7 +83,7 @@ struct Found {
 }
 
 impl<'a> ShapeAdaptation<'a> {
-    /// In the scale space of a picture of a width and height.
+    /// Prepares the adaptation in the scale space of a picture of this width and height.
     pub fn new(space: &'a ScaleSpace, size: (usize, usize), measure: AffineMeasure, limits: Limits) -> Self {
         let size = [size.0 as f64, size.1 as f64];
         let empty = FloatImage::default;
@@ -82,8 +91,8 @@ impl<'a> ShapeAdaptation<'a> {
         Self { space, size, measure, limits, sampled, fine, smooth, row, variances: [0.0; 2] }
     }
 
-    /// The keypoint that a round one leads to, its response the strength in the frame of its ellipse. None where the steps lead to no end, to a
-    /// needle, or out of the picture.
+    /// Adapts a round keypoint; the result's response is the strength in its ellipse's frame.
+    /// `None` if the iteration does not converge, or leads to a needle or out of the picture.
     pub fn adapted(&mut self, start: Vector2<f64>, sigma: f64) -> Option<Keypoint> {
         let (mut place, mut shape) = (start, Matrix2::identity() * sigma);
         for _ in 0..self.limits.steps {
@@ -108,7 +117,7 @@ impl<'a> ShapeAdaptation<'a> {
         None
     }
 
-    /// Whether the ellipse lies within the picture as far as it must.
+    /// Whether enough of the ellipse is inside the picture.
     fn is_inside(&self, place: Vector2<f64>, shape: &Matrix2<f64>) -> bool {
         (0..2).all(|k| {
             let reach = INSIDE * shape.row(k).norm();
@@ -116,12 +125,13 @@ impl<'a> ShapeAdaptation<'a> {
         })
     }
 
-    /// Fills the patch: the picture about a place with its axes along rows and columns and made of one length, smoothed as much along both, at
-    /// [`DERIVATIVE_SHARE`] of the sigma and at the sigma.
+    /// Fills the patch: the picture around a place with the ellipse's axes along rows and columns
+    /// and scaled to equal length, smoothed equally along both, at [`DERIVATIVE_SHARE`] of the
+    /// sigma and at the sigma.
     fn fill(&mut self, place: Vector2<f64>, axes: Matrix2<f64>, sigmas: Vector2<f64>) -> Option<()> {
         let copy = self.space.at_most(DERIVATIVE_SHARE * sigmas.min())?;
         let step = copy.octave.step;
-        // Samples a patch pixel along each axis.
+        // Samples per patch pixel along each axis.
         let dense = sigmas.map(|s| (s / SIGMA / (WIDEST_STEP * copy.sigma)).ceil().max(1.0));
         let every = [dense.x as usize, dense.y as usize];
         let [width, height] = every.map(|n| (SIDE - 1) * n + 1);
@@ -134,7 +144,7 @@ impl<'a> ShapeAdaptation<'a> {
             let start = corner + down * y as f64;
             copy.image.sample_line([start.x, start.y].map(|v| v as f32), [across.x, across.y].map(|v| v as f32), row);
         }
-        // Variance that the samples have along either axis, squared patch pixels.
+        // Variance of the samples along either axis, squared patch pixels.
         let scale = sigmas.map(|s| SIGMA / s);
         let has = scale.map(|s| (copy.sigma.powi(2) + INTERPOLATION * step * step) * s * s);
         let missing = |wanted: f64, k: usize| (wanted * wanted - has[k]).max(0.0).sqrt();
@@ -145,12 +155,12 @@ impl<'a> ShapeAdaptation<'a> {
         Some(())
     }
 
-    /// Sigmas of the smoothing along rows and columns that makes `fine` one of `sigma` pixels.
+    /// Returns the sigmas along rows and columns that smooth `fine` to `sigma` pixels.
     fn lacking(&self, sigma: f64) -> [f64; 2] {
         self.variances.map(|v| (sigma * sigma - v).max(0.0).sqrt())
     }
 
-    /// The maximum of the measure nearest to the patch's middle, and the scale there.
+    /// Finds the maximum of the measure nearest to the patch's centre, and the scale there.
     fn find(&self) -> Option<Found> {
         let map = self.measure.strength(&self.smooth, &self.fine, SIGMA);
         let (x, y) = nearest_maximum(&map)?;
@@ -171,7 +181,7 @@ impl<'a> ShapeAdaptation<'a> {
         Some(Found { offset, strength, octaves, moments })
     }
 
-    /// The second-moment matrix of a place of the patch.
+    /// Returns the second-moment matrix at a place of the patch.
     fn moments(&self, place: Vector2<f64>) -> Matrix2<f64> {
         let (across, down) = gradients(&self.fine);
         let weights = [place.x, place.y].map(|c| {
@@ -191,10 +201,11 @@ impl<'a> ShapeAdaptation<'a> {
     }
 }
 
-/// A pixel of a patch and its neighbours, smoothed by sigmas along rows and columns; beyond the border there is nothing.
+/// Returns a patch pixel and its neighbours, smoothed by these sigmas along rows and columns;
+/// pixels beyond the border do not count.
 fn smoothed_about(patch: &FloatImage, x: usize, y: usize, sigmas: [f64; 2]) -> FloatImage {
     let weights = |middle: usize, sigma: f64| {
-        // A sigma of nothing leaves the pixels as they are.
+        // A zero sigma leaves the pixels unchanged.
         let exponent = -0.5 / (sigma * sigma).max(1e-6);
         [0, 1, 2].map(|k| {
             let offset = |i: usize| (i + 1) as f64 - (middle + k) as f64;
@@ -217,10 +228,11 @@ fn smoothed_about(patch: &FloatImage, x: usize, y: usize, sigmas: [f64; 2]) -> F
     out
 }
 
-/// Of a second-moment matrix, the map of area one from the frame in which it is a circle: its inverse square root.
+/// Returns the inverse square root of a second-moment matrix, normalised to unit determinant: the
+/// map from the frame in which it is a circle.
 fn isotropic_map(moments: &Matrix2<f64>) -> Option<Matrix2<f64>> {
     let determinant = moments.determinant();
-    // Of a straight edge nothing can be said.
+    // A straight edge is undetermined.
     if determinant.is_nan() || determinant <= 1e-8 * moments.trace().powi(2) {
         return None;
     }
@@ -228,7 +240,7 @@ fn isotropic_map(moments: &Matrix2<f64>) -> Option<Matrix2<f64>> {
     Some(square_root(&Matrix2::new(m.m22, -m.m12, -m.m21, m.m11)))
 }
 
-/// The maximum that the steepest way from the middle leads to.
+/// Finds the maximum by steepest ascent from the centre.
 fn nearest_maximum(map: &FloatImage) -> Option<(usize, usize)> {
     let value = |(x, y): (usize, usize)| map.values[y * SIDE + x];
     let better = |a: (usize, usize), b: (usize, usize)| if value(b) > value(a) { b } else { a };
@@ -248,14 +260,15 @@ fn nearest_maximum(map: &FloatImage) -> Option<(usize, usize)> {
     }
 }
 
-/// The vertex of the quadratic through a maximum and its neighbours, from its pixel, and the value there.
+/// Returns the vertex of the quadratic through a maximum and its neighbours, relative to its pixel,
+/// and the value there.
 fn peak(map: &FloatImage, x: usize, y: usize) -> (Vector2<f64>, f64) {
     let at = |i: isize, k: isize| f64::from(map.values[y.wrapping_add_signed(k) * map.width + x.wrapping_add_signed(i)]);
     let here = at(0, 0);
     let slope = 0.5 * Vector2::new(at(1, 0) - at(-1, 0), at(0, 1) - at(0, -1));
     let mixed = 0.25 * (at(1, 1) + at(-1, -1) - at(1, -1) - at(-1, 1));
     let curvature = Matrix2::new(at(1, 0) + at(-1, 0) - 2.0 * here, mixed, mixed, at(0, 1) + at(0, -1) - 2.0 * here);
-    // Beyond the neighbours the fit says nothing; the pixel itself is the best known.
+    // Beyond the neighbours the fit is meaningless; use the pixel itself.
     let vertex = curvature.try_inverse().map(|inverse| -(inverse * slope)).filter(|v| v.amax() <= 1.0).unwrap_or_default();
     (vertex, here + 0.5 * slope.dot(&vertex))
 }

@@ -1,5 +1,5 @@
-//! Extrema of differences of Gaussians over place and scale (Lowe, Distinctive Image Features from Scale-Invariant Keypoints, IJCV 2004,
-//! sections 3 and 4): blobs, with a sigma of their own.
+//! Extrema of differences of Gaussians over position and scale (Lowe, Distinctive Image Features
+//! from Scale-Invariant Keypoints, IJCV 2004, sections 3 and 4): blobs with a sigma of their own.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
@@ -9,16 +9,18 @@ use crate::features::scale_space::{Octave, SCALES};
 use crate::features::watch::Watch;
 use crate::simd::multiversion;
 
-/// What to keep of the extrema.
+/// Which extrema to keep.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SiftDetector {
-    /// Keypoints at most, strongest first. Default 5000: more than a picture of 640x480 usually has. Raised, matching takes longer by its square.
+    /// Maximum number of keypoints, strongest first. Default 5000: more than a 640x480 picture
+    /// usually has. Raised, matching takes quadratically longer.
     pub count: usize,
-    /// Least difference between an extremum and what surrounds it, as a share of the range from black to white, times the scales an octave.
-    /// Default 0.04: with three scales as Lowe's 0.03 (section 4) with his two. Raised, fewer and stronger ones are left.
+    /// Minimum contrast of an extremum to its surroundings, as a fraction of the range from black
+    /// to white, times the scales per octave. Default 0.04: with three scales it equals Lowe's 0.03
+    /// (section 4) with his two. Raised, fewer and stronger ones remain.
     pub contrast: f64,
-    /// Largest ratio of the two principal curvatures. Default 10 (section 4.1). Raised, more keypoints lie on edges, whose place along the edge
-    /// is uncertain.
+    /// Maximum ratio of the two principal curvatures. Default 10 (section 4.1). Raised, more
+    /// keypoints are on edges, with an uncertain position along the edge.
     pub edge_ratio: f64,
 }
 
@@ -28,18 +30,21 @@ impl Default for SiftDetector {
     }
 }
 
-/// Pixels at the border of an octave where no keypoint is looked for: what is beyond the border is a guess, and most of what the gradients
-/// around the keypoint would be gathered from.
+/// Width of an octave's border without keypoints, pixels: most gradients around such a keypoint
+/// would be guesses from beyond the border. Raised, keypoints near the border are lost.
 const BORDER: usize = 5;
 /// Grey levels from black to white.
 const RANGE: f64 = 255.0;
-/// Steps to a neighbouring pixel or scale at most, where the fitted extremum is nearer to that (section 4: "changed and the interpolation
-/// performed instead about that point"). Raised, a few more in noise are kept.
+/// Maximum number of steps to a neighbouring pixel or scale when the fitted extremum is closer to
+/// it (section 4: "changed and the interpolation performed instead about that point"). Raised, a
+/// few more keypoints in noise are kept.
 const STEPS: usize = 5;
-/// Pixels or scales at most from the pixel to the extremum fitted about it; beyond, the neighbour is asked. More than a half, because of an
-/// extremum in the middle between two pixels either one's fit may say that it is nearer to the other, and it would be lost.
+/// Maximum offset from a pixel to its fitted extremum, pixels or scales; beyond, the fit moves to
+/// the neighbour. More than a half, because for an extremum midway between two pixels either fit
+/// may point to the other, and it would be lost.
 const MOST_OFFSET: f64 = 0.6;
-/// What an extremum must have of the least contrast before its place between the pixels is known, where it has a little more.
+/// Fraction of the minimum contrast that an extremum needs before subpixel fitting, which raises it
+/// a little. Raised, weak extrema are lost.
 const BEFORE_FIT: f64 = 0.5;
 
 impl Detector for SiftDetector {
@@ -52,7 +57,7 @@ impl Detector for SiftDetector {
             }
         }
         strongest_first(&mut keypoints);
-        // Two extrema that lead to the same place are neighbours now.
+        // Extrema that lead to the same place are adjacent now.
         keypoints.dedup();
         keypoints.truncate(self.count);
         keypoints
@@ -60,7 +65,8 @@ impl Detector for SiftDetector {
 }
 
 impl SiftDetector {
-    /// The keypoint of an extremum, unless it has too little contrast, lies on an edge, or the fit finds none near it.
+    /// Returns the keypoint of an extremum, unless it has too little contrast, is on an edge, or
+    /// has no fit nearby.
     fn refined(&self, octave: &Octave, mut cell: Cell) -> Option<Keypoint> {
         let (width, height) = (octave.levels[0].width, octave.levels[0].height);
         for _ in 0..STEPS {
@@ -119,7 +125,8 @@ impl Fit {
         Self { value, slope, curvature }
     }
 
-    /// Whether it is curved the same way in all directions of the picture, by at most `ratio` (section 4.1).
+    /// Whether the curvature has the same sign in all image directions, with a ratio of at most
+    /// `ratio` (section 4.1).
     fn is_blob(&self, ratio: f64) -> bool {
         let c = &self.curvature;
         let (trace, determinant) = (c[(0, 0)] + c[(1, 1)], c[(0, 0)] * c[(1, 1)] - c[(0, 1)] * c[(0, 1)]);
@@ -127,18 +134,20 @@ impl Fit {
     }
 }
 
-/// Differences of an octave.
+/// Number of differences per octave.
 const DIFFERENCES: usize = SCALES + 2;
 
-/// Pixels whose difference is at least `threshold` and no smaller than its 26 neighbours, or the same below zero; by rows. Of equal neighbours
-/// the first in the order of rows, columns and levels counts.
+/// Returns pixels whose difference is at least `threshold` and no smaller than its 26 neighbours,
+/// or the same below zero; row by row. Of equal neighbours, the first by row, column and level
+/// counts.
 fn extrema(octave: &Octave, threshold: f32, watch: &Watch) -> Vec<Cell> {
     let (width, height) = (octave.levels[0].width, octave.levels[0].height);
     let mut found = Vec::new();
     if width <= 2 * BORDER || height <= 2 * BORDER {
         return found;
     }
-    // Three rows of each difference are kept, in turn overwritten: they stay in the cache, and the differences as a whole are never stored.
+    // Three rows of each difference are kept in rotation: they stay in the cache, and whole
+    // differences are never stored.
     let mut rows = RowBuffers::new(width);
     rows.subtract(octave, BORDER - 1);
     rows.subtract(octave, BORDER);
@@ -157,14 +166,14 @@ fn extrema(octave: &Octave, threshold: f32, watch: &Watch) -> Vec<Cell> {
     found
 }
 
-/// Rows around the one that is looked at.
+/// Rows around the current one.
 struct RowBuffers {
     width: usize,
-    /// Row y of a difference is in place y % 3.
+    /// Row y of a difference is at index y % 3.
     differences: [[Vec<f32>; 3]; DIFFERENCES],
-    /// Largest and smallest of the three rows, a difference.
+    /// Maximum and minimum of the three rows, per difference.
     bounds: [[Vec<f32>; 2]; DIFFERENCES],
-    /// Largest and smallest of the three rows of three differences.
+    /// Maximum and minimum of the three rows over three differences.
     joined: [Vec<f32>; 2],
     /// Whether a pixel is an extremum.
     marks: Vec<u8>,
@@ -182,21 +191,20 @@ impl RowBuffers {
         }
     }
 
-    /// Reads a row.
     fn subtract(&mut self, octave: &Octave, y: usize) {
         for (pair, difference) in octave.levels.windows(2).zip(&mut self.differences) {
             subtract_rows(pair[1].row(y), pair[0].row(y), &mut difference[y % 3]);
         }
     }
 
-    /// The bounds of the three rows.
+    /// Computes the bounds of the three rows.
     fn bound(&mut self) {
         for ([a, b, c], [high, low]) in self.differences.iter().zip(&mut self.bounds) {
             bound_rows([a, b, c], high, low);
         }
     }
 
-    /// Marks the pixels of row y that are the bounds of all three differences.
+    /// Marks the pixels of row y that reach the bounds of all three differences.
     fn mark(&mut self, level: usize, y: usize, threshold: f32) {
         let near = |side: usize| [level - 1, level, level + 1].map(|l| self.bounds[l][side].as_slice());
         let [high, low] = &mut self.joined;
@@ -204,7 +212,7 @@ impl RowBuffers {
         mark_row(&self.differences[level][y % 3], high, low, threshold, &mut self.marks[..self.width - 1]);
     }
 
-    /// Whether none of the neighbours that come before it is equal.
+    /// Whether no earlier neighbour is equal.
     fn is_first(&self, x: usize, level: usize, y: usize) -> bool {
         let own = self.differences[level][y % 3][x];
         let before = |k: usize, i: usize, l: usize| (k, i, l) < (y, x, level) && self.differences[l][k % 3][i] == own;
@@ -212,14 +220,13 @@ impl RowBuffers {
     }
 }
 
-/// The places of what is not zero; eight at a time are passed over.
+/// Returns the indices of non-zero marks, skipping eight zeros at a time.
 fn marked(marks: &[u8]) -> impl Iterator<Item = usize> {
     let groups = marks.as_chunks::<8>().0.iter().enumerate().filter(|(_, group)| u64::from_le_bytes(**group) != 0);
     groups.flat_map(|(k, group)| group.iter().enumerate().filter(|(_, mark)| **mark != 0).map(move |(i, _)| 8 * k + i))
 }
 
 multiversion! {
-    /// `out` = a - b.
     fn subtract_rows(a: &[f32], b: &[f32], out: &mut [f32]); ["avx2"] => subtract_rows_plain, else subtract_rows_plain
 }
 
@@ -230,20 +237,20 @@ fn subtract_rows_plain(a: &[f32], b: &[f32], out: &mut [f32]) {
     }
 }
 
-/// As `f32::max`, but for numbers only, which is one instruction.
+/// Like `f32::max` without NaN handling, which is one instruction.
 #[inline(always)]
 fn larger(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
-/// As `f32::min`, for numbers only.
+/// Like `f32::min` without NaN handling.
 #[inline(always)]
 fn smaller(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
 multiversion! {
-    /// Largest and smallest of three rows.
+    /// Computes maximum and minimum of three rows.
     fn bound_rows(rows: [&[f32]; 3], high: &mut [f32], low: &mut [f32]); ["avx2"] => bound_rows_plain, else bound_rows_plain
 }
 
@@ -256,7 +263,7 @@ fn bound_rows_plain([a, b, c]: [&[f32]; 3], high: &mut [f32], low: &mut [f32]) {
 }
 
 multiversion! {
-    /// The bounds of three rows' bounds: `high` of the first, `low` of the second.
+    /// Combines the bounds of three rows: `high` of the first, `low` of the second.
     fn join_bounds(highs: [&[f32]; 3], lows: [&[f32]; 3], high: &mut [f32], low: &mut [f32]);
     ["avx2"] => join_bounds_plain, else join_bounds_plain
 }
@@ -272,8 +279,8 @@ fn join_bounds_plain([a, b, c]: [&[f32]; 3], [p, q, r]: [&[f32]; 3], high: &mut 
 }
 
 multiversion! {
-    /// Marks what is at least `threshold` and no smaller than the bounds of its column and of both beside it, or the same below zero. The first
-    /// and last pixel are left.
+    /// Marks values of at least `threshold` and no smaller than the bounds of their column and both
+    /// neighbours, or the same below zero. Skips the first and last pixel.
     fn mark_row(own: &[f32], high: &[f32], low: &[f32], threshold: f32, marks: &mut [u8]); ["avx2"] => mark_row_plain, else mark_row_plain
 }
 
@@ -296,7 +303,7 @@ mod tests {
     use crate::features::scale_space::ScaleSpace;
     use crate::features::{FloatImage, PictureForms};
 
-    /// Gaussian blobs on grey: column, row, sigma, grey levels above it.
+    /// Gaussian blobs on grey: column, row, sigma, contrast in grey levels.
     fn blobs(width: u32, height: u32, blobs: &[[f64; 4]]) -> GrayImage {
         GrayImage::from_fn(width, height, |x, y| {
             let level =
@@ -321,7 +328,7 @@ mod tests {
                 let error = found[0].position - middle;
                 assert!(error.norm() < 0.05, "sigma {sigma}, phase {k}: {error:?}");
                 mean += error / 12.0;
-                // The difference of Gaussians s and 2^(1/3) s answers most to a blob of 2^(1/6) s.
+                // The difference of Gaussians s and 2^(1/3) s responds most to a blob of 2^(1/6) s.
                 let expected = sigma / (1.0_f64 / 6.0).exp2();
                 assert!((found[0].scale() / expected - 1.0).abs() < 0.1, "sigma {sigma}: {} not {expected}", found[0].scale());
             }
@@ -357,7 +364,7 @@ mod tests {
         let values = (0..61 * 47).map(|k: u32| ((k.wrapping_mul(2_654_435_761) >> 13) % 23) as f32).collect();
         let picture = FloatImage { width: 61, height: 47, values };
         let mut space = ScaleSpace::of(&picture);
-        // The copies rounded to multiples of a half keep many ties.
+        // Rounding the copies to multiples of a half keeps many ties.
         for octave in &mut space.octaves {
             octave.levels.iter_mut().flat_map(|l| &mut l.values).for_each(|v| *v = (*v * 2.0).round() / 2.0);
         }
@@ -370,7 +377,7 @@ mod tests {
         assert!(total > 50, "{total}");
     }
 
-    /// As [`extrema`], by its definition.
+    /// Like [`extrema`], by its definition.
     fn plain_extrema(octave: &Octave, threshold: f32) -> Vec<Cell> {
         let (w, h) = (octave.levels[0].width, octave.levels[0].height);
         let at = |[x, y, l]: Cell| octave.levels[l + 1].values[y * w + x] - octave.levels[l].values[y * w + x];

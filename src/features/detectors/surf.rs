@@ -1,9 +1,10 @@
-//! Maxima of the determinant of the Hessian over place and scale, with box filters in the place of Gaussian derivatives (Bay, Ess, Tuytelaars &
-//! Van Gool, Speeded-Up Robust Features (SURF), CVIU 2008, section 3): blobs, with a sigma of their own.
+//! Maxima of the determinant of the Hessian over position and scale, with box filters instead of
+//! Gaussian derivatives (Bay, Ess, Tuytelaars & Van Gool, Speeded-Up Robust Features (SURF), CVIU
+//! 2008, section 3): blobs with a sigma of their own.
 //!
-//! Boxes answer to a pattern otherwise once it is turned, most by 45 degrees (section 3.2): of what is not a round blob the place moves by a good
-//! half of a pixel. Where the camera rolls or comes nearer, SIFT's keypoints are found again more often; where only the light or the focus changes,
-//! these are.
+//! Box filters are not rotation invariant; the worst case is 45 degrees (section 3.2). Anything but
+//! a round blob then moves by a good half pixel. Under camera roll or approach, SIFT's keypoints
+//! are more repeatable; under changes of light or focus only, these are.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
@@ -12,15 +13,17 @@ use crate::features::integral_image::IntegralImage;
 use crate::features::keypoint::{Keypoint, PictureForms};
 use crate::features::watch::Watch;
 
-/// What to keep of the maxima.
+/// Which maxima to keep.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SurfDetector {
-    /// Keypoints at most, strongest first. Default 5000: more than a picture of 640x480 usually has. Raised, matching takes longer by its square.
+    /// Maximum number of keypoints, strongest first. Default 5000: more than a 640x480 picture
+    /// usually has. Raised, matching takes quadratically longer.
     pub count: usize,
-    /// Least determinant, squared grey levels, of filters divided by their squared side. Default 10, some 3 grey levels of second difference.
-    /// Raised, fewer and stronger ones are left.
+    /// Minimum determinant, squared grey levels, of filters divided by their squared side. Default
+    /// 10, about 3 grey levels of second difference. Raised, fewer and stronger ones remain.
     pub least_determinant: f64,
-    /// Octaves of scales. Default 4 (section 3.3), at most 8. Raised, larger blobs are found, which are few.
+    /// Number of octaves of scales. Default 4 (section 3.3), at most 8. Raised, larger blobs are
+    /// found, which are few.
     pub octaves: usize,
 }
 
@@ -30,24 +33,28 @@ impl Default for SurfDetector {
     }
 }
 
-/// Filters an octave: two inner ones that can hold a maximum, and one on either side (section 3.3).
+/// Filters per octave: two inner ones that can hold a maximum, and one on either side (section
+/// 3.3).
 const LAYERS: usize = 4;
-/// Octaves at most: the filters of the eighth are 3075 pixels wide.
+/// Maximum number of octaves: the filters of the eighth are 3075 pixels wide.
 const MOST_OCTAVES: usize = 8;
-/// Sigma of the Gaussian that a filter of side 9 stands for, by the side (section 3.2: 1.2 pixels).
+/// Ratio of the sigma of the Gaussian that a filter approximates to its side (section 3.2: 1.2
+/// pixels at side 9).
 const SIGMA_BY_SIDE: f64 = 1.2 / 9.0;
-/// Squared weight of the mixed derivative, which makes up for what boxes are too large (section 3.2, equation 3: 0.9).
+/// Squared weight of the mixed derivative, which compensates for the box approximation (section
+/// 3.2, equation 3: 0.9).
 const MIXED: f32 = 0.81;
-/// Samples or layers at most from the maximum to the one fitted about it. The layers are coarse, and the fit about a blob of a scale between two of
-/// them may lead more than half way to the next, which is none the less not the larger: with 0.5 those blobs are lost. Raised further, fits are
-/// kept that lead to nothing.
+/// Maximum offset from the maximum to its fit, samples or layers. The layers are coarse, and the
+/// fit of a blob whose scale is between two of them may lead more than half way to the next layer,
+/// which is not larger all the same: at 0.5 those blobs are lost. Raised, meaningless fits are
+/// kept.
 const MOST_OFFSET: f64 = 1.0;
 
-/// Determinants of one filter side, sampled every `step` pixels.
+/// Determinants for one filter side, sampled every `step` pixels.
 struct Layer {
     width: usize,
     height: usize,
-    /// 0 where the filter does not fit in the picture.
+    /// 0 where the filter does not fit into the picture.
     values: Vec<f32>,
 }
 
@@ -78,13 +85,14 @@ impl Detector for SurfDetector {
     }
 }
 
-/// Sides of an octave's filters: 9, 15, 21, 27; 15, 27, 39, 51; … (section 3.3, figure 5).
+/// Returns the sides of an octave's filters: 9, 15, 21, 27; 15, 27, 39, 51; … (section 3.3, figure
+/// 5).
 fn sides(octave: usize) -> [usize; LAYERS] {
     std::array::from_fn(|k| 3 * ((2 << octave) * (k + 1) + 1))
 }
 
-/// The Hessian's elements [xx, yy, xy] of a filter `side` pixels wide with its middle at a pixel, where it fits in the picture; divided by the
-/// squared side.
+/// Returns the Hessian's elements [xx, yy, xy] for a filter `side` pixels wide centred at a pixel,
+/// as far as it is inside the picture; divided by the squared side.
 fn hessian(integral: &IntegralImage, x: isize, y: isize, side: usize) -> [f32; 3] {
     let (lobe, half) = ((side / 3) as isize, (side / 2) as isize);
     let (inner, third) = (lobe / 2, lobe - 1);
@@ -98,14 +106,15 @@ fn hessian(integral: &IntegralImage, x: isize, y: isize, side: usize) -> [f32; 3
     [xx / area, yy / area, xy / area]
 }
 
-/// The Hessian's elements [xx, yy, xy] at a keypoint, of the filter whose side fits its scale.
+/// Returns the Hessian's elements [xx, yy, xy] at a keypoint, for the filter whose side fits its
+/// scale.
 pub fn surf_hessian(integral: &IntegralImage, place: Vector2<f64>, scale: f64) -> [f32; 3] {
     // Sides are odd multiples of 3 and at least 9.
     let lobe = (scale / SIGMA_BY_SIDE / 3.0).clamp(3.0, 1e6) as usize | 1;
     hessian(integral, place.x.round() as isize, place.y.round() as isize, 3 * lobe)
 }
 
-/// Determinants of a filter in the whole picture.
+/// Computes a filter's determinants over the whole picture.
 fn layer(integral: &IntegralImage, side: usize, step: usize, watch: &Watch) -> Layer {
     let (width, height) = (integral.width.div_ceil(step), integral.height.div_ceil(step));
     let mut values = vec![0.0; width * height];
@@ -119,7 +128,7 @@ fn layer(integral: &IntegralImage, side: usize, step: usize, watch: &Watch) -> L
     Layer { width, height, values }
 }
 
-/// Samples of the middle layer above `least` and all 26 neighbours; of equal ones, the first.
+/// Returns samples of the middle layer above `least` and all 26 neighbours; on ties, the first.
 fn maxima(three: [&Layer; 3], least: f32) -> Vec<(usize, usize)> {
     let middle = three[1];
     let mut found = Vec::new();
@@ -127,7 +136,7 @@ fn maxima(three: [&Layer; 3], least: f32) -> Vec<(usize, usize)> {
         for x in 1..middle.width.saturating_sub(1) {
             let at = y * middle.width + x;
             let value = middle.values[at];
-            // The two neighbours in its row say no to most.
+            // The two neighbours in its row reject most.
             if value <= least.max(0.0) || value <= middle.values[at - 1] || value < middle.values[at + 1] {
                 continue;
             }
@@ -143,8 +152,9 @@ fn maxima(three: [&Layer; 3], least: f32) -> Vec<(usize, usize)> {
     found
 }
 
-/// From a sample to the maximum of the quadratic through it and its neighbours: samples across and down, and layers (Brown & Lowe 2002). None
-/// where it is nearer to another sample, or a layer has no filter there.
+/// Returns the offset from a sample to the maximum of the quadratic through it and its neighbours:
+/// samples across and down, and layers (Brown & Lowe 2002). `None` if it is too far away, or a
+/// layer has no filter there.
 fn fitted(three: [&Layer; 3], x: usize, y: usize) -> Option<Vector3<f64>> {
     let width = three[1].width;
     let at = |dx: usize, dy: usize, k: usize| f64::from(three[k].values[(y + dy - 1) * width + x + dx - 1]);
@@ -185,7 +195,8 @@ mod tests {
             let found = detect(&blob(middle, sigma, height));
             let first = found.first().expect("a blob is found");
             assert!((first.position - middle).norm() < 0.1 * sigma + 0.2, "{sigma}: {}", first.position);
-            // Lobes of a third of the side have half of that as their own sigma, 1.5 at side 9, which the paper calls 1.2.
+            // Lobes of a third of the side have a sigma of half that, 1.5 at side 9, which the
+            // paper calls 1.2.
             assert!((first.scale() / (0.8 * sigma)).log2().abs() < 0.3, "{sigma}: {}", first.scale());
         }
     }
@@ -202,7 +213,7 @@ mod tests {
                 ratios.push(found[0].scale() / sigma);
             }
         }
-        // The same at all scales, as far as the coarse layers go.
+        // The same at all scales, within the resolution of the coarse layers.
         let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
         assert!(ratios.iter().all(|r| (r / mean - 1.0).abs() < 0.1), "{mean}: {ratios:?}");
     }
@@ -221,7 +232,8 @@ mod tests {
         let bowl = GrayImage::from_fn(60, 60, |x, y| Luma([((x as i32 - 30) * (y as i32 - 30) + 128).clamp(0, 255) as u8]));
         assert!(hessian(&IntegralImage::of(&ramp), 30, 30, 15).iter().all(|v| v.abs() < 1e-4));
         let [xx, yy, xy] = hessian(&IntegralImage::of(&bowl), 30, 30, 15);
-        // Four lobes of 25 pixels whose products of coordinates are 9 on average, by 15 squared.
+        // Four lobes of 25 pixels whose products of coordinates are 9 on average, divided by 15
+        // squared.
         assert_eq!([xx, yy, xy], [0.0, 0.0, 4.0]);
     }
 
