@@ -1,4 +1,8 @@
 //! The camera: projection of rays to pixels and back, and calibration files.
+//!
+//! `model` has the lens model, `doubt` and `pixel_doubt` its uncertainty, `guess` a lens without
+//! calibration, `plausible` the checks of its parameters, and `shutter` the exposure and readout
+//! times. `files` reads and writes calibrations. Uses `geometry` only.
 
 mod doubt;
 #[cfg(feature = "calibration-files")]

@@ -51,7 +51,7 @@ impl ContrastStretch {
     }
 }
 
-/// Returns the grey levels exceeded downwards and upwards by a hundredth of the picture's blocks.
+/// Returns the grey levels below and above which a hundredth of the blocks lie.
 fn range(picture: &GrayImage) -> Option<[u8; 2]> {
     let width = picture.width() as usize;
     let mut levels = [0_u32; 256];

@@ -1,8 +1,13 @@
-//! Local features of a grey picture: a scale pyramid, corners on each level, and a binary
-//! descriptor of their surroundings, rotated with the corner.
+//! Local features of a grey picture: where they are, and descriptors of their surroundings.
 //!
-//! [`FeatureExtractor`] owns the buffers and reuses them from frame to frame. Hot loops are in
-//! `kernels`, each with a plain twin that tests compare it with.
+//! The tracker's own features come from [`FeatureExtractor`], which reuses its buffers from frame
+//! to frame. It builds a scale pyramid (`pyramid`), finds corners on each level (`corners`), and
+//! gives each a binary descriptor that is rotated with the corner (`descriptor`). The published
+//! methods are in `detectors` and `descriptors`; `choice` selects them by name, and
+//! `view_simulation` runs them on simulated oblique views.
+//!
+//! Hot loops are in `kernels` and the files that need them, each with a plain twin that tests
+//! compare it with. Uses `geometry`, `simd` and `compute_clock`.
 
 mod choice;
 mod contrast;
