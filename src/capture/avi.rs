@@ -1,33 +1,34 @@
-//! Motion JPEG in RIFF: .avi files, also those of several segments (OpenDML) and those never finished.
+//! Reads Motion JPEG in RIFF (.avi files), including segmented (OpenDML) and unfinished files.
 //!
-//! The file is a tree of lists of chunks. Nothing here needs the tree: the chunks are read in the order in which
-//! they lie, lists are entered by passing over their headers, and everything that is not a picture of the first
-//! video stream is skipped.
+//! The file is a tree of lists of chunks, but the reader does not need the tree. It reads chunks in
+//! file order, enters a list by skipping its header, and skips everything that is not a picture of
+//! the first video stream.
 
 use std::io::{self, Read};
 
 use super::rate::FrameRate;
 
-/// An .avi stream at its pictures.
+/// An .avi stream, positioned at its pictures.
 #[derive(Debug)]
 pub struct AviReader<R> {
     input: R,
-    /// Number of the video stream as its chunks write it: `00`, `01` ...
+    /// Number of the video stream as written in its chunk ids: `00`, `01` ...
     stream: [u8; 2],
     rate: Option<FrameRate>,
     ended: bool,
 }
 
-/// Why an .avi is not read here.
+/// Why an .avi file is not supported.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum AviError {
-    /// Its pictures are coded otherwise; holds the codec's four letters.
+    /// The pictures use another codec; holds its four-letter code.
     NotMjpeg(String),
-    /// Its header is broken; one sentence with the mend.
+    /// The header is broken; one sentence with a hint for the fix.
     Malformed(String),
 }
 
-/// Larger than any picture, bytes; a chunk that claims more is damage. A round figure. Raised, a damaged file may ask for more memory.
+/// Maximum size of a picture, bytes (a round figure); a chunk that claims more is treated as
+/// damage. Raising it lets a damaged file request more memory.
 const LARGEST_PICTURE: u32 = 256 << 20;
 
 struct Chunk {
@@ -35,12 +36,12 @@ struct Chunk {
     size: u32,
 }
 
-/// What the headers say.
+/// What the headers state.
 #[derive(Default)]
 struct Headers {
     streams: u8,
     video: Option<u8>,
-    /// The stream that the next `strf` belongs to is the video.
+    /// Whether the next `strf` chunk describes the video stream.
     at_video: bool,
     codec: Option<[u8; 4]>,
     rate: Option<FrameRate>,
@@ -51,7 +52,7 @@ impl<R: Read> AviReader<R> {
     /// Reads the headers up to the first picture.
     ///
     /// # Errors
-    /// When it is no AVI file, or one without MJPEG pictures.
+    /// When the input is not an AVI file, or has no MJPEG pictures.
     pub fn new(mut input: R) -> Result<Self, AviError> {
         let malformed = |what: &str| AviError::Malformed(format!("the .avi {what}; make the clip again"));
         let mut headers = Headers::default();
@@ -82,13 +83,13 @@ impl<R: Read> AviReader<R> {
         Ok(Self { input, stream, rate: headers.rate.or(headers.main_rate), ended: false })
     }
 
-    /// The frame rate of the headers, where they have one.
+    /// Returns the frame rate from the headers, if they state one.
     pub fn rate(&self) -> Option<FrameRate> {
         self.rate
     }
 
-    /// The bytes of the next picture, empty for a dropped frame; an error sentence where the file is cut off or
-    /// damaged, after which the stream ends.
+    /// Returns the bytes of the next picture (empty for a dropped frame), or an error sentence
+    /// where the file is cut off or damaged. After an error the stream ends.
     pub fn next_jpeg(&mut self) -> Option<Result<Vec<u8>, String>> {
         while !self.ended {
             match self.next_of_stream() {
@@ -103,7 +104,7 @@ impl<R: Read> AviReader<R> {
         None
     }
 
-    /// One chunk on: a picture, or `None` for anything else.
+    /// Reads one chunk: returns a picture, or `None` for anything else.
     fn next_of_stream(&mut self) -> Result<Option<Vec<u8>>, String> {
         let cut_off = |e: io::Error| format!("the file is cut off or unreadable: {e}");
         let Some(chunk) = read_chunk(&mut self.input).map_err(cut_off)? else {
@@ -156,7 +157,8 @@ fn is_list(chunk: &Chunk) -> bool {
     matches!(&chunk.id, b"RIFF" | b"LIST")
 }
 
-/// The next chunk's header; `None` at the end of the file, and where only zeros of a file made larger beforehand follow.
+/// Reads the next chunk's header. Returns `None` at the end of the file, and where only the zeros
+/// of a preallocated file follow.
 fn read_chunk(input: &mut impl Read) -> io::Result<Option<Chunk>> {
     let mut header = Vec::with_capacity(8);
     input.by_ref().take(8).read_to_end(&mut header)?;
@@ -171,7 +173,7 @@ fn read_exactly<const N: usize>(input: &mut impl Read) -> io::Result<[u8; N]> {
     Ok(bytes)
 }
 
-/// A chunk's bytes, its padding passed over; memory grows with what is really there.
+/// Reads a chunk's bytes and skips its padding. Memory grows only with the bytes actually present.
 fn read_body(input: &mut impl Read, chunk: &Chunk) -> io::Result<Vec<u8>> {
     let mut body = Vec::new();
     input.by_ref().take(chunk.size.min(LARGEST_PICTURE).into()).read_to_end(&mut body)?;

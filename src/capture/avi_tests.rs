@@ -1,4 +1,4 @@
-//! Hand-made RIFF files: whole, in segments, unfinished, cut off, and arbitrary bytes.
+//! Hand-made RIFF files: whole, segmented, unfinished, cut off, and arbitrary bytes.
 
 use proptest::prelude::*;
 
@@ -13,7 +13,7 @@ fn list(id: &[u8; 4], kind: &[u8; 4], chunks: &[Vec<u8>]) -> Vec<u8> {
     chunk(id, &[&kind[..], &chunks.concat()].concat())
 }
 
-/// Headers of an audio stream 00 and a video stream 01 at 30000/1001.
+/// Headers of an audio stream 00 and a video stream 01 at 30000/1001 frames per second.
 fn headers(codec: &[u8; 4]) -> Vec<u8> {
     let mut strh = vec![0u8; 56];
     strh[..4].copy_from_slice(b"vids");

@@ -1,8 +1,8 @@
-//! Grey levels of colours by BT.601, and of 16 bits in 8.
+//! Converts colours to grey levels by BT.601, and 16-bit levels to 8 bits.
 
 use image::{DynamicImage, GrayImage};
 
-/// Grey levels of a decoded picture (BT.601, 8 bits).
+/// Converts a decoded picture to grey (BT.601, 8 bits).
 pub(super) fn grey_of(picture: DynamicImage) -> GrayImage {
     let (width, height) = (picture.width(), picture.height());
     let grey: Vec<u8> = match &picture {
@@ -14,16 +14,16 @@ pub(super) fn grey_of(picture: DynamicImage) -> GrayImage {
         DynamicImage::ImageLumaA16(p) => p.pixels().map(|p| eight_bits(p.0[0])).collect(),
         other => other.to_rgb16().pixels().map(|p| luma_16(p.0)).collect(),
     };
-    // The buffer holds one level a pixel by construction; a blank picture would only hide a fault of that.
+    // The buffer has one level per pixel by construction, so the default never applies.
     GrayImage::from_raw(width, height, grey).unwrap_or_default()
 }
 
-/// BT.601 luma of 8-bit RGB, rounded.
+/// Returns the BT.601 luma of 8-bit RGB, rounded.
 pub(super) fn luma_8([r, g, b]: [u8; 3]) -> u8 {
     ((299 * u32::from(r) + 587 * u32::from(g) + 114 * u32::from(b) + 500) / 1000) as u8
 }
 
-/// BT.601 luma of 16-bit RGB in 8 bits, rounded once.
+/// Returns the BT.601 luma of 16-bit RGB in 8 bits, rounded once.
 pub(super) fn luma_16([r, g, b]: [u16; 3]) -> u8 {
     ((299 * u64::from(r) + 587 * u64::from(g) + 114 * u64::from(b) + 128_500) / 257_000) as u8
 }

@@ -1,42 +1,44 @@
-//! Which of a camera's modes to take, and why, in a sentence.
+//! Chooses one of a camera's modes and states the reason in a sentence.
 //!
-//! What the config names is kept to. The rest is chosen: first the size (that of the calibration, else its shape), then the
-//! rate (30 a second or more is enough up to 60), then the layout (uncompressed is exact and needs no decoder; JPEG comes before RGB).
+//! Anything the config names is binding. The rest is chosen in this order: size (the calibration's,
+//! else the nearest of its shape), rate (higher is better, up to 60 per second), layout
+//! (uncompressed is exact and needs no decoder; JPEG is preferred over RGB).
 
 use super::camera::PixelLayout;
 
-/// A mode that a camera offers, at a whole rate.
+/// A mode that a camera offers, with an integer rate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Offer {
-    /// How pictures come.
+    /// Layout of the pictures.
     pub layout: PixelLayout,
-    /// Pixels.
+    /// Width, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height, pixels.
     pub height: u32,
-    /// Pictures a second.
+    /// Pictures per second.
     pub fps: u32,
 }
 
-/// What is wanted; `None` leaves the choice open.
+/// The requested mode; `None` leaves a property open.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Wanted {
-    /// Pixels.
+    /// Width, pixels.
     pub width: Option<u32>,
-    /// Pixels.
+    /// Height, pixels.
     pub height: Option<u32>,
-    /// Pictures a second.
+    /// Pictures per second.
     pub fps: Option<f64>,
-    /// How pictures come.
+    /// Layout of the pictures.
     pub layout: Option<PixelLayout>,
-    /// The calibration's size, which decides where the config names none.
+    /// The calibration's size in pixels. Offers must have its shape, and the nearest size is
+    /// preferred.
     pub calibrated: Option<(u32, u32)>,
 }
 
-/// The best offer and the reason.
+/// Returns the best offer and the reason.
 ///
 /// # Errors
-/// What of the wanted is not offered, as a sentence with what there is.
+/// Which request is not offered, as a sentence that lists what is.
 pub fn choose(offers: &[Offer], wanted: &Wanted) -> Result<(Offer, String), String> {
     let fits = |o: &&Offer| {
         wanted.width.is_none_or(|w| w == o.width)
@@ -51,12 +53,12 @@ pub fn choose(offers: &[Offer], wanted: &Wanted) -> Result<(Offer, String), Stri
 }
 
 fn has_shape(offer: &Offer, (width, height): (u32, u32)) -> bool {
-    // A pixel of rounding is allowed: 848 x 480 is sold as 16 : 9.
+    // Allow one pixel of rounding: 848 x 480 is sold as 16 : 9.
     let (a, b) = (u64::from(offer.width) * u64::from(height), u64::from(offer.height) * u64::from(width));
     a.abs_diff(b) <= u64::from(width.max(height))
 }
 
-/// Larger is better, the first part decides first: size, rate, layout.
+/// Rank of an offer, compared lexicographically by size, rate, layout; larger is better.
 fn rank(offer: &Offer, calibrated: Option<(u32, u32)>) -> (i64, u32, u32) {
     let pixels = i64::from(offer.width) * i64::from(offer.height);
     let wanted = calibrated.map_or(1280 * 720, |(w, h)| i64::from(w) * i64::from(h));
@@ -121,7 +123,7 @@ mod tests {
         Offer { layout, width, height, fps }
     }
 
-    /// A usual webcam.
+    /// A common webcam.
     const WEBCAM: [Offer; 5] = [
         offer(PixelLayout::Yuyv, 640, 480, 30),
         offer(PixelLayout::Mjpeg, 640, 480, 30),

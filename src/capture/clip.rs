@@ -1,8 +1,8 @@
-//! What is common to all clips: decoding, numbering, and the rules for rows that are no frames.
+//! Logic common to all clips: decoding, numbering, and the rules for rows that are not frames.
 //!
-//! Each form of clip is a [`PictureStream`] that gives pictures with their stamps as they lie in the file. A
-//! [`Clip`] turns them into rows: it decodes, refuses stamps that do not increase and pictures of another size
-//! than the clip's, and numbers every row whatever became of it.
+//! Each clip format is a [`PictureStream`] that returns pictures and stamps in file order. A
+//! [`Clip`] turns them into rows: it decodes, refuses stamps that do not increase and pictures
+//! whose size differs from the clip's, and numbers every row regardless of the outcome.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -23,35 +23,38 @@ use crate::frame::{Frame, Timestamp};
 pub(super) struct Clip {
     stream: Box<dyn PictureStream>,
     rows: Option<u64>,
-    /// Rows that were read to find the size.
+    /// Rows that were read to determine the size.
     ahead: VecDeque<ClipEntry>,
-    /// Width and height of the clip's pictures, once that is decided.
+    /// Width and height of the clip's pictures, once determined.
     size: Option<(u32, u32)>,
     order: EntryOrder,
-    /// What is to be said of the clip, a sentence each.
+    /// Remarks about the clip, one sentence each.
     notes: Vec<String>,
-    /// Whether a picture was seen that its file says to show turned.
+    /// Whether a picture was seen whose file asks to show it rotated or mirrored.
     is_turned: bool,
-    /// Whether rows carry what their pictures were before they became grey.
+    /// Whether rows also carry the picture before its conversion to grey.
     keeps_colours: bool,
     /// Rows before this time are not decoded.
     earliest: Option<Timestamp>,
-    /// Compares encoded pictures; raw ones may come from video that repeats them.
+    /// Detects repeated encoded pictures. Raw pictures are not compared: their video may repeat
+    /// frames.
     repeats: Repeats,
 }
 
-/// Pictures that are looked at to find the clip's size: a stray first one must not make all others strays. Chosen, not tuned. Raised, more
-/// strays in front are seen through, and opening takes longer.
+/// Maximum number of pictures inspected to determine the clip's size, so that a stray first picture
+/// does not decide it (chosen, not tuned). Raised, more leading strays are tolerated, but opening
+/// takes longer.
 const LOOKED_AT: usize = 8;
-/// Bytes of pictures that wait meanwhile: eight of 33 million pixels. Beyond it fewer pictures decide. Raised, opening takes more memory.
+/// Maximum bytes of pictures held meanwhile: eight pictures of 33 million pixels. Beyond it fewer
+/// pictures decide. Raised, opening takes more memory.
 const MOST_AHEAD_BYTES: u64 = 256 << 20;
 
 impl Clip {
-    /// Reads up to the first frames, without losing a row. Of pictures of several sizes, those of the calibration's size are
-    /// the clip's, else those of its shape, else the most.
+    /// Reads up to the first frames without losing a row. If the pictures differ in size, the
+    /// clip's size is the calibration's, else one of its shape, else the most frequent.
     ///
     /// # Errors
-    /// When the stream has no rows, or no frame among them; `path` is for the message.
+    /// When the stream has no rows, or no frame among the rows read; `path` is used in the message.
     pub fn new(
         stream: Box<dyn PictureStream>,
         path: &Path,
@@ -158,7 +161,7 @@ impl Clip {
         Some(ClipEntry { sequence, timestamp, content, decode, repeats, received })
     }
 
-    /// Keeps a sentence about the clip for those who opened it; what comes later is logged.
+    /// Keeps a remark for whoever opened the clip; later remarks are also logged.
     fn note(&mut self, note: String) {
         if self.size.is_some() {
             tracing::warn!("{note}");
@@ -176,18 +179,18 @@ impl Clip {
     }
 }
 
-/// The size of a clip's pictures, out of those of its first ones.
+/// Chooses the clip's size from those of its first pictures.
 fn chosen(sizes: &[(u32, u32)], calibrated: Option<(u32, u32)>) -> Option<(u32, u32)> {
     let shape = |(w, h): (u32, u32)| f64::from(w) / f64::from(h);
     let rank = |size: &(u32, u32)| {
         let has_shape = calibrated.is_some_and(|c| (shape(c) / shape(*size) - 1.0).abs() < 0.01);
         (Some(*size) == calibrated, has_shape, sizes.iter().filter(|s| *s == size).count())
     };
-    // The last of equals is taken, so that the earliest wins.
+    // `max_by_key` returns the last of equals; reversing makes the earliest win.
     sizes.iter().rev().max_by_key(|size| rank(size)).copied()
 }
 
-/// A picture of another size than the clip's is not tracked.
+/// Turns a picture of another size than the clip's into a skipped row.
 fn skip_other_sizes(content: &mut EntryContent, (width, height): (u32, u32)) {
     if let EntryContent::Frame(Frame { image, .. }) = content
         && image.dimensions() != (width, height)

@@ -1,6 +1,7 @@
-//! The colours of a clip's pictures, for those who look at them. Tracking sees grey alone.
+//! The colours of a clip's pictures, for viewers. Tracking uses grey only.
 //!
-//! They travel beside the grey frame as they lie in the clip, and are decoded where they are wanted: [`Received::colours`].
+//! Rows carry the colours next to the grey frame, encoded as in the clip. [`Received::colours`]
+//! decodes them on demand.
 
 use std::io::Cursor;
 use std::sync::Arc;
@@ -18,7 +19,8 @@ use super::picture_stream::{Picture, PictureData, PictureStream};
 use crate::contain::contained;
 
 impl Received {
-    /// The picture in colour, as its pixels lie in the file; `None` where there are no colours, or they cannot be read.
+    /// Returns the picture in colour, with its pixels as they lie in the file; `None` if there are
+    /// no colours or they cannot be read.
     pub fn colours(&self) -> Option<Arc<RgbImage>> {
         match self {
             Self::Jpeg(bytes) => contained(|| jpeg_colours(bytes)).ok().flatten().map(Arc::new),
@@ -29,7 +31,7 @@ impl Received {
     }
 }
 
-/// A picture's bytes as a row carries them.
+/// Wraps a picture's bytes as a row carries them.
 pub(super) fn received(bytes: Vec<u8>) -> Received {
     let is_jpeg = bytes.starts_with(&[0xFF, 0xD8]);
     let bytes = Arc::from(bytes);
@@ -51,33 +53,33 @@ fn picture_colours(bytes: &[u8]) -> Option<RgbImage> {
     Some(ImageReader::with_format(Cursor::new(bytes), format).decode().ok()?.into_rgb8())
 }
 
-/// How the chroma planes of raw video lie behind its luma.
+/// Layout of the chroma planes that follow the luma plane in raw video.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Chroma {
-    /// Luma samples to one of chroma, across and down.
+    /// Luma samples per chroma sample, horizontally.
     pub across: u32,
-    /// Likewise.
+    /// Luma samples per chroma sample, vertically.
     pub down: u32,
-    /// Levels from 0 to 255 instead of 16 to 235 (chroma 16 to 240).
+    /// Whether levels run from 0 to 255 instead of 16 to 235 (chroma: 16 to 240).
     pub is_full_range: bool,
 }
 
-/// Lines from which on video without a statement is taken as HD (BT.709), by the usual guess of players: HD begins at 720 lines. The wrong
-/// matrix shifts the colours a little; greys stay.
+/// Minimum number of lines for which unlabelled video is taken as HD (BT.709); players guess the
+/// same. A wrong matrix shifts the colours slightly; greys do not change.
 const HD_LINES: u32 = 720;
 
 impl Chroma {
-    /// Bytes of one chroma plane.
+    /// Returns the bytes of one chroma plane.
     pub fn plane_bytes(self, (width, height): (u32, u32)) -> u64 {
         u64::from(width.div_ceil(self.across)) * u64::from(height.div_ceil(self.down))
     }
 
-    /// Red, green and blue; `None` where there are no two planes.
+    /// Converts to RGB; `None` if `planes` does not hold both chroma planes.
     pub fn colours(self, luma: &GrayImage, planes: &[u8]) -> Option<RgbImage> {
         let size = luma.dimensions();
         let plane = self.plane_bytes(size) as usize;
         let (blue, red) = planes.get(..2 * plane)?.split_at(plane);
-        // Shares of red and blue in the luma.
+        // Weights of red and blue in the luma.
         let (kr, kb) = if size.1 >= HD_LINES { (0.2126_f32, 0.0722_f32) } else { (0.299, 0.114) };
         let (floor, luma_gain, chroma_gain) = if self.is_full_range { (0.0, 1.0, 1.0) } else { (16.0, 255.0 / 219.0, 255.0 / 224.0) };
         let stride = size.0.div_ceil(self.across);
@@ -87,20 +89,20 @@ impl Chroma {
             let (cb, cr) = ((f32::from(blue[at]) - 128.0) * chroma_gain, (f32::from(red[at]) - 128.0) * chroma_gain);
             let (r, b) = (level + 2.0 * (1.0 - kr) * cr, level + 2.0 * (1.0 - kb) * cb);
             let g = (level - kr * r - kb * b) / (1.0 - kr - kb);
-            // A float beyond the byte's range becomes its end.
+            // The cast saturates.
             image::Rgb([r, g, b].map(|v| v.round() as u8))
         }))
     }
 }
 
-/// A clip that ffmpeg reads, and a second ffmpeg for its colours, picture by picture.
+/// A clip read by ffmpeg, with a second ffmpeg process for the colours, in step picture by picture.
 pub(super) struct Coloured {
     grey: Ffmpeg,
     colours: Ffmpeg,
 }
 
 impl Coloured {
-    /// Both on the same file.
+    /// Pairs two readers of the same file.
     pub fn new(grey: Ffmpeg, colours: Ffmpeg) -> Self {
         Self { grey, colours }
     }
@@ -132,7 +134,7 @@ mod tests {
 
     #[test]
     fn raw_video_becomes_the_colours_that_its_maker_saw() {
-        // Pure red, green and blue in BT.601, both ranges, as the standard's formulas give them.
+        // Pure red, green and blue in BT.601, in both ranges, from the standard's formulas.
         let cases = [
             (false, [81, 90, 240], [255, 0, 0]),
             (false, [145, 54, 34], [0, 255, 0]),

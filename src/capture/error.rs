@@ -1,15 +1,15 @@
-//! Why a clip could not be opened or written, each as one sentence with the mend.
+//! Errors of opening or writing a clip, each one sentence with a hint for the fix.
 
 use std::io;
 use std::path::PathBuf;
 
 use thiserror::Error;
 
-/// Why there is no clip.
+/// Why a clip cannot be opened or written.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum CaptureError {
-    /// Nothing is at the path.
+    /// The path does not exist.
     #[error("the clip {} does not exist; check its path", path.display())]
     NotFound {
         /// The clip.
@@ -20,7 +20,7 @@ pub enum CaptureError {
     NotReadable {
         /// The file or folder.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
     /// The clip has no rows.
@@ -29,82 +29,82 @@ pub enum CaptureError {
         /// The clip.
         path: PathBuf,
     },
-    /// A folder without pictures that are read, but with others.
+    /// The folder has pictures, but none in a supported format.
     #[error("the clip {} has no JPEG, PNG or PGM pictures, but {found}", path.display())]
     OtherPictures {
         /// The folder.
         path: PathBuf,
-        /// How many of which form, with the mend.
+        /// Counts by format, with a hint for the fix.
         found: String,
     },
-    /// The clip has rows, but none of them is a picture.
+    /// The clip has rows, but none of them is a readable picture.
     #[error("no frame of the clip {} is readable ({rows} rows; the first: {reason}); check that its pictures are whole", path.display())]
     NoFrameReadable {
         /// The clip.
         path: PathBuf,
-        /// How many rows it has.
+        /// Number of rows.
         rows: u64,
-        /// What is wrong with the first.
+        /// What is wrong with the first row.
         reason: String,
     },
-    /// The first line of timestamps.csv is not EuRoC's.
+    /// The first line of timestamps.csv is not EuRoC's header.
     #[error("{} line 1 is \"{found}\"; write \"#timestamp [ns],filename\" there", path.display())]
     TimestampsHeader {
         /// The csv file.
         path: PathBuf,
-        /// What the line says, shortened.
+        /// The line found, shortened.
         found: String,
     },
-    /// A line of timestamps.csv names a file that is none of the clip's.
+    /// A line of timestamps.csv names a file outside the clip.
     #[error("{} line {line} names \"{name}\", which lies outside of the clip; name pictures in its folder frames", path.display())]
     OutsideClip {
         /// The csv file.
         path: PathBuf,
-        /// From 1.
+        /// Line number, from 1.
         line: usize,
         /// The name, shortened.
         name: String,
     },
-    /// The stream's header is broken, or speaks of pictures that are not read here.
+    /// The stream's header is broken, or describes pictures that are not supported.
     #[error("{}: {reason}", path.display())]
     Stream {
         /// The file.
         path: PathBuf,
-        /// What is wrong, with the mend.
+        /// What is wrong, with a hint for the fix.
         reason: String,
     },
-    /// The file says no frame rate.
+    /// The file states no frame rate.
     #[error("the clip {} does not tell its frame rate; give it with --fps", path.display())]
     RateUnknown {
         /// The clip.
         path: PathBuf,
     },
-    /// The given frame rate is no rate.
+    /// The given frame rate is out of range.
     #[error("the frame rate {fps} is not possible; give --fps a number above 0 and up to 1000000")]
     Rate {
-        /// As given.
+        /// The rate as given.
         fps: f64,
     },
-    /// The file needs ffmpeg, and there is none.
+    /// The file needs ffmpeg, which is not installed.
     #[error("reading {} needs the program ffmpeg, which is not installed; install it or convert the clip to .y4m", path.display())]
     FfmpegMissing {
         /// The file.
         path: PathBuf,
     },
-    /// ffmpeg did not deliver pictures.
+    /// ffmpeg delivered no pictures.
     #[error("ffmpeg cannot read {}: {reason}; convert the clip to .y4m", path.display())]
     FfmpegFailed {
         /// The file.
         path: PathBuf,
-        /// ffmpeg's last words.
+        /// ffmpeg's first complaint.
         reason: String,
     },
-    /// The file ends before what its pictures are found by.
+    /// The file ends before the index that is needed to find its pictures.
     #[error("the recording {} was cut off, and there is no picture in it that can be read (ffmpeg: {reason}); take another recording, and stop the next one before its program or camera is switched off", path.display())]
     CutOff {
         /// The file.
         path: PathBuf,
-        /// What ffmpeg says.
+        /// ffmpeg's complaint.
         reason: String,
     },
     /// A clip could not be written.
@@ -118,7 +118,7 @@ pub enum CaptureError {
 }
 
 impl CaptureError {
-    /// Not found or not readable, by what the system said about `path`.
+    /// Returns `NotFound` or `NotReadable`, depending on the system's error for `path`.
     pub(super) fn reading(path: &std::path::Path, source: io::Error) -> Self {
         let path = path.to_owned();
         if source.kind() == io::ErrorKind::NotFound { Self::NotFound { path } } else { Self::NotReadable { path, source } }

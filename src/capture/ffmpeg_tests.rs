@@ -1,4 +1,4 @@
-//! Videos of other people's cameras and programs, made by ffmpeg itself; skipped where there is none.
+//! Videos as other cameras and programs write them, made by ffmpeg; skipped if it is not installed.
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +10,7 @@ use tempfile::TempDir;
 use super::super::{ClipEntry, EntryContent, FrameSource, decode_grey};
 use super::*;
 
-/// Runs ffmpeg on ten test pictures of 64 x 48; false (with a message) where there is none.
+/// Runs ffmpeg on ten test pictures of 64 x 48; false (with a message) if it is not installed.
 fn ffmpeg(arguments: &str, output: &Path) -> bool {
     made_of("testsrc2=s=64x48:r=25:d=0.4", arguments, output)
 }
@@ -30,7 +30,7 @@ fn open_at(path: &Path, calibrated: Option<(u32, u32)>) -> Box<dyn FrameSource> 
     open_clip(path, ClipOptions { calibrated, ..ClipOptions::default() }).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// All rows, and what was said by then.
+/// Returns all rows, and the remarks made meanwhile.
 fn all(mut source: Box<dyn FrameSource>) -> (Vec<ClipEntry>, String) {
     let rows = std::iter::from_fn(|| source.next_entry()).collect();
     (rows, source.notes().join("\n"))
@@ -73,7 +73,7 @@ fn red_green_and_blue_become_grey_as_pictures_do() {
     ];
     for (name, arguments) in forms {
         let path = folder.path().join(name);
-        // From the very pixels of the pictures.
+        // From exactly the same pixels.
         let source = folder.path().join("%02d.png").display().to_string();
         let before = ["-v", "error", "-y", "-framerate", "25", "-i", &source];
         assert!(Command::new("ffmpeg").args(before).args(arguments.split(' ')).arg(&path).status().unwrap().success(), "{name}");
@@ -81,7 +81,7 @@ fn red_green_and_blue_become_grey_as_pictures_do() {
         assert_eq!((rows.len(), said.as_str()), (10, ""), "{name}");
         for (n, row) in rows.iter().enumerate() {
             let furthest = image(row).iter().zip(picture(n).iter()).map(|(a, b)| a.abs_diff(*b)).max();
-            // Eight bits are the same to the level; sixteen are made of eight by ffmpeg.
+            // Eight bits are equal to the level; ffmpeg makes sixteen bits from eight.
             assert!(furthest <= Some(u8::from(name == "deep.mov" || name == "gbrp16.mkv")), "{name} {n}: {furthest:?}");
         }
     }
@@ -113,7 +113,7 @@ fn the_luma_plane_stays_as_it_is_in_8_and_10_bits() {
     assert!(brightest >= Some(200), "{brightest:?}");
 }
 
-/// An mp4 whose track header has this display matrix.
+/// Writes an mp4 whose track header has this display matrix.
 fn with_matrix(path: &Path, [a, b, c, d]: [i32; 4]) {
     let mut bytes = fs::read(path).unwrap();
     let at = bytes.windows(4).position(|w| w == b"tkhd").unwrap() + 44;
@@ -176,7 +176,7 @@ fn a_picture_size_that_changes_costs_the_rows_of_the_other_size_only() {
         let (rows, _) = read(&written(&[&large, other, &large]));
         let kinds = kinds(&rows);
         assert!(kinds.starts_with("FFFFFFFFF") && kinds.contains("SSSSSSSSS") && kinds.ends_with("FFFFFFFFF"), "{kinds}");
-        // Those behind the change are whole.
+        // The pictures behind the change of size are whole.
         let last = image(rows.last().unwrap());
         let before = image(&rows[kinds.find('S').unwrap() - 1]);
         let off = last.iter().zip(before.iter()).filter(|(a, b)| a.abs_diff(**b) > 20).count();

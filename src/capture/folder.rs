@@ -1,4 +1,5 @@
-//! Clips that are folders: pictures with a timestamps.csv, or just pictures in the order of their names; and single pictures.
+//! Clips that are folders (pictures with a timestamps.csv, or just pictures in the order of their
+//! names), and single pictures.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -14,18 +15,18 @@ use crate::camera::utf16;
 use crate::frame::Timestamp;
 use crate::safe_file;
 
-/// Names of a stamp file: ours and EuRoC's.
+/// Names of a stamp file: this project's and EuRoC's.
 const STAMP_FILES: [&str; 2] = ["timestamps.csv", "data.csv"];
-/// Where a named picture may lie in the clip's folder.
+/// Subfolders of the clip's folder that are searched for a named picture.
 const PICTURE_FOLDERS: [&str; 3] = ["frames", "", "data"];
-/// What counts as a picture where no list names them: names that end like this, in any case.
+/// File extensions, in any case, that count as pictures where no list names them.
 pub const PICTURE_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"];
 
-/// Bytes of a stamp file, about five million rows: a whole day at 60 a second. All rows are held in memory. Raised, a wrong file takes more
-/// of it.
+/// Maximum size of a stamp file, bytes: about five million rows, a day at 60 per second. All rows
+/// are held in memory. Raised, a wrong file takes more of it.
 const LARGEST_STAMP_FILE: u64 = 256 << 20;
 
-/// Opens a folder as a clip; a rate is for pictures without stamps, the second where none is given.
+/// Opens a folder as a clip. The rates apply to pictures without stamps: `given`, else `default`.
 pub(super) fn open(folder: &Path, given: Option<FrameRate>, default: FrameRate) -> Result<Box<dyn PictureStream>, CaptureError> {
     for name in STAMP_FILES {
         let csv = folder.join(name);
@@ -54,7 +55,7 @@ pub(super) fn open(folder: &Path, given: Option<FrameRate>, default: FrameRate) 
     Ok(Box::new(NamedPictures { files: files.into_iter(), rate: given.unwrap_or(default), next: 0, note }))
 }
 
-/// A single picture as a clip of one frame.
+/// Opens a single picture as a clip of one frame.
 pub(super) fn single(file: &Path, rate: FrameRate) -> Box<dyn PictureStream> {
     Box::new(NamedPictures { files: vec![file.to_owned()].into_iter(), rate, next: 0, note: None })
 }
@@ -74,18 +75,19 @@ fn stamped(folder: &Path, csv: &Path, bytes: &[u8]) -> Result<Box<dyn PictureStr
     Ok(Box::new(StampedPictures { folder: folder.to_owned(), rows: rows.into_iter(), doubt }))
 }
 
-/// The first line, from 1, that has a text: the reader of rows passes blank lines over and does not count them.
+/// Returns the first line, from 1, that contains a text. The row reader skips blank lines without
+/// counting them.
 fn line_with(bytes: &[u8], text: &str) -> usize {
     let has = |line: &[u8]| String::from_utf8_lossy(line).contains(text);
     bytes.split(|byte| *byte == b'\n').position(has).map_or(1, |before| before + 1)
 }
 
-/// Whether a name leads out of the folder in which it is looked for.
+/// Whether a name leads out of the folder in which it is searched.
 fn leads_outside(name: &str) -> bool {
     Path::new(name).components().any(|part| !matches!(part, Component::Normal(_) | Component::CurDir))
 }
 
-/// The picture files of a folder in the byte order of their names.
+/// Returns the picture files of a folder in byte order of their names.
 fn pictures_in(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
     let unreadable = |e| CaptureError::reading(folder, e);
     let mut files = Vec::new();
@@ -101,7 +103,8 @@ fn pictures_in(folder: &Path) -> Result<Vec<PathBuf>, CaptureError> {
     Ok(files)
 }
 
-/// The first two names, one after the other, that people would count the other way round: 10 stands before 9.
+/// Returns the first two consecutive names that people would sort the other way round: 10 comes
+/// before 9.
 fn counted_otherwise(files: &[PathBuf]) -> Option<(String, String)> {
     let pair = files.windows(2).find(|pair| alphanumeric_sort::compare_path(&pair[0], &pair[1]).is_gt())?;
     let name = |file: &PathBuf| file.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -139,7 +142,7 @@ impl PictureStream for StampedPictures {
     }
 }
 
-/// Pictures in the order of their names at an even rate.
+/// Pictures in the order of their names, at a constant rate.
 struct NamedPictures {
     files: std::vec::IntoIter<PathBuf>,
     rate: FrameRate,

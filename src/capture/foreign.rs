@@ -1,4 +1,5 @@
-//! Pictures of forms that are not read, known by their first bytes whatever their names, with the way to convert them.
+//! Recognizes unsupported picture formats by their first bytes, whatever their names, and states
+//! how to convert them.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -6,11 +7,11 @@ use std::path::Path;
 
 use crate::safe_file;
 
-/// By ffmpeg, which many have already.
+/// Conversion hint for formats that ffmpeg reads; many users have it installed.
 const BY_FFMPEG: &str = "convert it: ffmpeg -i PICTURE NEW.png";
-/// What is known of a form: where its mark stands, the mark, its name, and how to convert it.
+/// A format: offset of its signature, signature, name, and conversion hint.
 type Form = (usize, &'static [u8], &'static str, &'static str);
-/// Forms with a mark at a fixed place.
+/// Formats with a signature at a fixed offset.
 const FORMS: [Form; 18] = [
     (0, b"BM", "BMP", BY_FFMPEG),
     (0, b"II*\0", "TIFF (or a camera's raw picture)", "convert it: ffmpeg -i PICTURE NEW.png, raw pictures with darktable or dcraw"),
@@ -35,10 +36,10 @@ const FORMS: [Form; 18] = [
 const HEIC_BRANDS: [&[u8; 4]; 9] = [b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"mif2"];
 const HEIC_MEND: &str = "convert it: heif-convert PICTURE NEW.png, or set the phone's camera to \"most compatible\" (JPEG)";
 const AVIF_MEND: &str = "convert it: avifdec PICTURE NEW.png";
-/// Bytes that are looked at.
+/// Number of leading bytes inspected.
 const LOOKED_AT: u64 = 64;
 
-/// The name of a form that is not read, and how to convert it; `None` where the bytes are of no such form.
+/// Returns the name of an unsupported format and how to convert it; `None` if the bytes match none.
 pub fn form_of(bytes: &[u8]) -> Option<(&'static str, &'static str)> {
     if let Some(found) = still_of_a_phone(bytes) {
         return Some(found);
@@ -48,7 +49,7 @@ pub fn form_of(bytes: &[u8]) -> Option<(&'static str, &'static str)> {
     FORMS.iter().find(has).map(|(.., name, mend)| (*name, *mend))
 }
 
-/// HEIC and AVIF, which ffmpeg takes for damaged videos.
+/// Recognizes HEIC and AVIF, which ffmpeg takes for damaged videos.
 pub(super) fn still_of_a_phone(bytes: &[u8]) -> Option<(&'static str, &'static str)> {
     let brand: &[u8; 4] = bytes.get(8..12)?.try_into().ok()?;
     if bytes.get(4..8)? != b"ftyp" {
@@ -57,7 +58,7 @@ pub(super) fn still_of_a_phone(bytes: &[u8]) -> Option<(&'static str, &'static s
     match brand {
         b"avif" | b"avis" => Some(("AVIF", AVIF_MEND)),
         brand if HEIC_BRANDS.contains(&brand) => {
-            // The general brand is that of AVIF too.
+            // AVIF uses the general brands, too.
             let is_avif = bytes[..bytes.len().min(LOOKED_AT as usize)].windows(4).any(|w| w == b"avif");
             Some(if is_avif { ("AVIF", AVIF_MEND) } else { ("HEIC", HEIC_MEND) })
         }
@@ -65,7 +66,8 @@ pub(super) fn still_of_a_phone(bytes: &[u8]) -> Option<(&'static str, &'static s
     }
 }
 
-/// What pictures of other forms lie in a folder: "12 HEIC, 1 BMP; convert …"; `None` where there are none.
+/// Counts the unsupported pictures in a folder: "12 HEIC, 1 BMP; convert …"; `None` if there are
+/// none.
 pub fn in_folder(folder: &Path) -> Option<String> {
     let mut counts: BTreeMap<(&'static str, &'static str), usize> = BTreeMap::new();
     for entry in std::fs::read_dir(folder).ok()?.flatten() {

@@ -1,11 +1,13 @@
-//! The one grey decoder: whatever a picture's bytes are, live, replayed or in the config, they become grey here.
+//! The only grey decoder: pictures from live cameras, clips and the config all become grey here.
 //!
-//! JPEG gives its luma plane. Grey stays grey, RGB becomes BT.601's Y = 0.299 R + 0.587 G + 0.114 B, 16 bits are
-//! scaled to 8, alpha is ignored. A picture that is cut off is an error, never half a picture.
+//! JPEG returns its luma plane. Grey stays grey, RGB becomes BT.601's Y = 0.299 R + 0.587 G + 0.114
+//! B, 16 bits are scaled to 8, alpha is ignored. A truncated picture is an error, never half a
+//! picture.
 //!
-//! A file may say that it is to be shown turned (EXIF). Cameras write that by how they are held; the pixels stay where
-//! they are on the sensor, and so does the calibration. [`decode_grey`] gives the pixels as they lie in the file,
-//! [`decode_oriented`] tells besides how they are to be shown.
+//! A file may ask to be shown rotated or mirrored (EXIF). Cameras write that according to how they
+//! are held; the pixels stay in sensor order, and so does the calibration. [`decode_grey`] returns
+//! the pixels as they lie in the file; [`decode_oriented`] also returns the orientation in which to
+//! show them.
 
 use std::borrow::Cow;
 use std::io::Cursor;
@@ -22,17 +24,17 @@ use super::jpeg_markers::{JpegWalk, Walked, standard_huffman_tables};
 use super::{foreign, transparency};
 use crate::contain::contained;
 
-/// Why bytes are no picture.
+/// Why bytes cannot be decoded as a picture.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum DecodeError {
     /// There are no bytes.
     #[error("the picture is empty")]
     Empty,
-    /// Not one of the forms.
+    /// Not a known format.
     #[error("the picture is not JPEG, PNG or PGM")]
     UnknownForm,
-    /// A form of other programs and cameras.
+    /// A known but unsupported format.
     #[error("the picture is not JPEG, PNG or PGM but {form}; {mend}")]
     Foreign {
         /// Its name.
@@ -43,18 +45,18 @@ pub enum DecodeError {
     /// The bytes end before the picture does.
     #[error("the picture is cut off")]
     CutOff,
-    /// More pixels than are read.
+    /// The picture has more pixels than are allowed.
     #[error("the picture is {width} x {height} pixels, and {} million are read at most; scale it down", MOST_PIXELS / 1_000_000)]
     TooLarge {
-        /// Pixels across.
+        /// Width, pixels.
         width: u32,
-        /// Pixels down.
+        /// Height, pixels.
         height: u32,
     },
-    /// The bytes break the form's rules.
+    /// The bytes violate the format.
     #[error("the picture is damaged: {reason}")]
     Damaged {
-        /// What the decoder said.
+        /// The decoder's message.
         reason: String,
     },
 }
@@ -65,23 +67,25 @@ impl DecodeError {
     }
 }
 
-/// Pixels of a picture; keeps a forged header from asking for all memory. With all that is made of a picture, a surface or a calibration's
-/// view of that many takes about a gigabyte; cameras of stages have 2 to 8 million.
+/// Maximum number of pixels of a picture; keeps a forged header from requesting all memory. A
+/// surface or a calibration view of that size takes about a gigabyte with everything derived from
+/// it; stage cameras have 2 to 8 million.
 const MOST_PIXELS: u64 = 67_000_000;
 
-/// Bytes of a picture file: no picture of 67 million pixels needs more. Eight bytes a pixel, a round figure. Raised, a wrong file takes
-/// more memory.
+/// Maximum size of a picture file: eight bytes per pixel for 67 million pixels, rounded. No such
+/// picture needs more. Raised, a wrong file takes more memory.
 pub const LARGEST_PICTURE_FILE: u64 = 512 << 20;
 
 /// Decodes JPEG, PNG or PNM bytes to 8-bit grey, row-major.
 ///
 /// # Errors
-/// When the bytes are not such a picture, are cut off or damaged. Bytes after a JPEG's end are no fault.
+/// When the bytes are not such a picture, or are cut off or damaged. Bytes after a JPEG's end are
+/// allowed.
 pub fn decode_grey(bytes: &[u8]) -> Result<GrayImage, DecodeError> {
     decode_oriented(bytes).map(|(picture, _)| picture)
 }
 
-/// As [`decode_grey`], and how the file says that its picture is to be shown.
+/// Decodes like [`decode_grey`], and returns the orientation in which the file asks to be shown.
 ///
 /// # Errors
 /// As [`decode_grey`].
@@ -89,8 +93,8 @@ pub fn decode_oriented(bytes: &[u8]) -> Result<(GrayImage, Orientation), DecodeE
     decoded(bytes, grey_of)
 }
 
-/// As [`decode_oriented`], with what is transparent put on white paper, and the share of the picture that is: so printers and viewers show
-/// artwork.
+/// Decodes like [`decode_oriented`], with transparency composited onto white, as printers and
+/// viewers show artwork. Also returns the transparent fraction of the picture.
 ///
 /// # Errors
 /// As [`decode_grey`].
@@ -108,7 +112,8 @@ fn decoded(bytes: &[u8], grey: impl FnOnce(DynamicImage) -> GrayImage) -> Result
     if bytes.is_empty() {
         return Err(DecodeError::Empty);
     }
-    // The decoders are other people's code and fed with whatever a cable delivers: a panic in there is a damaged picture.
+    // The decoders are third-party code with untrusted input: treat a panic in them as a damaged
+    // picture.
     let decoded = contained(|| match bytes {
         [0xFF, 0xD8, ..] => decode_jpeg(bytes),
         _ => decode_other(bytes, grey),
@@ -116,13 +121,13 @@ fn decoded(bytes: &[u8], grey: impl FnOnce(DynamicImage) -> GrayImage) -> Result
     decoded.unwrap_or_else(|_| Err(DecodeError::damaged("the decoder gave up")))
 }
 
-/// Width and height as the file's header has them; `None` where it has none.
+/// Returns width and height from the file's header; `None` if it has none.
 pub fn picture_size(bytes: &[u8]) -> Option<(u32, u32)> {
     let size = || ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok()?.into_dimensions().ok();
     contained(size).ok().flatten()
 }
 
-/// What an orientation says, in words; `None` where the picture is to be shown as it lies.
+/// Describes an orientation in words; `None` if the picture is to be shown as it lies.
 pub fn orientation_words(orientation: Orientation) -> Option<&'static str> {
     match orientation {
         Orientation::NoTransforms => None,
@@ -134,18 +139,19 @@ pub fn orientation_words(orientation: Orientation) -> Option<&'static str> {
     }
 }
 
-/// Refuses more than [`MOST_PIXELS`], before memory is taken for them.
+/// Refuses more than [`MOST_PIXELS`] before memory is allocated for them.
 pub(super) fn check_size(width: u32, height: u32) -> Result<(), DecodeError> {
     if u64::from(width) * u64::from(height) > MOST_PIXELS { Err(DecodeError::TooLarge { width, height }) } else { Ok(()) }
 }
 
 fn decode_jpeg(bytes: &[u8]) -> Result<(GrayImage, Orientation), DecodeError> {
     let (whole, has_tall_units) = sound_jpeg(bytes)?;
-    // Asked for luma alone, the decoder counts tall units wrongly and reads past the data.
+    // Asked for luma alone, the decoder miscounts tall units and reads past the data.
     decode_sound_jpeg(&whole, if has_tall_units { ColorSpace::YCbCr } else { ColorSpace::Luma })
 }
 
-/// A whole JPEG as the decoder takes it, with its tables and nothing behind it; and whether its units are taller than wide.
+/// Prepares a whole JPEG for the decoder: adds missing tables and cuts what follows its end. Also
+/// returns whether its units are taller than wide.
 pub(super) fn sound_jpeg(bytes: &[u8]) -> Result<(Vec<u8>, bool), DecodeError> {
     let mut walk = JpegWalk::default();
     let picture = match walk.advance(bytes) {
@@ -155,15 +161,16 @@ pub(super) fn sound_jpeg(bytes: &[u8]) -> Result<(Vec<u8>, bool), DecodeError> {
     };
     let scan = walk.first_scan.ok_or(DecodeError::CutOff)?;
     let tables = if walk.has_huffman_tables { Vec::new() } else { standard_huffman_tables() };
-    // At an end mark that comes too early the decoder is content with half a picture; where the bytes run out instead,
-    // it complains. A whole picture never gets beyond these zeros, which its reading ahead needs. With other forms of
-    // JPEG it counts on the end mark even for whole pictures.
+    // At a premature end mark the decoder accepts half a picture; if the bytes run out instead, it
+    // reports an error. So replace the end mark by zeros, which its read-ahead needs and a whole
+    // picture never decodes. Other kinds of JPEG need the end mark even when whole.
     let (data, tail) =
         if walk.is_one_plain_scan() { (&picture[scan..picture.len() - 2], &[0; 16][..]) } else { (&picture[scan..], &[][..]) };
     Ok(([&picture[..scan], &tables, data, tail].concat(), walk.has_tall_units()))
 }
 
-/// A JPEG with its Huffman tables: cameras leave out the standard ones, and a browser need not know them. What is no whole JPEG stays as it is.
+/// Adds the standard Huffman tables to a JPEG without tables: cameras omit them, and a browser need
+/// not know them. Returns anything but a whole JPEG unchanged.
 pub fn with_huffman_tables(bytes: &[u8]) -> Cow<'_, [u8]> {
     let mut walk = JpegWalk::default();
     match (walk.advance(bytes), walk.first_scan) {
@@ -174,9 +181,10 @@ pub fn with_huffman_tables(bytes: &[u8]) -> Cow<'_, [u8]> {
     }
 }
 
-/// Decodes a JPEG that has its tables; `luma_from` is what the decoder is asked for where the picture has a luma plane.
+/// Decodes a JPEG that has its tables; `luma_from` is the colour space requested if the picture has
+/// a luma plane.
 fn decode_sound_jpeg(bytes: &[u8], luma_from: ColorSpace) -> Result<(GrayImage, Orientation), DecodeError> {
-    // The decoder's own bound would say less of what is wrong.
+    // The decoder's own size limit gives a less helpful error.
     let side = usize::from(u16::MAX);
     let options = DecoderOptions::default().set_strict_mode(true).set_max_width(side).set_max_height(side);
     let mut decoder = JpegDecoder::new_with_options(Cursor::new(bytes), options);
@@ -224,7 +232,7 @@ fn not_decoded(error: image::ImageError) -> DecodeError {
     }
 }
 
-/// Whether the chunks run to IEND: a decoder is content when it has all pixels, or thinks it has.
+/// Whether the chunks run to IEND: the decoder stops as soon as it believes it has all pixels.
 fn png_is_whole(bytes: &[u8]) -> bool {
     let mut at = 8;
     while let Some(&[a, b, c, d, ref kind @ ..]) = bytes.get(at..at + 8) {

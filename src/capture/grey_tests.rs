@@ -1,4 +1,4 @@
-//! Every picture form, and every way of being cut off or damaged.
+//! Every picture format, and every way of being cut off or damaged.
 
 use image::codecs::jpeg::JpegEncoder;
 use image::{ImageBuffer, Luma, LumaA, Rgb, RgbImage, Rgba};
@@ -16,7 +16,7 @@ fn encoded(picture: impl Into<DynamicImage>, format: ImageFormat) -> Vec<u8> {
     bytes.into_inner()
 }
 
-/// A picture with some texture, of a size that is no multiple of a JPEG block.
+/// A textured picture whose size is not a multiple of a JPEG block.
 fn textured(width: u32, height: u32) -> GrayImage {
     GrayImage::from_fn(width, height, |x, y| Luma([(128.0 + 90.0 * (f64::from(x) * 0.31).sin() * (f64::from(y) * 0.17).cos()) as u8]))
 }
@@ -27,7 +27,7 @@ fn jpeg(picture: &DynamicImage, quality: u8) -> Vec<u8> {
     bytes
 }
 
-/// The EXIF of a camera that was held so (1 to 8).
+/// The EXIF of a camera held in an orientation (1 to 8).
 pub(crate) fn exif(orientation: u8) -> Vec<u8> {
     let mut block = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".to_vec();
     block.extend_from_slice(&[orientation, 0, 0, 0, 0, 0, 0, 0]);
@@ -123,7 +123,7 @@ fn jpeg_gives_its_luma_plane() {
     let grey = textured(75, 41);
     let close = |a: &GrayImage, b: &GrayImage| a.dimensions() == b.dimensions() && a.iter().zip(b.iter()).all(|(a, b)| a.abs_diff(*b) <= 3);
     assert!(close(&decode_grey(&jpeg(&grey.clone().into(), 98)).unwrap(), &grey));
-    // Strong flat colour: the luma plane is BT.601's Y, whatever is done to the chroma.
+    // Strong flat colour: the luma plane is BT.601's Y, whatever happens to the chroma.
     let colour = DynamicImage::from(RgbImage::from_fn(75, 41, |x, y| {
         let level = grey.get_pixel(x, y).0[0] / 2;
         Rgb([level + 100, level, 127 - level])

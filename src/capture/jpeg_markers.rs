@@ -1,10 +1,11 @@
-//! Where a JPEG ends, found by walking its markers.
+//! Finds where a JPEG ends by walking its markers.
 //!
-//! A search for the bytes of EOI would stop inside an EXIF thumbnail. The walk skips whole segments instead, and
-//! inside entropy-coded data it knows stuffed bytes and restart markers. It can be resumed as bytes arrive.
+//! Searching for the bytes of EOI would stop inside an EXIF thumbnail. The walk skips whole
+//! segments instead, and inside entropy-coded data it handles stuffed bytes and restart markers. It
+//! can be resumed as bytes arrive.
 
-/// Second bytes of JPEG's markers (ITU-T T.81, table B.1): frames from baseline to progressive, restart interval, Huffman tables, start and
-/// end of the picture, start of a scan.
+/// Second bytes of JPEG's markers (ITU-T T.81, table B.1): frames from baseline to progressive,
+/// restart interval, Huffman tables, start and end of the picture, start of a scan.
 const SOF0: u8 = 0xC0;
 const SOF2: u8 = 0xC2;
 const DRI: u8 = 0xDD;
@@ -18,30 +19,30 @@ const SOS: u8 = 0xDA;
 pub(super) struct JpegWalk {
     position: usize,
     in_entropy_data: bool,
-    /// Where the first scan's SOS marker stands.
+    /// Offset of the first scan's SOS marker.
     pub first_scan: Option<usize>,
     scans: usize,
     restarts: bool,
     is_sequential: bool,
-    /// Sampling factors of each component, horizontal and vertical in one byte.
+    /// Sampling factors per component, horizontal and vertical in one byte.
     sampling: Vec<u8>,
-    /// Whether Huffman tables come before the first scan.
+    /// Whether Huffman tables precede the first scan.
     pub has_huffman_tables: bool,
 }
 
 /// How far a walk has come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Walked {
-    /// Up to the end of the bytes; more are needed.
+    /// It reached the end of the bytes; more are needed.
     Unfinished,
-    /// The picture ends before this byte.
+    /// The picture is whole and ends before this offset.
     Whole(usize),
-    /// At this byte stands something that cannot stand there: the picture is damaged.
+    /// The picture is damaged: an invalid marker stands at this offset.
     Damaged(usize),
 }
 
 impl JpegWalk {
-    /// Goes on over `bytes`, which must begin with those of earlier calls.
+    /// Continues over `bytes`, which must begin with those of earlier calls.
     pub fn advance(&mut self, bytes: &[u8]) -> Walked {
         loop {
             if self.in_entropy_data {
@@ -75,8 +76,8 @@ impl JpegWalk {
         }
     }
 
-    /// Whether the picture, walked to its end, is one plain run of data: sequential, one scan, no restarts, and
-    /// sampled as cameras and encoders do it (grey, 4:4:4, 4:2:2 or 4:2:0).
+    /// Whether the picture, walked to its end, is one plain run of data: sequential, one scan, no
+    /// restarts, and with a usual sampling (grey, 4:4:4, 4:2:2 or 4:2:0).
     pub fn is_one_plain_scan(&self) -> bool {
         let usual = matches!(
             *self.sampling,
@@ -85,13 +86,13 @@ impl JpegWalk {
         self.scans == 1 && self.is_sequential && usual && !self.restarts
     }
 
-    /// Whether a unit of the picture is higher than wide.
+    /// Whether a unit of the picture is taller than wide.
     pub fn has_tall_units(&self) -> bool {
         let largest = |part: fn(u8) -> u8| self.sampling.iter().map(|s| part(*s)).max().unwrap_or(1);
         largest(|s| s & 15) > largest(|s| s >> 4)
     }
 
-    /// Notes the segment at the position and goes behind it.
+    /// Records the segment at the position and skips it.
     fn enter(&mut self, code: u8, length: usize, bytes: &[u8]) {
         if code == DHT && self.first_scan.is_none() {
             self.has_huffman_tables = true;
@@ -112,9 +113,9 @@ impl JpegWalk {
     }
 }
 
-/// The Huffman tables of the JPEG standard (ITU-T T.81, tables K.3 to K.6) as one DHT segment.
+/// Returns the standard Huffman tables (ITU-T T.81, tables K.3 to K.6) as one DHT segment.
 ///
-/// Motion JPEG leaves them out, and a decoder has to know them.
+/// Motion JPEG omits them, so a decoder must supply them.
 pub(super) fn standard_huffman_tables() -> Vec<u8> {
     let mut segment = vec![0xFF, DHT, 0x01, 0xA2];
     let tables: [(u8, &[u8; 16], &[u8]); 4] = [
@@ -131,14 +132,14 @@ pub(super) fn standard_huffman_tables() -> Vec<u8> {
     segment
 }
 
-/// The usual Huffman tables (ITU-T T.81, K.3 to K.6), which Motion JPEG leaves out: how many codes each length 1..=16 has, and the values
-/// in code order.
+/// Standard Huffman tables (ITU-T T.81, K.3 to K.6), which Motion JPEG omits: the number of codes
+/// of each length 1..=16, and the values in code order.
 const DC_LUMA_COUNTS: [u8; 16] = [0, 1, 5, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0];
 const DC_CHROMA_COUNTS: [u8; 16] = [0, 3, 1, 1, 1, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0];
 const DC_VALUES: [u8; 12] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11];
 const AC_LUMA_COUNTS: [u8; 16] = [0, 2, 1, 3, 3, 2, 4, 3, 5, 5, 4, 4, 0, 0, 1, 0x7D];
 const AC_CHROMA_COUNTS: [u8; 16] = [0, 2, 1, 2, 4, 4, 3, 4, 7, 5, 4, 4, 0, 1, 2, 0x77];
-/// Values of the luma's AC codes (T.81, table K.5).
+/// Values of the luma AC codes (T.81, table K.5).
 #[rustfmt::skip]
 const AC_LUMA_VALUES: [u8; 162] = [
     0x01, 0x02, 0x03, 0x00, 0x04, 0x11, 0x05, 0x12, 0x21, 0x31, 0x41, 0x06, 0x13, 0x51, 0x61, 0x07, 0x22, 0x71,
@@ -151,7 +152,7 @@ const AC_LUMA_VALUES: [u8; 162] = [
     0xC4, 0xC5, 0xC6, 0xC7, 0xC8, 0xC9, 0xCA, 0xD2, 0xD3, 0xD4, 0xD5, 0xD6, 0xD7, 0xD8, 0xD9, 0xDA, 0xE1, 0xE2,
     0xE3, 0xE4, 0xE5, 0xE6, 0xE7, 0xE8, 0xE9, 0xEA, 0xF1, 0xF2, 0xF3, 0xF4, 0xF5, 0xF6, 0xF7, 0xF8, 0xF9, 0xFA,
 ];
-/// Values of the chroma's AC codes (T.81, table K.6).
+/// Values of the chroma AC codes (T.81, table K.6).
 #[rustfmt::skip]
 const AC_CHROMA_VALUES: [u8; 162] = [
     0x00, 0x01, 0x02, 0x03, 0x11, 0x04, 0x05, 0x21, 0x31, 0x06, 0x12, 0x41, 0x51, 0x07, 0x61, 0x71, 0x13, 0x22,

@@ -1,7 +1,8 @@
-//! A camera's picture becomes grey levels, by the same rules as a recorded one.
+//! Converts a live camera's picture to grey, by the same rules as a recorded one.
 //!
-//! JPEG goes through [`decode_grey`], cut at its end mark first: drivers hand out whole buffers with stale bytes
-//! behind the picture. YUYV and NV12 give their luma as it is, RGB becomes BT.601's.
+//! JPEG goes through [`decode_grey`], cut at its end mark first: drivers deliver whole buffers with
+//! stale bytes behind the picture. YUYV and NV12 return their luma unchanged; RGB is converted by
+//! BT.601.
 
 use std::sync::Arc;
 
@@ -14,10 +15,10 @@ use super::jpeg_markers::{JpegWalk, Walked};
 use super::{EntryContent, Received};
 use crate::frame::{Frame, Timestamp};
 
-/// A picture once decoded.
+/// A decoded picture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Decoded {
-    /// The grey picture, or why there is none as a sentence.
+    /// The grey picture, or a sentence why there is none.
     pub image: Result<GrayImage, String>,
     /// What to record of it.
     pub received: Received,
@@ -44,7 +45,7 @@ pub fn decode_picture(picture: &CapturedPicture, layout: PixelLayout, size: (u32
 }
 
 impl Decoded {
-    /// What a row holds of it: pictures that are not of the session's size are not tracked.
+    /// Returns a row's content. Pictures whose size differs from the session's are skipped.
     pub fn content(self, size: (u32, u32), timestamp: Timestamp, sequence: u64) -> (EntryContent, Received) {
         let content = match self.image {
             Ok(image) if image.dimensions() == size => EntryContent::Frame(Frame { image, timestamp, sequence }),
@@ -61,7 +62,8 @@ impl Decoded {
     }
 }
 
-/// The JPEG up to its end mark; all bytes where it has none (a cut picture, which the decoder refuses).
+/// Returns the JPEG up to its end mark; all bytes if it has none (a truncated picture, which the
+/// decoder refuses).
 fn cut_at_end(bytes: &[u8]) -> &[u8] {
     match JpegWalk::default().advance(bytes) {
         Walked::Whole(end) => &bytes[..end],

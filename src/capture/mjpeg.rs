@@ -1,4 +1,4 @@
-//! JPEG pictures one after another (.mjpeg, .mjpg), taken apart by their markers.
+//! Splits concatenated JPEG pictures (.mjpeg, .mjpg) at their markers.
 
 use std::io::{self, Read};
 
@@ -8,28 +8,29 @@ use super::jpeg_markers::{JpegWalk, Walked};
 #[derive(Debug)]
 pub struct MjpegReader<R> {
     input: R,
-    /// Bytes read and not yet given out.
+    /// Bytes read but not yet returned.
     buffer: Vec<u8>,
     at_end: bool,
 }
 
-/// Larger than any camera's JPEG, bytes; a stream without an end mark is cut here. A round figure. Raised, such a stream takes more memory
-/// before it is cut.
+/// Maximum size of a picture, bytes (a round figure); a stream without an end mark is cut here.
+/// Raised, such a stream takes more memory before it is cut.
 const LARGEST_PICTURE: usize = 64 << 20;
-/// Bytes that are asked for at once: about one picture of a webcam. Chosen, not tuned. Raised, a live stream's picture waits for the next
-/// ones.
+/// Bytes requested per read: about one webcam picture (chosen, not tuned). Raised, a picture of a
+/// live stream waits for the next ones.
 const READ_AT_ONCE: u64 = 256 << 10;
 
 impl<R: Read> MjpegReader<R> {
-    /// A reader at the start of the stream.
+    /// Creates a reader at the start of a stream.
     pub fn new(input: R) -> Self {
         Self { input, buffer: Vec::new(), at_end: false }
     }
 
-    /// The bytes of the next picture. A damaged one is given out up to the next start, for the decoder to refuse.
+    /// Returns the bytes of the next picture. A damaged picture is returned up to the next start
+    /// mark, for the decoder to refuse.
     ///
     /// # Errors
-    /// When the stream cannot be read on; it ends then.
+    /// When the stream cannot be read; it ends then.
     pub fn next_jpeg(&mut self) -> Option<io::Result<Vec<u8>>> {
         match self.find_next() {
             Ok(Some(length)) => {
@@ -45,7 +46,7 @@ impl<R: Read> MjpegReader<R> {
         }
     }
 
-    /// Puts the next picture's start at the buffer's start and says its length.
+    /// Moves the next picture's start to the buffer's start and returns its length.
     fn find_next(&mut self) -> io::Result<Option<usize>> {
         if !self.skip_to_start()? {
             return Ok(None);
@@ -55,13 +56,14 @@ impl<R: Read> MjpegReader<R> {
             match walk.advance(&self.buffer) {
                 Walked::Whole(end) => return Ok(Some(end)),
                 Walked::Unfinished if !self.at_end && self.buffer.len() < LARGEST_PICTURE => self.read_more()?,
-                // Starts in front of the first scan are thumbnails, unless the headers themselves are broken.
+                // Start marks before the first scan are thumbnails, unless the headers themselves
+                // are broken.
                 Walked::Damaged(_) | Walked::Unfinished => return self.find_start(walk.first_scan.unwrap_or(2)).map(Some),
             }
         }
     }
 
-    /// Drops what is in front of the next start mark; false when there is none.
+    /// Drops everything before the next start mark; returns false if there is none.
     fn skip_to_start(&mut self) -> io::Result<bool> {
         loop {
             let start = start_mark(&self.buffer);
@@ -73,7 +75,8 @@ impl<R: Read> MjpegReader<R> {
         }
     }
 
-    /// Where the next start mark stands at or after `from`, or where the stream ends or the picture is too large.
+    /// Returns the offset of the next start mark at or after `from`, or of the end of the stream or
+    /// of the size limit.
     fn find_start(&mut self, from: usize) -> io::Result<usize> {
         let mut from = from;
         loop {
@@ -94,7 +97,7 @@ impl<R: Read> MjpegReader<R> {
     }
 }
 
-/// The first SOI that a marker follows.
+/// Finds the first SOI that is followed by another marker.
 fn start_mark(bytes: &[u8]) -> Option<usize> {
     bytes.windows(3).position(|w| w == [0xFF, 0xD8, 0xFF])
 }
@@ -112,7 +115,7 @@ mod tests {
         bytes
     }
 
-    /// Reads `bytes` in pieces of 7, so that every boundary falls somewhere inside.
+    /// Reads `bytes` in pieces of 7, so that picture boundaries fall inside a piece.
     fn split(bytes: &[u8]) -> Vec<Vec<u8>> {
         struct Trickle<'a>(&'a [u8]);
         impl Read for Trickle<'_> {

@@ -1,8 +1,9 @@
-//! Where frames come from: recorded clips and the virtual stage, behind one trait.
+//! Sources of frames behind one trait: recorded clips, live cameras and the virtual stage.
 //!
-//! [`open_clip`] takes a clip of any form and gives its rows one by one; nothing is held in memory but the row
-//! at hand. [`decode_grey`] is the one way from a picture's bytes to grey levels. [`ClipWriter`] writes clips.
-//! The readers of single formats are public for those who have bytes instead of files.
+//! [`open_clip`] opens a clip of any format and returns its rows one by one; only the current row
+//! is held in memory. [`decode_grey`] is the only way from a picture's bytes to grey levels.
+//! [`ClipWriter`] writes clips. The readers of single formats are public for callers that have
+//! bytes instead of files.
 
 mod avi;
 mod bt601;
@@ -62,43 +63,44 @@ use image::RgbImage;
 
 pub use virtual_stage::VirtualCamera;
 
-/// One entry of a clip (a row of its timestamps.csv): a frame, or why there is none.
+/// One entry of a clip (a row of its timestamps.csv): a frame, or the reason why there is none.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct ClipEntry {
     /// Row number from 0.
     pub sequence: u64,
-    /// Mid-exposure of the middle row.
+    /// Time of mid-exposure of the middle row.
     pub timestamp: Timestamp,
     /// What the row holds.
     pub content: EntryContent,
-    /// Time spent on turning its bytes into grey levels; reading and waiting excluded, zero for raw pictures.
+    /// Time spent on decoding to grey, without reading and waiting; zero for raw pictures.
     pub decode: Duration,
-    /// Whether its picture is that of the row before, byte for byte, though pictures of this source
-    /// differ: none was taken in between.
+    /// Whether its picture equals the previous row's byte for byte although this source's pictures
+    /// normally differ: no new picture was taken in between.
     pub repeats: bool,
-    /// What the row's picture was before it became grey: of a camera for the recorder, of a clip only where its colours were asked for.
+    /// The row's picture before its conversion to grey: always set for a camera (for the recorder),
+    /// for a clip only if its colours were requested.
     pub received: Option<Received>,
 }
 
 impl ClipEntry {
-    /// An entry that took no time to decode, and of which nothing but its content is known.
+    /// Creates an entry with content only, and no decoding time.
     pub fn new(sequence: u64, timestamp: Timestamp, content: EntryContent) -> Self {
         Self { sequence, timestamp, content, decode: Duration::ZERO, repeats: false, received: None }
     }
 }
 
-/// What a row's picture was before it became grey.
+/// A row's picture before its conversion to grey.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Received {
     /// A JPEG; a camera's is cut at its end mark.
     Jpeg(Arc<[u8]>),
-    /// A PNG, or PGM and its kin. Clips only.
+    /// A PNG or PNM (PGM etc.). Clips only.
     Picture(Arc<[u8]>),
     /// Decoded colours. Clips only.
     Colours(Arc<RgbImage>),
-    /// Raw pixels; the row's grey picture is all that is kept of them.
+    /// Raw pixels, of which only the row's grey picture is kept.
     Raw,
     /// Nothing that could be a picture.
     Damaged,
@@ -110,34 +112,35 @@ pub enum Received {
 pub enum EntryContent {
     /// A picture.
     Frame(Frame),
-    /// A picture that could not be read; time went on all the same. Holds the reason as a sentence.
+    /// A picture that could not be decoded. Its time still counts. Holds the reason as a sentence.
     Undecodable(String),
-    /// A row whose stamp does not follow the last one (duplicated or out of order), or whose picture has
-    /// another size than the clip's; it is not tracked. Holds the reason as a sentence.
+    /// A row that is not tracked: its stamp does not follow the last one (duplicated or out of
+    /// order), or its picture's size differs from the clip's. Holds the reason as a sentence.
     Skipped(String),
 }
 
 /// A stream of rows: a clip, the virtual stage, a camera.
 pub trait FrameSource: Send {
-    /// The next row, or `None` at the end.
+    /// Returns the next row, or `None` at the end.
     fn next_entry(&mut self) -> Option<ClipEntry>;
 
-    /// Says that rows before a time are too late to be of use: they may come as skipped ones, which costs less than decoding them.
+    /// Announces that rows before a time are too late to be useful: they may be returned as
+    /// skipped, which is cheaper than decoding them.
     fn pass_over_before(&mut self, _earliest: Timestamp) {}
 
-    /// Width and height of the pictures, pixels.
+    /// Returns width and height of the pictures, pixels.
     fn size(&self) -> (u32, u32);
 
-    /// How many rows there will be, where that is known.
+    /// Returns how many rows there will be, if known.
     fn rows(&self) -> Option<u64>;
 
-    /// Why the stamps cannot be what they are read as, in a sentence that is one of the notes, too: nothing that depends on times is to be
-    /// believed then.
+    /// Returns a sentence if the stamps cannot be in the unit they are read in; nothing that
+    /// depends on times can then be trusted. The sentence is also one of the notes.
     fn doubt_of_stamps(&self) -> Option<String> {
         None
     }
 
-    /// What is to be said of the pictures seen so far, a sentence each.
+    /// Returns remarks about the pictures seen so far, one sentence each.
     fn notes(&self) -> Vec<String> {
         Vec::new()
     }

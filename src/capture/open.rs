@@ -1,4 +1,5 @@
-//! Opening a clip of whatever form: by what it is on disk, by its first bytes, and last by its name.
+//! Opens a clip of any format. The format is determined by the type of file, then its first bytes,
+//! then its name.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -21,36 +22,41 @@ use super::y4m::Y4mReader;
 use super::{folder, foreign};
 use crate::safe_file;
 
-/// What may be said about a clip.
+/// Options for opening a clip.
 #[derive(Debug, Clone, Copy, Default)]
 #[non_exhaustive]
 pub struct ClipOptions {
-    /// Frames a second. Stands in place of a video's own rate; for pictures without stamps and .mjpeg, which have
-    /// none, the default is 30. A timestamps.csv keeps its own stamps.
+    /// Frames per second. Overrides a video's own rate. Pictures without stamps and .mjpeg have no
+    /// rate; their default is 30. A timestamps.csv keeps its own stamps.
     pub fps: Option<f64>,
-    /// Width and height of the camera's calibration: decides which pictures are the clip's where they are of several sizes.
+    /// Width and height of the camera's calibration. Decides the clip's size if its pictures differ
+    /// in size.
     pub calibrated: Option<(u32, u32)>,
-    /// Asked while a pipe is waited for; where it says true, the clip is at its end.
+    /// Polled while waiting for a pipe; the clip ends once it returns true.
     pub is_stopped: Option<fn() -> bool>,
 }
 
-/// The rate of pictures that nobody gave one, frames a second: a webcam's. Too high, poses seem to move too fast, and motion is judged by
-/// it.
+/// Default rate of pictures without one, frames per second: a webcam's. If it is too high, poses
+/// seem to move too fast, and the motion model expects that.
 const DEFAULT_FPS: f64 = 30.0;
 
-/// Opens a clip: a folder with frames/ and timestamps.csv, a folder of pictures, a .y4m, MJPEG .avi or .mjpeg file,
-/// a single picture, `-` for y4m on stdin, or anything that an installed ffmpeg reads.
+/// Opens a clip: a folder with frames/ and timestamps.csv, a folder of pictures, a .y4m, MJPEG .avi
+/// or .mjpeg file, a single picture, `-` for y4m on stdin, or anything that an installed ffmpeg
+/// reads.
 ///
-/// Reads ahead to the first frame, which sets the clip's size. Frame n of a clip with a rate is stamped n / rate.
+/// Reads ahead to the first frame, which sets the clip's size. Frame n of a clip with a rate is
+/// stamped n / rate.
 ///
 /// # Errors
-/// When there is no such clip, when it is no clip, and when none of its rows is a frame: see [`CaptureError`].
+/// When the clip does not exist, is not a clip, or has no row that is a frame: see
+/// [`CaptureError`].
 pub fn open_clip(clip: impl AsRef<Path>, options: ClipOptions) -> Result<Box<dyn FrameSource>, CaptureError> {
     open(clip.as_ref(), options, false)
 }
 
-/// As [`open_clip`], with rows that carry their pictures' colours in [`ClipEntry::received`](super::ClipEntry::received); the grey
-/// frames are the same to the bit. It costs memory, and for what ffmpeg reads a second ffmpeg.
+/// Opens a clip like [`open_clip`], with rows that also carry their pictures' colours in
+/// [`ClipEntry::received`](super::ClipEntry::received). The grey frames are bit-identical. It costs
+/// memory, and a second ffmpeg process for what ffmpeg reads.
 ///
 /// # Errors
 /// As [`open_clip`].
@@ -74,7 +80,7 @@ fn open(path: &Path, options: ClipOptions, colours: bool) -> Result<Box<dyn Fram
         if kind.is_dir() {
             folder::open(path, given, default)?
         } else if kind.is_fifo() {
-            // Nothing can be put back into a pipe, so only y4m, which needs no look ahead, can come from one.
+            // A pipe cannot be rewound, so it must be y4m, which needs no look at its first bytes.
             y4m(BufReader::new(Waiting::named_pipe(path, is_stopped).map_err(unreadable)?), path, given, (None, colours))?
         } else {
             open_file(path, given, default, colours)?
@@ -98,17 +104,18 @@ fn open_file(path: &Path, given: Option<FrameRate>, default: FrameRate, colours:
     match (start.as_slice(), extension.as_str()) {
         ([b'Y', b'U', b'V', b'4', b'M', ..], _) | (_, "y4m") => y4m(input, path, given, (Some(bytes), colours)),
         ([b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', ..], _) => avi(input, path, given, colours),
-        // The second: parts of a web camera's stream, each with a header of its own, as a browser or curl saves them.
+        // `--` begins the parts of a web camera's stream, each with a header of its own, as a
+        // browser or curl saves them.
         ([0xFF, 0xD8, 0xFF, ..], _) | ([b'-', b'-', ..], _) | (_, "mjpeg" | "mjpg") => {
             let note = given.is_none().then(|| remarks::rate_made_up(&DEFAULT_FPS.to_string()));
             Ok(Box::new(Paced::new(MjpegReader::new(input), given.unwrap_or(default), None).with_note(note)))
         }
-        // PNG, and what PGM and its kin begin with.
+        // PNG and PNM signatures.
         ([0x89, b'P', b'N', b'G', ..] | [b'P', b'1'..=b'6', b' ' | b'\n' | b'\r' | b'\t' | b'#', ..], _) => {
             Ok(folder::single(path, given.unwrap_or(default)))
         }
         _ if foreign::still_of_a_phone(&start).is_some() => {
-            // ffmpeg would take it for a video that was cut off.
+            // ffmpeg would report a truncated video.
             let (form, mend) = foreign::still_of_a_phone(&start).unwrap_or_default();
             let reason = format!("it is no video but a picture in {form}; {mend}");
             Err(CaptureError::Stream { path: path.to_owned(), reason })

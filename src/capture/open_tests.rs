@@ -1,4 +1,4 @@
-//! Whole clips on disk, of every form, with their faults.
+//! Whole clips on disk, in every format, with their faults.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -39,7 +39,7 @@ fn refusal(path: impl AsRef<Path>) -> CaptureError {
     open_clip(path, ClipOptions::default()).err().unwrap()
 }
 
-/// One letter a row: Frame, Undecodable, Skipped.
+/// Returns one letter per row: Frame, Undecodable, Skipped.
 fn kinds(rows: &[ClipEntry]) -> String {
     let kind = |r: &ClipEntry| match r.content {
         EntryContent::Frame(_) => 'F',
@@ -73,7 +73,7 @@ fn a_single_picture_is_a_clip_of_one_frame() {
     for format in [PictureFormat::Png, PictureFormat::Jpeg { quality: 90 }] {
         let folder = written(format);
         let picture = std::fs::read_dir(folder.path().join("frames")).unwrap().flatten().map(|entry| entry.path()).max().unwrap();
-        // Whatever it is called.
+        // Whatever its name.
         let other = folder.path().join("still");
         std::fs::copy(&picture, &other).unwrap();
         for path in [picture, other] {
@@ -252,7 +252,7 @@ fn what_is_no_clip_says_so() {
     assert!(matches!(bad_rate, Some(CaptureError::Rate { .. })));
 }
 
-/// Runs ffmpeg on grey test pictures; false (with a message) where there is none.
+/// Runs ffmpeg on grey test pictures; false (with a message) if it is not installed.
 fn ffmpeg(arguments: &[&str], output: &Path) -> bool {
     let source = ["-v", "error", "-y", "-f", "lavfi", "-i", "testsrc2=s=32x24:r=25:d=0.4"];
     match Command::new("ffmpeg").args(source).args(arguments).arg(output).status() {
@@ -286,7 +286,7 @@ fn files_made_by_ffmpeg_are_read() {
     }
 }
 
-/// ffmpeg gives its JPEGs sampling factors that few others use, 1x2 on all components of 4:4:4 among them.
+/// ffmpeg writes JPEGs with unusual sampling factors, among them 1x2 on all components of 4:4:4.
 #[test]
 fn jpegs_of_every_sampling_are_whole_or_refused() {
     let folder = TempDir::new().unwrap();
@@ -295,7 +295,7 @@ fn jpegs_of_every_sampling_are_whole_or_refused() {
         if !ffmpeg(&["-pix_fmt", form, "-q:v", "2", "-c:v", "mjpeg"], &path) {
             return;
         }
-        // The same file decoded by ffmpeg itself.
+        // The same file, decoded by ffmpeg itself.
         let arguments = ["-v", "error", "-y", "-i"].map(OsStr::new);
         let planes = ["-vf", "extractplanes=y", "-strict", "-1"].map(OsStr::new);
         let status = Command::new("ffmpeg").args(arguments).arg(&path).args(planes).arg(&raw).status();
@@ -313,7 +313,7 @@ fn jpegs_of_every_sampling_are_whole_or_refused() {
     }
 }
 
-/// The picture of a row; 1 x 1 pixel where it has none.
+/// Returns the picture of a row; 1 x 1 pixel if it has none.
 fn image(row: &ClipEntry) -> GrayImage {
     if let EntryContent::Frame(f) = &row.content { f.image.clone() } else { GrayImage::new(1, 1) }
 }
@@ -322,7 +322,7 @@ fn image(row: &ClipEntry) -> GrayImage {
 fn frames_of_uneven_rate_keep_their_stamps_and_their_luma() {
     let folder = TempDir::new().unwrap();
     let (uneven, straight) = (folder.path().join("uneven.mkv"), folder.path().join("straight.y4m"));
-    // Frames 0, 1, 4, 5 and 9 of 25 a second.
+    // Frames 0, 1, 4, 5 and 9 at 25 per second.
     let chosen = ["-vf", "select=eq(n\\,0)+eq(n\\,1)+eq(n\\,4)+eq(n\\,5)+eq(n\\,9)", "-vsync", "passthrough", "-c:v", "ffv1"];
     if !ffmpeg(&[&chosen[..], &["-pix_fmt", "yuv420p"]].concat(), &uneven) || !ffmpeg(&["-pix_fmt", "yuv420p"], &straight) {
         return;

@@ -1,49 +1,55 @@
-//! The order of rows: every row gets the next number, and a stamp that does not follow the last one is refused.
+//! The order of rows: every row gets the next number, and a stamp that does not follow the last one
+//! is refused.
 //!
-//! A single stamp that is wrong costs its own row. A clock that is set back and goes on from there begins anew, instead of costing all
-//! rows behind. Clips and the live pipeline share this rule, so that a recording replays as it was tracked; clips know some of the stamps
-//! ahead, so that they lose no rows where a clock steps back.
+//! A single wrong stamp costs only its own row. A clock that is set back and continues from there
+//! starts a new sequence, so it does not cost all later rows. Clips and the live pipeline share
+//! this rule, so that a recording replays as it was tracked. Clips also look at the stamps ahead,
+//! so they lose no rows where a clock steps back.
 
 use super::{ClipEntry, EntryContent};
 use crate::frame::Timestamp;
 
-/// Numbers rows and watches their stamps.
+/// Numbers rows and checks their stamps.
 #[derive(Debug, Clone, Default)]
 pub struct EntryOrder {
     next_sequence: u64,
     last_stamp: Option<Timestamp>,
-    /// How many rows were refused one after the other, each later than the one before, and the last of them.
+    /// The number of consecutive refused rows whose stamps increase, and the last of those stamps.
     refused: Option<(usize, Timestamp)>,
 }
 
-/// Rows that are looked at ahead, and that must go on from a clock that was set back before it is believed. Raised, more rows of a camera
-/// are lost where its clock steps; lowered, rows that came in the wrong order pass for a clock that was set back.
+/// Number of rows to look ahead, and number of rows that must continue from a clock that was set
+/// back before it is accepted. Raised, a live camera loses more rows where its clock steps;
+/// lowered, rows in the wrong order pass for a clock that was set back.
 pub(super) const AHEAD: usize = 8;
-/// A clock that steps back by less, seconds, costs no more rows than that has frames. Raised, small steps cost rows; lowered, rows that
-/// came in the wrong order pass for a clock that was set back.
+/// Minimum backward step of a clock, seconds, that starts a new sequence. A smaller step loses at
+/// most the frames that fit into it. Raised, larger steps lose rows; lowered, rows in the wrong
+/// order pass for a clock that was set back.
 const LEAST_STEP_S: f64 = 1.0;
 
 impl EntryOrder {
-    /// The number of the next row.
+    /// Returns the number of the next row.
     pub fn number(&mut self) -> u64 {
         self.next_sequence += 1;
         self.next_sequence - 1
     }
 
-    /// Rows numbered so far.
+    /// Returns how many rows were numbered so far.
     pub fn rows(&self) -> u64 {
         self.next_sequence
     }
 
-    /// The last stamp that followed.
+    /// Returns the last accepted stamp.
     pub fn last_stamp(&self) -> Option<Timestamp> {
         self.last_stamp
     }
 
-    /// Takes note of a row's stamp; `ahead` are those of the next rows, as far as they are known. Gives a word where the clock begins anew.
+    /// Checks a row's stamp; `ahead` holds the stamps of the next rows, as far as they are known.
+    /// Returns a sentence if the clock was set back and a new sequence begins.
     ///
     /// # Errors
-    /// The reason as a sentence, where it does not follow the last one, or the rows behind do not follow it.
+    /// The reason as a sentence, if the stamp does not follow the last one, or the next rows do not
+    /// follow it.
     pub fn follow(&mut self, stamp: Timestamp, ahead: &[Timestamp]) -> Result<Option<String>, String> {
         let (last, ahead) = (self.last_stamp, &ahead[..ahead.len().min(AHEAD)]);
         if last.is_none_or(|last| stamp > last) {
@@ -65,7 +71,7 @@ impl EntryOrder {
         Ok(Some(format!("the clock steps back from {last} to {stamp}; tracking begins anew there")))
     }
 
-    /// A live row as a replay of the same rows would give it.
+    /// Numbers and checks a live row, with the result that a replay of the same rows would have.
     pub fn admit(&mut self, mut row: ClipEntry) -> ClipEntry {
         row.sequence = self.number();
         match (self.follow(row.timestamp, &[]), &mut row.content) {
@@ -80,7 +86,8 @@ impl EntryOrder {
     }
 }
 
-/// Whether a stamp lies so far ahead that taking its row would cost more of the rows behind than it is worth.
+/// Whether a stamp lies so far ahead that accepting its row would lose more of the following rows
+/// than it is worth.
 fn is_stray(stamp: Timestamp, last: Option<Timestamp>, ahead: &[Timestamp]) -> bool {
     let mut at = last;
     let mut lost = 0;
@@ -116,7 +123,7 @@ mod tests {
         assert_eq!(skipped, [false, true, true, false]);
     }
 
-    /// The stamps that follow, with foresight (as clips have it) or without (as cameras).
+    /// Returns the accepted stamps, with look-ahead (as for clips) or without (as for cameras).
     fn kept(stamps: &[i64], sees_ahead: bool) -> Vec<i64> {
         let all: Vec<Timestamp> = stamps.iter().map(|t| Timestamp::from_ns(t * 33_333_333)).collect();
         let mut order = EntryOrder::default();

@@ -1,4 +1,4 @@
-//! What every form of clip gives: its pictures one by one, with their stamps, as they lie in the file.
+//! The interface of every clip format: its pictures one by one, with their stamps, in file order.
 
 use image::{GrayImage, RgbImage};
 
@@ -7,55 +7,56 @@ use crate::frame::Timestamp;
 
 /// A picture as it lies in the clip.
 pub(super) struct Picture {
-    /// When it was taken, or why that is not known.
+    /// When it was taken, or why that is unknown.
     pub stamp: Result<Timestamp, String>,
-    /// The picture.
+    /// The picture data.
     pub data: PictureData,
 }
 
-/// What there is of a picture.
+/// A picture's data.
 pub(super) enum PictureData {
     /// A JPEG, PNG or PGM.
     Encoded(Vec<u8>),
     /// Grey levels.
     Grey(GrayImage),
-    /// Grey levels, and the colours that were asked for.
+    /// Grey levels, with the requested colours.
     Coloured(GrayImage, RgbImage),
-    /// Nothing, and why.
+    /// No data, with the reason.
     Missing(String),
 }
 
-/// Pictures with their stamps, in the order of the clip.
+/// Pictures with their stamps, in file order.
 pub(super) trait PictureStream: Send {
-    /// The next picture, or `None` at the end.
+    /// Returns the next picture, or `None` at the end.
     fn next_picture(&mut self) -> Option<Picture>;
 
-    /// How many there are from here to the end, where that is known.
+    /// Returns how many pictures remain, if known.
     fn pictures(&self) -> Option<u64> {
         None
     }
 
-    /// Whether all pictures are of one size, by the clip's form.
+    /// Whether the format guarantees that all pictures have the same size.
     fn is_of_one_size(&self) -> bool {
         false
     }
 
-    /// What is to be said of the file since the last call, a sentence each.
+    /// Returns the remarks about the file since the last call, one sentence each.
     fn take_notes(&mut self) -> Vec<String> {
         Vec::new()
     }
 
-    /// The stamps of the next pictures, as far as they are known; those that cannot be read are left out.
+    /// Returns the stamps of the next pictures as far as they are known, without those that cannot
+    /// be parsed.
     fn stamps_ahead(&self) -> Vec<Timestamp> {
         Vec::new()
     }
 
-    /// Why the stamps cannot be what they are read as.
+    /// Returns why the stamps cannot be in the unit they are read in.
     fn doubt_of_stamps(&self) -> Option<String> {
         None
     }
 
-    /// Why the stream ended before its first picture, where that is a failure of its own.
+    /// Returns why the stream ended before its first picture, if that is an error of its own.
     fn failure(&mut self) -> Option<CaptureError> {
         None
     }

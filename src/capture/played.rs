@@ -1,7 +1,9 @@
-//! A clip that plays as if it were a camera: live rules, live pace, no hardware. For rehearsals and tests.
+//! Plays a clip as if it were a live camera: live rules and live pace, without hardware. For
+//! rehearsals and tests.
 //!
-//! Pictures come when they are due, whoever is late loses them, and the stamps are those of the clip moved to now. Who asks late gets what is
-//! due now: a clip that lags would show the past as the present.
+//! Pictures become available when they are due, and their stamps are the clip's, shifted to now. A
+//! slow reader loses pictures and gets what is due now: a clip that lags would show the past as the
+//! present.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -18,13 +20,14 @@ use crate::frame::Timestamp;
 /// Plays a clip once.
 pub struct PlayedClip {
     clip: PathBuf,
-    /// Taken by the first opening: a clip is played once.
+    /// Taken by the first opening, since a clip is played once.
     unopened: Mutex<Option<PlayingClip>>,
     notes: Vec<String>,
 }
 
 impl PlayedClip {
-    /// Opens the clip; `fps` is for clips without stamps (30 where absent); those with stamps have the rate of their first two.
+    /// Opens the clip. `fps` applies to clips without stamps (default 30); clips with stamps take
+    /// the rate of their first two stamps if `fps` is absent.
     ///
     /// # Errors
     /// As [`open_clip`].
@@ -55,13 +58,13 @@ impl PlayedClip {
         Ok(Self { clip: clip.to_owned(), unopened: Mutex::new(Some(playing)), notes })
     }
 
-    /// What is to be said of the clip, a sentence each.
+    /// Returns remarks about the clip, one sentence each.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 }
 
-/// A recording's own account of its camera, as far as it is of use here.
+/// The relevant part of a recording's clip.toml.
 #[derive(Deserialize)]
 struct Recording {
     camera: RecordedCamera,
@@ -72,10 +75,12 @@ struct RecordedCamera {
     exposure_s: Option<f64>,
 }
 
-/// Larger than any clip.toml by far, which is a page of text. A round figure, so that a wrong file is not read into memory.
+/// Maximum size of a clip.toml, bytes. It is a page of text; the limit keeps a wrong file from
+/// being read into memory.
 const LARGEST_ACCOUNT_BYTES: u64 = 1 << 20;
 
-/// The exposure that the camera of a recording had locked, seconds; none where the clip is no recording.
+/// Returns the locked exposure of a recording's camera, seconds; `None` if the clip is not a
+/// recording.
 fn recorded_exposure(clip: &Path) -> Option<f64> {
     let account = clip.join("clip.toml");
     std::fs::metadata(&account).ok().filter(|m| m.is_file() && m.len() <= LARGEST_ACCOUNT_BYTES)?;
@@ -93,14 +98,15 @@ impl CameraOpener for PlayedClip {
 }
 
 enum Pictures {
-    /// Encoded pictures at an even rate.
+    /// Encoded pictures at a constant rate.
     Jpegs { reader: MjpegReader<Box<dyn std::io::Read + Send>>, size: (u32, u32), next: u64 },
     /// Decoded pictures with stamps.
     Rows(Box<dyn FrameSource>),
 }
 
 impl Pictures {
-    /// Pictures before a time of the clip are not wanted any more. Those that are still encoded cost nothing.
+    /// Announces that pictures before a time of the clip are not needed any more. Encoded pictures
+    /// cost nothing to skip.
     fn pass_over_before(&mut self, earliest: Timestamp) {
         if let Self::Rows(rows) = self {
             rows.pass_over_before(earliest);
@@ -114,7 +120,7 @@ impl Pictures {
         }
     }
 
-    /// The next picture's stamp in the clip and its bytes (empty where it cannot be read).
+    /// Returns the next picture's stamp in the clip and its bytes (empty if it cannot be read).
     fn next(&mut self, fps: f64) -> Option<(Timestamp, Vec<u8>)> {
         match self {
             Self::Jpegs { reader, next, .. } => {
@@ -130,22 +136,23 @@ impl Pictures {
     }
 }
 
-/// Frames that wait for whoever asks late: as many as the buffers of a camera's driver. Raised, a stalled reader is given older pictures; at
-/// less than 1, one that is late by a moment loses some.
+/// Number of frames kept for a late reader: as many as a camera driver's buffers. Raised, a stalled
+/// reader gets older pictures; below 1, even a slight delay loses pictures.
 const WAITING_FRAMES: f64 = 4.0;
 
 struct PlayingClip {
     pictures: Pictures,
     mode: CameraMode,
-    /// When the first picture was given, and its stamp in the clip.
+    /// When the first picture was due, and its stamp in the clip.
     begun: Option<(Timestamp, Timestamp)>,
     /// Pictures that were read before they were due, with their stamps in the clip.
     ahead: VecDeque<(Timestamp, Vec<u8>)>,
-    /// Pictures that were given or passed over.
+    /// Number of pictures delivered or skipped.
     counted: u32,
 }
 
-/// Pictures a second as the first two stamps tell, where the clip has stamps; the two wait in `ahead`.
+/// Returns the pictures per second from the first two stamps, if the clip has stamps; the two
+/// pictures are kept in `ahead`.
 fn stamped_rate(pictures: &mut Pictures, ahead: &mut VecDeque<(Timestamp, Vec<u8>)>) -> Option<f64> {
     let Pictures::Rows(_) = pictures else { return None };
     ahead.extend(pictures.next(0.0));
@@ -156,7 +163,8 @@ fn stamped_rate(pictures: &mut Pictures, ahead: &mut VecDeque<(Timestamp, Vec<u8
 }
 
 impl PlayingClip {
-    /// The next picture that is not too late, its stamp in the clip, and when it is due.
+    /// Returns the next picture that is not too late: its stamp in the clip, its bytes, and when it
+    /// is due.
     fn next_due(&mut self) -> Option<(Timestamp, Vec<u8>, Timestamp)> {
         let waiting_ns = (WAITING_FRAMES * 1e9 / self.mode.fps) as i64;
         loop {
@@ -207,7 +215,7 @@ mod tests {
             || camera.next_picture(Duration::from_secs(10)).map(|picture| (picture.device_sequence, picture.stamp, picture.is_damaged));
         let Ok((Some(0), DriverStamp::MidExposure(first), false)) = next() else { panic!("no first picture") };
         std::thread::sleep(Duration::from_millis(500));
-        // Fifty are due, four wait; a busy machine may be later still.
+        // Fifty are due and four wait; a busy machine may be later still.
         let Ok((Some(number @ 46..), DriverStamp::MidExposure(later), false)) = next() else { panic!("not what is due") };
         assert_eq!(later.ns_since(first), i64::from(number) * 10_000_000);
     }

@@ -1,8 +1,8 @@
-//! Frame rates as exact ratios, and the stamps they give.
+//! Frame rates as exact ratios, and the stamps derived from them.
 
 use crate::frame::Timestamp;
 
-/// Frames a second, as a ratio.
+/// Frames per second, as a ratio.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameRate {
     frames: f64,
@@ -10,19 +10,20 @@ pub struct FrameRate {
 }
 
 impl FrameRate {
-    /// `frames` in `seconds`; `None` unless the rate is above 0 and at most a million a second.
+    /// Creates a rate of `frames` in `seconds`; `None` unless it is above 0 and at most a million
+    /// per second.
     pub fn new(frames: f64, seconds: f64) -> Option<Self> {
         let fps = frames / seconds;
         (frames > 0.0 && seconds > 0.0 && fps > 0.0 && fps <= 1e6).then_some(Self { frames, seconds })
     }
 
-    /// A ratio as text: "30000:1001".
+    /// Parses a ratio: "30000:1001".
     pub fn from_ratio(text: &str) -> Option<Self> {
         let (frames, seconds) = text.split_once([':', '/'])?;
         Self::new(f64::from(frames.parse::<u32>().ok()?), f64::from(seconds.parse::<u32>().ok()?))
     }
 
-    /// When frame `n` was taken, where frame 0 was at 0; rounded.
+    /// Returns the time of frame `n`, rounded to nanoseconds, if frame 0 is at 0.
     pub fn stamp(&self, n: u64) -> Timestamp {
         Timestamp::from_ns((n as f64 * 1e9 * self.seconds / self.frames).round() as i64)
     }

@@ -1,6 +1,7 @@
-//! Sentences about clips whose pictures are not what they seem: said once a clip, whatever form it has.
+//! Remarks about clips whose pictures need attention: made once per clip, whatever its format.
 
-/// The file's wish to show its pictures turned by so many degrees to the left, or mirrored; nothing where they are shown as they lie.
+/// The file asks to show its pictures rotated counterclockwise by `degrees`, or mirrored; `None` if
+/// they are shown as they lie.
 pub(super) fn shown_turned(degrees: f64, is_mirrored: bool) -> Option<String> {
     let turn = degrees.rem_euclid(360.0).round();
     let turned = match turn as u32 % 360 {
@@ -9,7 +10,7 @@ pub(super) fn shown_turned(degrees: f64, is_mirrored: bool) -> Option<String> {
         d if d < 180 => format!("turned by {d} degrees to the left"),
         d => format!("turned by {} degrees to the right", 360 - d),
     };
-    // A mirror and a half turn are together the other mirror.
+    // A mirror and a half turn together are the other mirror.
     let words = match (turned.as_str(), is_mirrored) {
         ("", true) | ("turned by 180 degrees", true) => "mirrored".to_owned(),
         ("", false) => return None,
@@ -22,7 +23,7 @@ pub(super) fn shown_turned(degrees: f64, is_mirrored: bool) -> Option<String> {
     ))
 }
 
-/// Pixels that are not square.
+/// The pixels are not square.
 pub(super) fn pixel_shape((width, height): (u32, u32)) -> String {
     format!(
         "the file says that its pixels are not square, {width}:{height} as wide as high (pixel aspect, SAR); pictures are tracked as they lie \
@@ -31,7 +32,7 @@ pub(super) fn pixel_shape((width, height): (u32, u32)) -> String {
     )
 }
 
-/// Two fields in a picture.
+/// The pictures hold two fields.
 pub(super) fn interlaced(row: u64) -> String {
     format!(
         "row {row}: the video is interlaced: every other line of a picture was taken at another time, which costs accuracy while the camera \
@@ -39,7 +40,7 @@ pub(super) fn interlaced(row: u64) -> String {
     )
 }
 
-/// Stamps that are no more than a number of pictures a second.
+/// The stamps are only derived from a rate.
 pub(super) fn rate_made_up(rate: &str) -> String {
     format!("the clip has no time stamps; {rate} frames a second are taken for it; give --fps where the camera had another rate")
 }

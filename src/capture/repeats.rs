@@ -1,10 +1,10 @@
-//! Whether a picture is the one before once more: a capture card that has no new one, or a driver
-//! that hands out a buffer twice.
+//! Detects that a picture repeats the previous one: a capture card had no new picture, or a driver
+//! delivered a buffer twice.
 //!
-//! Two pictures of a camera differ by their noise at least, however still it stands. Where the
-//! first pictures of a source are all the same, it is a still picture or a drawing, and nothing is
-//! said to repeat until one differs. Video that is coded from picture to picture repeats them where
-//! nothing moves, so its pictures are never asked.
+//! Two camera pictures differ at least by their noise, however still the camera stands. If all
+//! pictures of a source so far are the same, it is a still picture or a drawing, so repeats are
+//! reported only after one picture has differed. Inter-frame video codecs repeat pictures where
+//! nothing moves, so their pictures are never checked.
 
 /// Compares each picture with the last one, byte for byte.
 #[derive(Debug, Default)]
@@ -14,8 +14,8 @@ pub(crate) struct Repeats {
 }
 
 impl Repeats {
-    /// Takes the next picture, as it came from the file or the driver; whether it is the last one
-    /// once more.
+    /// Takes the next picture as it came from the file or the driver; returns whether it repeats
+    /// the last one.
     pub fn is_repeat(&mut self, bytes: Vec<u8>) -> bool {
         let is_same = self.last == bytes;
         self.has_changed |= !is_same && !self.last.is_empty();

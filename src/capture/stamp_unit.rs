@@ -1,21 +1,25 @@
-//! Whether a clip's stamps can be nanoseconds: files with milliseconds or microseconds under that header are common.
+//! Checks whether a clip's stamps can be nanoseconds: files with milliseconds or microseconds under
+//! that header are common.
 
 use crate::frame::Timestamp;
 
-/// Stamps nearer to each other, nanoseconds, are named: 2000 pictures a second. Raised, high-speed cameras are; lowered, slow clips stamped
-/// in microseconds are not.
+/// Median step, nanoseconds, below which stamps are reported as suspect (2000 pictures per second).
+/// Raised, high-speed cameras are reported; lowered, slow clips stamped in microseconds are missed.
 const SHORTEST_NS: i64 = 500_000;
-/// Stamps farther apart, nanoseconds, are named where they would be a camera's in a thousandth of it. Raised, slow clips stamped in
-/// picoseconds are not; lowered, pictures taken every few seconds are.
+/// Median step, nanoseconds, above which stamps are reported if a thousandth of it would be a
+/// video's step. Raised, fast clips stamped in picoseconds are missed; lowering it alone has no
+/// effect, since [`VIDEO_NS`] begins at a thousandth of it.
 const LONGEST_NS: i64 = 5_000_000_000;
-/// Frames of cameras lie between these apart, nanoseconds. Wider, a unit is named that cannot be.
+/// Range of a camera's step, nanoseconds, used to guess the unit. Widened, impossible units are
+/// suggested.
 const CAMERA_NS: std::ops::RangeInclusive<i64> = 900_000..=2_000_000_000;
-/// Frames of videos lie between these apart, nanoseconds: 10 to 200 a second. Wider, pictures taken every few minutes are doubted.
+/// Range of a video's step, nanoseconds: 10 to 200 pictures per second. Widened, pictures taken
+/// every few minutes are reported.
 const VIDEO_NS: std::ops::RangeInclusive<i64> = 5_000_000..=100_000_000;
-/// Units by which stamps are mistaken, and nanoseconds in one of theirs.
+/// Units that are mistaken for nanoseconds, with their length in nanoseconds.
 const UNITS: [(&str, i64); 3] = [("milliseconds", 1_000_000), ("microseconds", 1000), ("whole seconds", 1_000_000_000)];
 
-/// What to say of stamps that cannot be nanoseconds.
+/// Returns a sentence about stamps that cannot be nanoseconds.
 pub(super) fn doubt(stamps: &[Timestamp]) -> Option<String> {
     let steps = stamps.windows(2).map(|pair| pair[1].ns_since(pair[0]));
     let (mut steps, others): (Vec<i64>, Vec<i64>) = steps.partition(|step| *step > 0);
@@ -66,7 +70,7 @@ mod tests {
         assert!(said.contains("are they microseconds?") && said.ends_with("multiply them by 1000"), "{said}");
         assert!(of(clip().map(|t| t / 1_000_000_000)).unwrap().contains("are they whole seconds?"));
         assert!(of((0..9).map(|n| n * 33_333_333_000)).unwrap().contains("divide them by 1000"));
-        // A second apart, in seconds; and with a few rows that are bad.
+        // One second apart, stamped in seconds; then with a few bad rows.
         assert!(of(0..9).unwrap().contains("are they"));
         assert!(of([0, 33, 66, 5, 100, i64::MAX, 133, 166].into_iter()).unwrap().contains("are they milliseconds?"));
     }

@@ -1,8 +1,9 @@
-//! When a picture was taken: from the driver's stamp to the middle of the exposure of the middle row.
+//! Determines when a picture was taken: converts the driver's stamp to mid-exposure of the middle
+//! row.
 //!
-//! Drivers stamp the start of the exposure or the end of the frame; the pipeline speaks of the middle row at
-//! mid-exposure (rows are read out from top to bottom over `readout_s`). The time of reading is hundreds of
-//! milliseconds late at worst, and taken only where a driver gives nothing else.
+//! Drivers stamp the start of the exposure or the end of the frame; the pipeline uses mid-exposure
+//! of the middle row (rows are read out from top to bottom over `readout_s`). The arrival time can
+//! be hundreds of milliseconds late, so it is used only if the driver gives no usable stamp.
 
 use std::time::Duration;
 
@@ -14,49 +15,53 @@ use crate::frame::Timestamp;
 /// A driver's stamp, on the monotonic clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DriverStamp {
-    /// When the exposure of the first row began.
+    /// Start of the first row's exposure.
     StartOfExposure(Timestamp),
-    /// When the last row had been received.
+    /// Time at which the last row had been received.
     EndOfFrame(Timestamp),
-    /// When the middle row was at mid-exposure: a recorded stamp.
+    /// Mid-exposure of the middle row: a recorded stamp.
     MidExposure(Timestamp),
     /// The driver gave none.
     None,
 }
 
-/// Now, on the monotonic clock, which drivers stamp with.
+/// Returns the current time on the monotonic clock, which drivers use for their stamps.
 pub fn monotonic_now() -> Timestamp {
-    // CLOCK_MONOTONIC cannot fail on Linux; 0 would make every stamp implausible, which is said.
+    // CLOCK_MONOTONIC cannot fail on Linux. A 0 would make every stamp implausible, which is
+    // reported.
     clock_gettime(ClockId::CLOCK_MONOTONIC).map(|t| Timestamp::from_ns(t.tv_sec() * 1_000_000_000 + t.tv_nsec())).unwrap_or_default()
 }
 
-/// Oldest picture that a driver may hand out; a stamp beyond it is on another clock. Chosen: a queue of a few pictures is never so old.
-/// Raised, stamps of clocks that differ by seconds are believed; lowered, those of slow exposures are not.
+/// Maximum age of a delivered picture; an older stamp is taken to be on another clock (chosen: a
+/// queue of a few pictures is never that old). Raised, stamps of clocks that differ by seconds are
+/// accepted; lowered, those of slow exposures are rejected.
 const OLDEST: Duration = Duration::from_secs(5);
 
-/// When the middle row was at mid-exposure, and whether the driver's stamp says it (else it is reckoned from the arrival).
+/// Returns the time of mid-exposure of the middle row, and whether it comes from the driver's stamp
+/// (otherwise it is estimated from the arrival).
 ///
-/// A driver that was never heard before is judged by this one stamp; see
-/// `StampTrust` for one that was.
+/// Judges the driver by this one stamp; [`StampTrust`] also uses earlier ones.
 pub fn mid_exposure(stamp: DriverStamp, arrival: Timestamp, shutter: &Shutter) -> (Timestamp, bool) {
     reckoned(stamp, arrival, shutter, OLDEST)
 }
 
-/// What is known of a driver's stamps. A program that was stopped gets pictures that are as old as its stop was long: a driver whose stamps
-/// were of the monotonic clock is believed that, and its picture does not count as taken when it was read.
+/// What earlier stamps have shown about a driver's clock. A process that was stopped receives
+/// pictures as old as the stop was long. If the driver's stamps were monotonic before, such old
+/// stamps are still accepted, so that the picture does not count as taken when it was read.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct StampTrust {
     is_monotonic: bool,
-    /// Pictures in a row that were older than a driver may hand out.
+    /// Number of consecutive pictures older than the maximum age.
     old: u32,
 }
 
-/// A driver's queue is a few pictures long; more that are too old in a row are of another clock after all. Chosen: twice the 32 buffers
-/// that V4L2 has at most. Raised, a driver that changes its clock is believed for longer.
+/// Maximum number of consecutive old stamps that are accepted. A driver's queue holds a few
+/// pictures; more old stamps mean another clock. Chosen: twice V4L2's maximum of 32 buffers.
+/// Raised, a driver that changes its clock is trusted longer.
 const MOST_OLD: u32 = 64;
 
 impl StampTrust {
-    /// As [`mid_exposure`], by what earlier stamps have shown.
+    /// Converts a stamp like [`mid_exposure`], taking earlier stamps into account.
     pub fn mid_exposure(&mut self, stamp: DriverStamp, arrival: Timestamp, shutter: &Shutter) -> (Timestamp, bool) {
         let (DriverStamp::StartOfExposure(at) | DriverStamp::EndOfFrame(at)) = stamp else {
             return mid_exposure(stamp, arrival, shutter);
@@ -101,7 +106,8 @@ mod tests {
 
     #[test]
     fn both_kinds_of_stamp_lead_to_the_same_moment() {
-        // Exposure 10 ms, readout 20 ms: the first row begins at 0, the last one ends at 30 ms, the middle of both is at 15 ms.
+        // Exposure 10 ms, readout 20 ms: the first row begins at 0, the last one ends at 30 ms, so
+        // mid-exposure of the middle row is at 15 ms.
         let (now, shutter) = (Timestamp::from_seconds(2.0), Shutter { exposure_s: 0.01, readout_s: 0.02 });
         let start = mid_exposure(DriverStamp::StartOfExposure(Timestamp::from_seconds(1.0)), now, &shutter);
         let end = mid_exposure(DriverStamp::EndOfFrame(Timestamp::from_seconds(1.03)), now, &shutter);
@@ -129,14 +135,14 @@ mod tests {
             (at.ns(), is_stamped)
         };
         assert_eq!(at(99_000_000_000, 99_030_000_000), (99_000_000_000, true));
-        // Stopped for a minute; the queue holds what was taken when it began.
+        // Stopped for a minute: the queue holds what was taken when the stop began.
         assert_eq!(at(99_033_000_000, 159_000_000_000), (99_033_000_000, true));
         assert_eq!(at(159_010_000_000, 159_040_000_000), (159_010_000_000, true));
-        // A clock that is another one from now on is not believed for ever.
+        // A clock that has changed for good is not trusted for ever.
         let believed = (0..200).filter(|k| at(5_000_000_000 + k, 200_000_000_000).1).count();
         assert!((1..=64).contains(&believed), "{believed}");
         assert_eq!(at(5_000_000_500, 200_000_000_000), (200_000_000_000, false));
-        // A stamp of the future never is.
+        // A stamp in the future is never trusted.
         let [now, future] = [5, 9].map(Timestamp::from_ns);
         assert_eq!(StampTrust::default().mid_exposure(DriverStamp::EndOfFrame(future), now, &Shutter::default()), (now, false));
     }

@@ -1,4 +1,5 @@
-//! timestamps.csv in EuRoC's form: a header, then one line a picture: nanoseconds, file name.
+//! Reads timestamps.csv in EuRoC's format: a header, then one line per picture with nanoseconds and
+//! file name.
 
 use std::io::Read;
 
@@ -13,18 +14,18 @@ pub struct StampRow {
     pub file: String,
 }
 
-/// Why a timestamps.csv is not read.
+/// Why a timestamps.csv cannot be read.
 #[derive(Debug)]
 pub enum TimestampsError {
-    /// The first line is not `#timestamp [ns],filename`; holds what it is, shortened.
+    /// The first line is not `#timestamp [ns],filename`; holds the line found, shortened.
     Header(String),
-    /// There is no line at all.
+    /// The file has no lines.
     Empty,
     /// The file cannot be read.
     Read(std::io::Error),
 }
 
-/// Reads all lines; blank lines and later `#` lines are passed over, a line with a bad stamp is kept.
+/// Reads all lines. Skips blank lines and later `#` lines; keeps lines with a bad stamp.
 ///
 /// # Errors
 /// When the header is missing or the input cannot be read.
@@ -52,7 +53,7 @@ fn unreadable(text: &str) -> String {
     format!("\"{}\" is no time stamp in whole nanoseconds{hint}", shortened(text))
 }
 
-/// Whether a line after the header stands for a row: neither a remark, nor empty.
+/// Whether a line after the header stands for a row, that is, is neither a comment nor empty.
 pub fn is_row(line: &[u8]) -> bool {
     let mut fields = line.split(|byte| *byte == b',').map(<[u8]>::trim_ascii);
     stands_for_a_row(fields.next().unwrap_or_default(), fields.next().unwrap_or_default())

@@ -1,10 +1,11 @@
-//! Artwork with a transparent ground, as paper shows it.
+//! Renders transparent artwork as printed on white paper.
 
 use image::{DynamicImage, GrayImage, Rgba};
 
 use super::bt601::grey_of;
 
-/// The grey levels of a picture on white, and the share of it that is transparent: 0 where it is opaque throughout.
+/// Composites a picture onto white; returns its grey levels and its transparent fraction, 0 for an
+/// opaque picture.
 pub(super) fn on_white(picture: DynamicImage) -> (GrayImage, f64) {
     if !picture.color().has_alpha() {
         return (grey_of(picture), 0.0);

@@ -8,7 +8,7 @@ use super::picture_stream::{Picture, PictureData, PictureStream};
 use super::rate::FrameRate;
 use super::y4m::Y4mReader;
 
-/// Pictures of a reader at an even rate.
+/// A reader's pictures at a constant rate.
 pub(super) struct Paced<R> {
     reader: R,
     rate: FrameRate,
@@ -18,12 +18,12 @@ pub(super) struct Paced<R> {
 }
 
 impl<R> Paced<R> {
-    /// `total` is how many pictures there are in all, where that is known.
+    /// Creates a stream; `total` is the number of all pictures, if known.
     pub fn new(reader: R, rate: FrameRate, total: Option<u64>) -> Self {
         Self { reader, rate, total, next: 0, notes: Vec::new() }
     }
 
-    /// With something to be said of the clip.
+    /// Adds a remark about the clip.
     pub fn with_note(mut self, note: Option<String>) -> Self {
         self.notes.extend(note);
         self
@@ -34,7 +34,7 @@ impl<R> Paced<R> {
 pub(super) trait VideoReader: Send {
     fn next_data(&mut self) -> Option<PictureData>;
 
-    /// Whether all its pictures are of one size, by the form.
+    /// Whether the format guarantees that all pictures have the same size.
     fn is_of_one_size(&self) -> bool {
         false
     }

@@ -1,11 +1,12 @@
-//! The virtual stage as a source of frames: what the demo and the tests track.
+//! The virtual stage as a source of frames, used by the demo and the tests.
 
 use super::{ClipEntry, EntryContent, FrameSource};
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Camera, Pose, Stage};
 use crate::simulate::{Renderer, VirtualStage};
 
-/// A camera in front of a virtual stage: a given number of frames at a steady rate, the first one at time 0.
+/// A camera in front of a virtual stage: a fixed number of frames at a constant rate, the first one
+/// at time 0.
 #[derive(Debug)]
 pub struct VirtualCamera {
     renderer: Renderer,
@@ -15,27 +16,28 @@ pub struct VirtualCamera {
 }
 
 impl VirtualCamera {
-    /// Prepares `frames` frames of a stage at `fps` frames a second (above 0).
+    /// Prepares `frames` frames of a stage at `fps` frames per second (above 0).
     pub fn new(stage: VirtualStage, fps: f64, frames: u64) -> Self {
         Self { renderer: Renderer::new(stage), fps, frames, next: 0 }
     }
 
-    /// The stage in front of it.
+    /// Returns the stage in front of it.
     pub fn stage(&self) -> &VirtualStage {
         self.renderer.stage()
     }
 
-    /// The stamp of a frame; the first one's is 0.
+    /// Returns the stamp of a frame; frame 0 is at 0.
     pub fn timestamp(&self, sequence: u64) -> Timestamp {
         Timestamp::from_ns((sequence as f64 * 1e9 / self.fps).round() as i64)
     }
 
-    /// The exact `T_stage_camera` at the stamp of a frame.
+    /// Returns the exact `T_stage_camera` at the stamp of a frame.
     pub fn truth(&self, sequence: u64) -> Pose<Stage, Camera> {
         self.stage().truth(self.time_s(sequence))
     }
 
-    /// The stamp in seconds: of the rounded nanoseconds, so that picture, truth and stamp agree exactly.
+    /// Returns the stamp in seconds, from the rounded nanoseconds, so that picture, truth and stamp
+    /// agree exactly.
     fn time_s(&self, sequence: u64) -> f64 {
         self.timestamp(sequence).seconds()
     }
@@ -50,7 +52,7 @@ impl FrameSource for VirtualCamera {
         self.next += 1;
         let timestamp = self.timestamp(sequence);
         let image = self.renderer.render(self.time_s(sequence), sequence);
-        // Rendering stands for the world, not for decoding: it costs the tracker nothing.
+        // Rendering stands for the world, not for decoding, so it does not count as decoding time.
         let content = EntryContent::Frame(Frame { image, timestamp, sequence });
         Some(ClipEntry::new(sequence, timestamp, content))
     }

@@ -1,7 +1,7 @@
-//! Reading from a pipe without being held by it: whoever writes may be slow, stop, or never come.
+//! Reads from a pipe without blocking forever: the writer may be slow, stop, or never come.
 //!
-//! A read that waits cannot be called off. So this reader asks first whether there is something, a tenth of a second at
-//! a time, and looks in between whether it is still wanted. Where it is not, the pipe is at its end.
+//! A blocking read cannot be cancelled. So this reader polls for a tenth of a second at a time, and
+//! checks in between whether it should stop. Once it should, it reports the end of the pipe.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -12,22 +12,23 @@ use std::time::{Duration, Instant};
 use nix::libc;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
-/// Between two looks whether the end is asked for. Chosen: below what a person notices. Raised, Ctrl-C takes longer.
+/// Interval between checks of the stop request (chosen: below what a person notices). Raised,
+/// Ctrl-C takes longer.
 const LOOK: Duration = Duration::from_millis(100);
-/// How long a named pipe may be without a program that writes to it. Chosen: both ends are started by hand or by one script. Raised, a
-/// forgotten writer is named later.
+/// How long a named pipe may lack a writer (chosen: both ends are started by hand or by one
+/// script). Raised, a missing writer is reported later.
 const WRITER_WAIT: Duration = Duration::from_secs(5);
 
-/// A pipe that is read as long as it is wanted.
+/// A pipe that is read until a stop is requested.
 pub(super) struct Waiting {
     file: File,
     is_stopped: fn() -> bool,
-    /// Until when the first writer may come; `None` once something came.
+    /// Deadline for the first writer; `None` once data came.
     writer_until: Option<Instant>,
 }
 
 impl Waiting {
-    /// Standard input.
+    /// Opens standard input.
     ///
     /// # Errors
     /// When it is closed.
@@ -36,10 +37,10 @@ impl Waiting {
         Ok(Self { file, is_stopped, writer_until: None })
     }
 
-    /// A named pipe, opened whether there is a writer or not.
+    /// Opens a named pipe, with or without a writer.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system's error.
     pub fn named_pipe(path: &Path, is_stopped: fn() -> bool) -> io::Result<Self> {
         use std::os::unix::fs::OpenOptionsExt;
         let file = std::fs::OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path)?;
@@ -57,7 +58,7 @@ impl Read for Waiting {
             let look = PollTimeout::try_from(LOOK).unwrap_or(PollTimeout::ZERO);
             match poll(&mut asked, look) {
                 Ok(0) if self.writer_until.is_none() => continue,
-                // Without data a pipe that nobody has opened for writing is told from a slow writer by reading.
+                // Without data, only a read can tell a pipe without a writer from a slow writer.
                 Ok(_) => {}
                 Err(nix::errno::Errno::EINTR) => continue,
                 Err(e) => return Err(e.into()),

@@ -1,4 +1,4 @@
-//! Writing a clip: a folder with frames/ and timestamps.csv, the form that keeps exact stamps.
+//! Writes a clip as a folder with frames/ and timestamps.csv, the form that keeps exact stamps.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -11,14 +11,14 @@ use image::{ExtendedColorType, GrayImage, ImageEncoder, ImageError};
 use super::error::CaptureError;
 use crate::frame::Frame;
 
-/// The form of a clip's pictures.
+/// Format of a clip's pictures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PictureFormat {
-    /// Exact and small, the slowest to write.
+    /// Lossless and small, but slowest to write.
     Png,
-    /// Lossy, quality 1 to 100.
+    /// Lossy.
     Jpeg {
-        /// 1 to 100.
+        /// Quality, 1 to 100.
         quality: u8,
     },
 }
@@ -57,10 +57,11 @@ pub struct ClipWriter {
 }
 
 impl ClipWriter {
-    /// Makes the folder with its frames/ and an empty timestamps.csv; an earlier clip in it is written over.
+    /// Creates the folder with its frames/ and an empty timestamps.csv; overwrites an earlier clip
+    /// in it.
     ///
     /// # Errors
-    /// When the folder or the file cannot be made.
+    /// When the folder or the file cannot be created.
     pub fn create(folder: impl AsRef<Path>, format: PictureFormat) -> Result<Self, CaptureError> {
         let folder = folder.as_ref().to_owned();
         let frames = folder.join("frames");
@@ -87,10 +88,10 @@ impl ClipWriter {
         Ok(())
     }
 
-    /// Writes out what is still held back; says how many pictures there are.
+    /// Flushes the file and returns the number of pictures.
     ///
     /// # Errors
-    /// When that cannot be written.
+    /// When it cannot be written.
     pub fn finish(mut self) -> Result<u64, CaptureError> {
         self.stamps.flush().map_err(|e| not_writable(&self.folder.join("timestamps.csv"), e))?;
         Ok(self.pictures)

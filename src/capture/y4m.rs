@@ -1,4 +1,5 @@
-//! YUV4MPEG2 (.y4m): a text header, then frames of raw planes, of which only the luma is kept, as it is.
+//! Reads YUV4MPEG2 (.y4m): a text header, then frames of raw planes. The luma is returned
+//! unchanged; the chroma is skipped unless colours are requested.
 
 use std::io::{self, BufRead, Read};
 
@@ -22,18 +23,19 @@ pub struct Y4mReader<R> {
     header_bytes: u64,
     frames_read: u64,
     ended: bool,
-    /// The last frame's chroma planes, where they are kept.
+    /// The last frame's chroma planes, if they are kept.
     kept: Option<Vec<u8>>,
 }
 
-/// Longer than any header line in use, bytes. A round figure, so that a file which is no y4m is refused at once.
+/// Maximum length of a header line, bytes: more than any in use, so that a file of another format
+/// is refused at once (a round figure).
 const LONGEST_LINE: u64 = 4096;
 
 impl<R: BufRead> Y4mReader<R> {
     /// Reads the stream's header.
     ///
     /// # Errors
-    /// One sentence, when the header is broken or the stream is interlaced or deeper than 8 bits.
+    /// One sentence, if the header is broken, or the stream is interlaced or deeper than 8 bits.
     pub fn new(mut input: R) -> Result<Self, String> {
         let line = read_line(&mut input).map_err(|e| format!("the y4m header cannot be read ({e}); make the clip again"))?;
         let line = line.ok_or("the y4m header line has no end; make the clip again")?;
@@ -69,34 +71,36 @@ impl<R: BufRead> Y4mReader<R> {
         Ok(Self { input, width, height, rate, pixel_shape, chroma, chroma_bytes, header_bytes, frames_read: 0, ended: false, kept: None })
     }
 
-    /// Width and height of a pixel as a ratio, where the header says that they differ.
+    /// Returns width and height of a pixel as a ratio, if the header states that they differ.
     pub(super) fn pixel_shape(&self) -> Option<(u32, u32)> {
         self.pixel_shape
     }
 
-    /// The frame rate of the header, where it has one.
+    /// Returns the frame rate from the header, if it states one.
     pub fn rate(&self) -> Option<FrameRate> {
         self.rate
     }
 
-    /// Frames of a stream of this many bytes; `None` where it is cut off or its frames carry parameters.
+    /// Returns the number of frames in a stream of this many bytes; `None` if it is cut off or its
+    /// frames carry parameters.
     pub fn frames_in(&self, stream_bytes: u64) -> Option<u64> {
         let frame_bytes = 6 + u64::from(self.width) * u64::from(self.height) + self.chroma_bytes;
         let bytes = stream_bytes.checked_sub(self.header_bytes)?;
         (bytes % frame_bytes == 0).then_some(bytes / frame_bytes)
     }
 
-    /// From here on the chroma planes are kept for [`colours`](Self::colours).
+    /// Keeps the chroma planes of all frames from here on, for [`colours`](Self::colours).
     pub(super) fn keep_chroma(&mut self) {
         self.kept = Some(Vec::new());
     }
 
-    /// The last frame in colour, given its luma; `None` where its planes are not kept.
+    /// Returns the last frame in colour, given its luma; `None` if its planes are not kept.
     pub(super) fn colours(&self, luma: &GrayImage) -> Option<RgbImage> {
         self.chroma.colours(luma, self.kept.as_ref()?)
     }
 
-    /// The next frame's luma; an error sentence for a frame that is cut off or damaged, after which the stream ends.
+    /// Returns the next frame's luma, or an error sentence for a frame that is cut off or damaged.
+    /// The stream ends after an error.
     pub fn next_luma(&mut self) -> Option<Result<GrayImage, String>> {
         if self.ended {
             return None;
@@ -134,7 +138,7 @@ impl<R: BufRead> Y4mReader<R> {
     }
 }
 
-/// A line without its newline; `None` where no newline comes.
+/// Reads a line without its newline; `None` if there is no newline.
 fn read_line(input: &mut impl BufRead) -> io::Result<Option<String>> {
     let mut line = Vec::new();
     input.take(LONGEST_LINE).read_until(b'\n', &mut line)?;
@@ -145,7 +149,7 @@ fn side(text: &str) -> Option<u32> {
     text.parse().ok().filter(|n| (1..=LONGEST_SIDE).contains(n))
 }
 
-/// How the planes behind the luma are laid out, and how many of their size there are.
+/// Returns the layout of the planes behind the luma, and how many planes of that size there are.
 fn chroma_form(form: &str, is_full_range: bool) -> Result<(Chroma, u64), String> {
     let (across, down, planes) = match form {
         "420" | "420jpeg" | "420mpeg2" | "420paldv" => (2, 2, 2),
@@ -175,7 +179,7 @@ mod tests {
         std::iter::from_fn(|| reader.next_luma()).collect()
     }
 
-    /// A stream of 5 x 3 pixel frames, luma = frame number, chroma = 255.
+    /// Builds a stream of 5 x 3 pixel frames, luma = frame number, chroma = 255.
     fn stream(form: &str, chroma: usize, frames: u8) -> Vec<u8> {
         let mut bytes = format!("YUV4MPEG2 W5 H3 F30000:1001 Ip A1:1 {form} XYSCSS=whatever\n").into_bytes();
         for n in 0..frames {
@@ -216,7 +220,7 @@ mod tests {
         assert_eq!(reader.colours(&plain), None);
         reader.keep_chroma();
         let luma = reader.next_luma().unwrap().unwrap();
-        // Dark, with as much blue and red as there can be.
+        // Dark, with the maximum of blue and red.
         let [r, g, b] = reader.colours(&luma).unwrap().get_pixel(4, 2).0;
         assert!(r > 150 && g == 0 && b > 150, "{r} {g} {b}");
         assert!(reader.next_luma().is_none());

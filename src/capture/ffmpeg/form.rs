@@ -5,26 +5,28 @@ use image::GrayImage;
 use super::super::bt601::{eight_bits, luma_8, luma_16};
 use super::log::Announced;
 
-/// What ffmpeg makes of the pictures.
+/// The pixel form in which ffmpeg delivers pictures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Form {
-    /// The luma plane of video as it is.
+    /// The unchanged luma plane of video.
     Luma,
-    /// Grey pictures, of which all levels are in use.
+    /// Grey pictures that use the full range of levels.
     Grey,
-    /// Red, green and blue in 8 bits.
+    /// RGB, 8 bits per sample.
     Rgb,
-    /// Red, green and blue in 16 bits.
+    /// RGB, 16 bits per sample.
     DeepRgb,
 }
 
-/// Parts of the names of formats that have no luma plane. Others are reduced to their luma, by way of a planar one where need be.
+/// Substrings of the names of pixel formats without a luma plane. All other formats are reduced to
+/// their luma, via a planar format if necessary.
 const WITHOUT_LUMA: [&str; 6] = ["rgb", "bgr", "gbr", "bayer", "pal8", "xyz"];
-/// Parts of the names of red, green and blue with more than 8 bits, and those of packed ones with less that look alike.
+/// Substrings of the names of RGB formats with more than 8 bits per sample. Some packed formats
+/// with fewer bits match too.
 const DEEP: [&str; 9] = ["48", "64", "p9", "10", "12", "14", "16", "f16", "f32"];
 
 impl Form {
-    /// By ffmpeg's name of the pixels' format.
+    /// Chooses the form by ffmpeg's name of the pixel format.
     pub fn of(pixels: &str) -> Self {
         let has = |parts: &[&str]| parts.iter().any(|part| pixels.contains(part));
         match has(&WITHOUT_LUMA) {
@@ -35,7 +37,7 @@ impl Form {
         }
     }
 
-    /// The filters that give pictures of this form and announce them.
+    /// Returns the filters that deliver pictures of this form and announce them.
     pub fn filter(self) -> &'static str {
         match self {
             Self::Luma | Self::Grey => "extractplanes=y,format=gray|gray9le|gray10le|gray12le|gray14le|gray16le,showinfo",
@@ -44,13 +46,13 @@ impl Form {
         }
     }
 
-    /// Bytes of one pixel of a picture as it was announced.
+    /// Returns the bytes per pixel of an announced picture.
     pub fn bytes_a_pixel(self, announced: &Announced) -> u64 {
         let samples = if matches!(self, Self::Rgb | Self::DeepRgb) { 3 } else { 1 };
         samples * u64::from(announced.bits.div_ceil(8))
     }
 
-    /// Grey levels of a picture's bytes; `None` where there are too few.
+    /// Converts a picture's bytes to grey; `None` if there are too few bytes.
     pub fn grey(self, bytes: Vec<u8>, announced: &Announced) -> Option<GrayImage> {
         let bits = announced.bits;
         let deep = || bytes.chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]]));
@@ -68,13 +70,14 @@ impl Form {
     }
 }
 
-/// A level of video: that of 8 bits with more places behind it, in its whole range as in its limited one.
+/// Rounds a video level to 8 bits. Deeper video levels are 8-bit levels with extra low bits, in
+/// full range as in limited range.
 fn upper_bits(level: u16, bits: u32) -> u8 {
     let places = bits.clamp(9, 16) - 8;
     ((u32::from(level) + (1 << (places - 1))) >> places).min(255) as u8
 }
 
-/// A level of a grey picture: from none to all.
+/// Scales a level of a grey picture from its full range to 0..=255.
 fn of_all_levels(level: u16, bits: u32) -> u8 {
     if bits >= 16 {
         return eight_bits(level);

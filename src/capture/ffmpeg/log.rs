@@ -1,41 +1,43 @@
-//! What ffmpeg writes to stderr, line by line: its pictures as the `showinfo` filter announces them, and its complaints.
+//! Parses ffmpeg's stderr line by line: pictures announced by the `showinfo` filter, and
+//! complaints.
 
 use crate::frame::Timestamp;
 
-/// What showinfo says of one picture.
+/// What showinfo states about one picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Announced {
     pub stamp: Option<Timestamp>,
     pub width: u32,
     pub height: u32,
-    /// Bits of a sample as it is written to the pipe: 8, or up to 16 in two bytes, the lower one first.
+    /// Bits per sample as written to the pipe: 8, or up to 16 in two bytes, little-endian.
     pub bits: u32,
-    /// Width and height of a pixel, where the file says that they differ.
+    /// Width and height of a pixel, if the file states that they differ.
     pub pixel_shape: Option<(u32, u32)>,
-    /// Whether the picture holds two fields, taken one after the other.
+    /// Whether the picture holds two fields that were taken one after the other.
     pub is_interlaced: bool,
 }
 
-/// ffmpeg's stderr, with `-loglevel level+info`.
+/// State of ffmpeg's stderr, run with `-loglevel level+info`.
 #[derive(Debug, Default)]
 pub(super) struct Log {
-    /// Seconds a tick, as a ratio.
+    /// Seconds per tick, as a ratio.
     time_base: Option<(i64, i64)>,
     /// The first errors; the cause comes first.
     complaints: Vec<String>,
-    /// Whether an error speaks of a file that ends too early.
+    /// Whether an error reports a file that ends too early.
     is_cut_off: bool,
 }
 
-/// Complaints that are kept: the first says most, the others help nobody. Raised, a damaged file takes more memory.
+/// Maximum number of complaints kept: the first is the most useful. Raised, a damaged file takes
+/// more memory.
 const MOST_COMPLAINTS: usize = 8;
-/// Parts of the sentences by which ffmpeg's demuxers say that a file ends too early.
+/// Substrings of the messages in which ffmpeg's demuxers report a file that ends too early.
 const CUT_OFF: [&str; 5] = ["moov atom not found", "partial file", "ended prematurely", "premature end", "truncat"];
-/// Levels of ffmpeg's log at which something is wrong with the file.
+/// Log levels of ffmpeg at which something is wrong with the file.
 const COMPLAINT_LEVELS: [&str; 3] = ["[error] ", "[fatal] ", "[panic] "];
 
 impl Log {
-    /// Takes a line in; a picture where the line announces one.
+    /// Parses a line; returns a picture if the line announces one.
     pub fn note(&mut self, line: &str) -> Option<Announced> {
         if let Some((_, complaint)) = COMPLAINT_LEVELS.iter().find_map(|level| line.split_once(level)) {
             self.complain(complaint.trim());
@@ -67,18 +69,19 @@ impl Log {
         }
     }
 
-    /// Whether ffmpeg says that the file ends too early.
+    /// Whether ffmpeg reports that the file ends too early.
     pub fn is_cut_off(&self) -> bool {
         self.is_cut_off
     }
 
-    /// The first complaint.
+    /// Returns the first complaint.
     pub fn complaint(&self) -> Option<&str> {
         self.complaints.first().map(String::as_str)
     }
 }
 
-/// Bits of a sample in a grey format ("gray", "gray10le") or in the red, green and blue that are asked for.
+/// Returns the bits per sample of a grey format ("gray", "gray10le") or of the RGB formats that are
+/// requested.
 fn bits_of(format: &str) -> u32 {
     match format {
         "rgb48le" => 16,
@@ -90,7 +93,7 @@ pub(super) fn word_after<'a>(line: &'a str, name: &str) -> Option<&'a str> {
     line.split_once(name)?.1.split_whitespace().next()
 }
 
-/// Ticks of numerator / denominator seconds as a stamp, rounded.
+/// Converts ticks of numerator / denominator seconds to a stamp, rounded.
 fn stamp_of(ticks: i64, (numerator, denominator): (i64, i64)) -> Option<Timestamp> {
     let doubled = (i128::from(ticks) * i128::from(numerator)).checked_mul(2_000_000_000)?;
     let denominator = i128::from(denominator);

@@ -1,9 +1,10 @@
-//! Every other container, through an installed ffmpeg as a child process.
+//! Reads every other container through an installed ffmpeg, run as a child process.
 //!
-//! ffmpeg decodes and writes the pixels as they lie in the file to a pipe: the luma plane of video as it is, red, green and blue where
-//! there is none ([`form`]). Its `showinfo` filter tells the exact stamp, size and depth of each frame on stderr ([`log`]), where a thread
-//! picks them up; so frames of uneven rate keep their times, and a picture that changes its size stays in step with its bytes. What the
-//! file says of itself is asked first ([`probe`]).
+//! The file is first probed for its format and remarks ([`probe`]). Then ffmpeg decodes it and
+//! writes the pixels to a pipe as they lie in the file: the unchanged luma plane of video, or RGB
+//! if there is none ([`form`]). Its `showinfo` filter prints the exact stamp, size and depth of
+//! each frame on stderr, where a thread parses them ([`log`]). So frames at an uneven rate keep
+//! their times, and a picture that changes its size stays in step with its bytes.
 
 mod form;
 mod log;
@@ -31,22 +32,22 @@ use super::picture_stream::{Picture, PictureData, PictureStream};
 use super::rate::FrameRate;
 use super::remarks;
 
-/// Frames from a running ffmpeg.
+/// Frames from a running ffmpeg process.
 pub(super) struct Ffmpeg {
     path: PathBuf,
     child: Child,
     frames: ChildStdout,
     announced: Receiver<Announced>,
-    /// Reads stderr to its end.
+    /// The thread that reads stderr to its end.
     listener: Option<JoinHandle<Log>>,
-    /// Stands in place of the container's stamps.
+    /// Replaces the container's stamps, if set.
     rate: Option<FrameRate>,
     next: u64,
     form: Form,
-    /// The size to which an old ffmpeg scales all pictures, known from the first one.
+    /// Whether an old ffmpeg scales all pictures to the size of the first.
     scaled_to: Scaling,
     remarks: Remarks,
-    /// Set where pictures and lines do not belong together any more.
+    /// Set once pictures and announcements no longer match.
     is_out_of_step: bool,
 }
 
@@ -54,11 +55,11 @@ pub(super) struct Ffmpeg {
 #[derive(Debug, Clone, Copy)]
 enum Scaling {
     Off,
-    /// To the size of the first one.
+    /// To the size of the first picture, once it is known.
     ToFirst(Option<(u32, u32)>),
 }
 
-/// What is to be said of the file, a sentence each.
+/// Remarks about the file, one sentence each.
 #[derive(Default)]
 struct Remarks {
     sentences: Vec<String>,
@@ -66,14 +67,17 @@ struct Remarks {
     has_fields: bool,
 }
 
-/// `-autoscale` came with this version; before it, pictures of another size are scaled to that of the first one.
+/// First ffmpeg version with `-autoscale`; earlier ones scale pictures of another size to that of
+/// the first.
 const HAS_AUTOSCALE: (u32, u32) = (4, 4);
-/// `-fps_mode` came with this version, where `-vsync` began to go.
+/// First ffmpeg version with `-fps_mode`, which replaces `-vsync`.
 const HAS_FPS_MODE: (u32, u32) = (5, 1);
-/// How long bytes may wait in the pipe without the line that announces them, in units of [`LISTENING`]. The line is written first, so this
-/// is far too long for a busy machine. Raised, a stream out of step is noticed later.
+/// How long bytes may wait in the pipe without an announcing line, in units of [`LISTENING`]. The
+/// line is written first, so this is ample even on a busy machine. Raised, a stream out of step is
+/// noticed later.
 const MOST_SILENT: u32 = 20;
-/// How often the pipe is looked at while no line comes. Raised, a stream out of step is noticed later; lowered, waiting takes more time.
+/// Interval at which the pipe is polled while no line comes. Raised, a stream out of step is
+/// noticed later; lowered, waiting costs more CPU time.
 const LISTENING: Duration = Duration::from_millis(500);
 
 impl Ffmpeg {
@@ -82,7 +86,8 @@ impl Ffmpeg {
         Self::of_program(OsStr::new("ffmpeg"), path, rate)
     }
 
-    /// Starts ffmpeg on a file for its colours, to be read by [`next_colours`](Self::next_colours).
+    /// Starts ffmpeg on a file for its colours; read them with
+    /// [`next_colours`](Self::next_colours).
     pub fn open_colours(path: &Path) -> Result<Self, CaptureError> {
         let program = OsStr::new("ffmpeg");
         let probe = probed(program, path, true)?;
@@ -116,7 +121,8 @@ impl Ffmpeg {
         };
         let (sender, announced) = channel();
         let remarks = Remarks { sentences: probe.notes, ..Remarks::default() };
-        // From here on a failure ends the program that was started.
+        // Built before the thread starts, so that a failure from here on ends the child process (by
+        // `drop`).
         let mut stream = Self {
             path: path.to_owned(),
             child,
@@ -132,7 +138,7 @@ impl Ffmpeg {
         };
         let listen = move || {
             let mut log = Log::default();
-            // Read on after the receiver is gone, or ffmpeg would block on a full pipe.
+            // Keep reading after the receiver is gone, or ffmpeg would block on a full pipe.
             for line in BufReader::new(errors).split(b'\n').map_while(Result::ok) {
                 if let Some(frame) = log.note(&String::from_utf8_lossy(&line)) {
                     let _ = sender.send(frame);
@@ -144,13 +150,14 @@ impl Ffmpeg {
         Ok(stream)
     }
 
-    /// The next picture's colours; `None` at the end, and where there are none for the picture.
+    /// Returns the next picture's colours; `None` at the end, and for a picture that has none.
     pub fn next_colours(&mut self) -> Option<RgbImage> {
         let announced = self.next_announced()?.ok()?;
         RgbImage::from_raw(announced.width, announced.height, self.read_bytes(&announced).ok()?)
     }
 
-    /// The line of the next picture; `None` at the end. Never waits while ffmpeg itself waits for somebody to read.
+    /// Returns the announcement of the next picture; `None` at the end. Does not wait forever while
+    /// ffmpeg is blocked on a full pipe.
     fn next_announced(&mut self) -> Option<Result<Announced, String>> {
         let mut silent = 0;
         while !self.is_out_of_step {
@@ -160,7 +167,7 @@ impl Ffmpeg {
                 Err(RecvTimeoutError::Timeout) => silent = if self.has_bytes() { silent + 1 } else { 0 },
             }
             if silent >= MOST_SILENT {
-                let _ = self.child.kill(); // or it has ended by itself
+                let _ = self.child.kill(); // fails if ffmpeg has already ended
                 self.is_out_of_step = true;
                 return Some(Err("ffmpeg's pictures and what it says of them do not belong together any more".to_owned()));
             }
@@ -172,7 +179,7 @@ impl Ffmpeg {
         poll(&mut [PollFd::new(self.frames.as_fd(), PollFlags::POLLIN)], PollTimeout::ZERO).is_ok_and(|ready| ready > 0)
     }
 
-    /// The bytes of one picture, or why there are none.
+    /// Reads the bytes of one picture, or returns why there are none.
     fn read_bytes(&mut self, announced: &Announced) -> Result<Vec<u8>, String> {
         let size = (announced.width, announced.height);
         let written = match &mut self.scaled_to {
@@ -198,7 +205,7 @@ impl Ffmpeg {
         self.form.grey(bytes, announced).ok_or_else(|| "ffmpeg gave too few bytes for this frame".to_owned())
     }
 
-    /// Why ffmpeg ended, where it did not come to the end of a whole file.
+    /// Returns why ffmpeg ended, unless it reached the end of an intact file.
     fn early_end(&mut self) -> Option<String> {
         let log = self.listener.take()?.join().unwrap_or_default();
         let is_clean = self.child.wait().is_ok_and(|status| status.success());
@@ -261,7 +268,7 @@ impl Remarks {
 
 impl Drop for Ffmpeg {
     fn drop(&mut self) {
-        // It may have ended by itself; then there is nothing to kill and nothing lost.
+        // Both fail harmlessly if ffmpeg has already ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -279,15 +286,15 @@ fn not_run(path: &Path, e: std::io::Error) -> CaptureError {
     }
 }
 
-/// Why there is no picture at all.
+/// Returns why there is no picture at all.
 fn refusal(path: &Path, log: &Log) -> CaptureError {
     let (path, reason) = (path.to_owned(), log.complaint().unwrap_or("it ended without a word").to_owned());
-    // Whatever has a film's name and is none has no index either.
+    // A file that is no film at all lacks an index, too: do not call it cut off.
     let is_begun = !reason.contains("moov") || begins_as_film(&path);
     if log.is_cut_off() && is_begun { CaptureError::CutOff { path, reason } } else { CaptureError::FfmpegFailed { path, reason } }
 }
 
-/// Whether a file begins with a box of QuickTime's and MP4's form.
+/// Whether a file begins with a QuickTime or MP4 box.
 fn begins_as_film(path: &Path) -> bool {
     let mut start = [0; 8];
     let is_read = crate::safe_file::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok();
@@ -304,7 +311,8 @@ mod tests {
         assert!(gone.is_some_and(|e| e.contains("a.mp4") && e.contains("install it")));
     }
 
-    /// A program that writes a picture more than it announces, and then waits for somebody to read it.
+    /// Runs a program that writes one picture more than it announces and then blocks until it is
+    /// read.
     #[test]
     fn a_stream_out_of_step_ends_and_does_not_hang() {
         let folder = tempfile::tempdir().unwrap();

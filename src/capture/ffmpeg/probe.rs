@@ -1,4 +1,4 @@
-//! What there is to know of a video before its pictures are read: ffmpeg decodes one picture and is listened to.
+//! Probes a video before its pictures are read: ffmpeg decodes one picture and its log is parsed.
 
 use std::ffi::{OsStr, OsString};
 use std::path::Path;
@@ -7,31 +7,33 @@ use std::process::{Command, Stdio};
 use super::log::{Log, word_after};
 use crate::capture::remarks;
 
-/// A video as ffmpeg describes it.
+/// A video as described by ffmpeg.
 #[derive(Debug, Default)]
 pub(super) struct Probe {
-    /// ffmpeg's version, where it has a number: builds of its newest source have none.
+    /// ffmpeg's version, if it has a number; development builds have none.
     pub version: Option<(u32, u32)>,
-    /// The format of the pixels by ffmpeg's name, where a picture was decoded.
+    /// ffmpeg's name of the pixel format, if a picture was decoded.
     pub pixels: Option<String>,
-    /// What is to be said of the file, a sentence each.
+    /// Remarks about the file, one sentence each.
     pub notes: Vec<String>,
     /// The complaints, and whether the file is cut off.
     pub log: Log,
 }
 
-/// Containers that are the coded pictures alone: their stamps are made up by ffmpeg from a rate.
+/// Containers that hold only coded pictures: ffmpeg makes up their stamps from a rate.
 const WITHOUT_STAMPS: [&str; 14] =
     ["h264", "hevc", "vvc", "m4v", "mjpeg", "mpjpeg", "mjpeg_2000", "cavsvideo", "dirac", "vc1", "h261", "h263", "mpegvideo", "obu"];
 
-/// ffmpeg's command line up to and with its input; pixels stay as they lie, however the file says to show them.
+/// Builds ffmpeg's command line up to and including its input. Pixels stay as they lie in the file,
+/// whatever rotation the file asks for.
 pub(super) fn command(program: &OsStr, path: &Path) -> Command {
-    // The prefix keeps a name with a colon or a leading dash from being read as a protocol or an option.
+    // The prefix keeps a name with a colon or a leading dash from being parsed as a protocol or an
+    // option.
     let mut input = OsString::from("file:");
     input.push(path);
     let mut command = Command::new(program);
     command.args(["-nostdin", "-nostats", "-loglevel", "level+info", "-noautorotate", "-i"]).arg(input);
-    // V leaves out pictures of a cover.
+    // `V` excludes cover art.
     command.args(["-map", "0:V:0", "-an", "-sn", "-dn"]);
     command
 }
@@ -73,15 +75,16 @@ impl Probe {
     }
 }
 
-/// What ffmpeg's account of its input and output says, as far as it is of use.
+/// The relevant part of ffmpeg's description of its input and output.
 #[derive(Debug, Default)]
 struct Said {
     container: String,
-    /// Frames a second, of the first video.
+    /// Frames per second of the first video stream.
     rate: Option<String>,
-    /// By how many degrees the file says to turn the picture to the left.
+    /// Counterclockwise rotation that the file asks for, degrees.
     turned: Option<f64>,
-    /// Its inputs are named by all their streams, its output by the one that is read.
+    /// Whether the output section has begun. The input section lists all streams, the output only
+    /// the one that is read.
     is_output: bool,
 }
 
@@ -95,7 +98,7 @@ impl Said {
             let part = line.split(", ").find_map(|part| part.strip_suffix(" fps").or_else(|| part.strip_suffix(" tbr")));
             self.rate = part.map(|rate| rate.trim().to_owned());
         }
-        // Of the stream that is read, or of its picture.
+        // Only the rotation of the stream that is read, or of its picture, counts.
         if (self.is_output || line.contains("showinfo"))
             && let Some(degrees) = word_after(line, "displaymatrix: rotation of ").and_then(|d| d.parse().ok())
         {
@@ -104,14 +107,16 @@ impl Said {
     }
 }
 
-/// What is understood of ffmpeg's account of a file: the format of its pixels, and by how many degrees it is to be shown turned.
+/// Parses ffmpeg's description of a file: returns its pixel format, and the rotation in degrees
+/// with which to show it.
 pub fn ffmpeg_account(text: &str) -> (Option<String>, Option<f64>) {
     let mut probe = Probe::default();
     let turned = probe.read(text).turned;
     (probe.pixels, turned)
 }
 
-/// The first two rows and columns of the display matrix, for which ffmpeg itself has no words. Without ffprobe it is not known.
+/// Reads the first two rows and columns of the display matrix, which ffmpeg itself does not print.
+/// Needs ffprobe; `None` without it.
 fn display_matrix(program: &OsStr, path: &Path) -> Option<[f64; 4]> {
     let mut probe = program.to_owned().into_string().ok()?;
     let at = probe.rfind("ffmpeg")?;

@@ -1,4 +1,5 @@
-//! An open V4L2 camera behind nokhwa, with a time limit for reading and a drop that cannot panic out.
+//! An open V4L2 camera on top of nokhwa, with a timeout for reading and a drop that contains
+//! panics.
 
 use std::collections::HashSet;
 use std::mem::ManuallyDrop;
@@ -14,7 +15,8 @@ use crate::capture::choice::Offer;
 use crate::capture::timestamping::{DriverStamp, monotonic_now};
 use crate::frame::Timestamp;
 
-/// Buffers that nokhwa asks the driver for. Fewer here, and the newest picture may be missed behind older ones.
+/// Number of buffers that nokhwa requests from the driver. If this is smaller than nokhwa's number,
+/// the newest picture may be missed behind older ones.
 const BUFFERS: u32 = 4;
 
 /// A streaming camera.
@@ -22,11 +24,12 @@ pub(super) struct V4l2Camera {
     nokhwa: ManuallyDrop<Nokhwa>,
     fd: RawFd,
     mode: CameraMode,
-    /// STREAMON happens inside of the first read, so that nothing can be waited for before it.
+    /// Whether the first picture has been read. STREAMON happens inside the first read, so polling
+    /// before it is useless.
     streaming: bool,
 }
 
-/// Opens node `number` in the offered mode, which the device has been set to already.
+/// Opens node `number` in the offered mode, to which the device has already been set.
 pub(super) fn open(number: u32, offer: &Offer, mode: CameraMode) -> Result<V4l2Camera, String> {
     let format = match offer.layout {
         PixelLayout::Mjpeg => FrameFormat::MJPEG,
@@ -43,7 +46,7 @@ pub(super) fn open(number: u32, offer: &Offer, mode: CameraMode) -> Result<V4l2C
     let nokhwa = Nokhwa::with_backend(CameraIndex::Index(number), request, ApiBackend::Video4Linux).map_err(|e| e.to_string())?;
     let mut camera = V4l2Camera { nokhwa: ManuallyDrop::new(nokhwa), fd: -1, mode, streaming: false };
     camera.nokhwa.open_stream().map_err(|e| e.to_string())?;
-    // Two new ones are another thread's and this camera's, and nothing says which is which.
+    // Of two new ones, one belongs to another thread, and they cannot be told apart.
     let after = descriptors(number);
     let mut new = after.difference(&before);
     match (new.next(), new.next()) {
@@ -54,7 +57,7 @@ pub(super) fn open(number: u32, offer: &Offer, mode: CameraMode) -> Result<V4l2C
     Ok(camera)
 }
 
-/// This process' file descriptors of a node: nokhwa keeps its own to itself.
+/// Returns this process's file descriptors of a node; nokhwa does not expose its own.
 fn descriptors(number: u32) -> HashSet<RawFd> {
     let node = format!("/dev/video{number}");
     let entries = std::fs::read_dir("/proc/self/fd").into_iter().flatten().flatten();
@@ -79,19 +82,20 @@ impl V4l2Camera {
     }
 }
 
-/// Why a picture could not be read; nokhwa gives the system's error as text.
+/// Describes why a picture could not be read; nokhwa reports the system's error as text.
 fn reading_fault(said: &str) -> String {
     if said.contains("os error 19") {
         "it was unplugged".to_owned()
     } else if said.contains("os error 4)") {
-        // The daemon interrupts reads that block; before the stream runs, nothing else can limit them.
+        // The daemon interrupts blocking reads: before the stream runs, nothing else can limit
+        // them.
         "it was opened and gave no picture".to_owned()
     } else {
         format!("its driver says: {said}")
     }
 }
 
-/// nokhwa tells a driver's monotonic stamp as wall-clock time; the way back goes over the age.
+/// Recovers the monotonic stamp from the picture's age: nokhwa converts stamps to wall-clock time.
 fn wall_clock_stamp(stamp: Option<Duration>, arrival: Timestamp) -> DriverStamp {
     let wall = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
     match stamp.and_then(|stamp| wall.checked_sub(stamp)) {
@@ -111,7 +115,7 @@ impl Camera for V4l2Camera {
             return Err(CameraFault::Silent);
         }
         let mut newest = self.read()?;
-        // The driver hands out the oldest of its buffers: drain to the newest.
+        // The driver delivers its oldest buffer first: drain to the newest.
         for _ in 0..BUFFERS {
             if !ioctl::wait_readable(self.fd, Duration::ZERO).map_err(waited)? {
                 break;
@@ -125,8 +129,8 @@ impl Camera for V4l2Camera {
 impl Drop for V4l2Camera {
     fn drop(&mut self) {
         let nokhwa = &mut self.nokhwa;
-        // SAFETY: it is dropped here and nowhere else, and not used after.
-        // The V4L crate panics in its drop where the driver refuses to stop the stream.
+        // SAFETY: it is dropped only here and not used afterwards. The V4L crate panics in its drop
+        // if the driver refuses to stop the stream, hence `contained`.
         let dropped = contained(|| unsafe { ManuallyDrop::drop(nokhwa) });
         if dropped.is_none() {
             tracing::warn!("the camera's driver did not stop its stream; the device is given up as it is");

@@ -1,40 +1,45 @@
-//! A camera's controls held where the config wants them: set, read back, and said where the camera refuses.
+//! Sets a camera's controls to the config's values, reads them back, and reports refusals.
 //!
-//! Automatic exposure, focus and white balance change the picture in the middle of a show, and a focus that moves breaks
-//! the calibration. Switches are set before the levels that they lock.
+//! Automatic exposure, focus and white balance change the picture in the middle of a show, and a
+//! moving focus invalidates the calibration. Automatic modes are set before the values that they
+//! lock.
 
 use std::collections::BTreeMap;
 use std::os::fd::RawFd;
 
 use super::ioctl::{self, ControlDescription};
 
-/// V4L2's number of the exposure's mode (linux/v4l2-controls.h): 1 is manual, 3 is "aperture priority", the automatic of most webcams.
+/// V4L2's id of the exposure mode (linux/v4l2-controls.h): 1 is manual, 3 is "aperture priority",
+/// the automatic mode of most webcams.
 const AUTO_EXPOSURE: u32 = 0x009a_0901;
-/// V4L2's numbers of the exposure time in 100 microseconds, of the automatic focus, of the mains frequency against flicker.
+/// V4L2's ids of the exposure time in 100 microseconds, of the automatic focus, and of the mains
+/// frequency for flicker reduction.
 const EXPOSURE_ABSOLUTE: u32 = 0x009a_0902;
 const AUTO_FOCUS: u32 = 0x009a_090c;
 const POWER_LINE: u32 = 0x0098_0918;
-/// V4L2_CTRL_FLAG_INACTIVE: the control has no effect while another has it, such as an automatic.
+/// V4L2_CTRL_FLAG_INACTIVE: the control has no effect while another one, such as an automatic mode,
+/// overrides it.
 const INACTIVE: u32 = 0x10;
 
-/// What became of the controls.
+/// The state of the controls after setting.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Held {
-    /// As read back, by name: those of the config.
+    /// The config's controls by name, as read back.
     pub values: Vec<(String, i64)>,
-    /// The exposure in seconds, where it is manual and known.
+    /// The exposure in seconds, if it is manual and known.
     pub exposure_s: Option<f64>,
     /// One sentence each: what was refused, and what is still automatic.
     pub warnings: Vec<String>,
 }
 
-/// A control's name as configs write it: "Exposure Time, Absolute" is `exposure_time_absolute`.
+/// Returns a control's name as written in configs: "Exposure Time, Absolute" is
+/// `exposure_time_absolute`.
 pub(super) fn plain_name(name: &str) -> String {
     let words = name.split(|c: char| !c.is_ascii_alphanumeric()).filter(|w| !w.is_empty());
     words.map(str::to_ascii_lowercase).collect::<Vec<_>>().join("_")
 }
 
-/// Sets the wanted controls and reads them back.
+/// Sets the requested controls and reads them back.
 pub(super) fn hold(fd: RawFd, wanted: &BTreeMap<String, i64>) -> Held {
     let there = ioctl::controls(fd);
     let mut held = Held::default();
@@ -45,7 +50,8 @@ pub(super) fn hold(fd: RawFd, wanted: &BTreeMap<String, i64>) -> Held {
             held.warnings.push(unknown(name, &there));
             continue;
         };
-        // Setting a value that it has already may be refused while an automatic is on; then there is nothing to complain of.
+        // A camera may refuse to set a value it already has while an automatic mode is on; that is
+        // no error.
         let refused = ioctl::set_control(fd, control.id, value).err();
         let now = ioctl::control_value(fd, control.id);
         match now {
@@ -109,7 +115,8 @@ fn automatic(there: &[ControlDescription], exposure: Option<i64>, focus: Option<
     warnings
 }
 
-/// Lamps on the mains flicker at twice its frequency: an exposure that is not a whole number of periods sees bands.
+/// Returns a warning if the exposure may show bands. Lamps on the mains flicker at twice its
+/// frequency: an exposure that is not a whole number of periods shows them.
 fn flicker(exposure_s: f64, power_line: Option<i64>) -> Option<String> {
     let whole = |hz: f64| {
         let periods = exposure_s * hz;

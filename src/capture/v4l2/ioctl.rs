@@ -1,4 +1,4 @@
-//! The few questions to the kernel that the V4L crates do not ask, or ask in a way that panics.
+//! The few ioctls that the V4L crates do not offer, or offer in a way that may panic.
 
 use std::ffi::CStr;
 use std::io;
@@ -15,19 +15,22 @@ use v4l::v4l2::vidioc;
 use crate::capture::timestamping::DriverStamp;
 use crate::frame::Timestamp;
 
-/// Runs other people's code; a panic in there is `None`.
+/// Runs third-party code; returns `None` if it panics.
 pub(super) fn contained<T>(run: impl FnOnce() -> T) -> Option<T> {
     crate::contain::contained(run).ok()
 }
 
+/// Runs an ioctl.
+///
 /// # Safety
-/// `T` is the struct that the kernel reads and fills for `request`.
+/// `T` must be the struct that the kernel reads and fills for `request`.
 unsafe fn ask<T>(fd: RawFd, request: vidioc::_IOC_TYPE, argument: &mut T) -> io::Result<()> {
-    // SAFETY: the caller pairs them; a file descriptor that is none is refused by the kernel.
+    // SAFETY: the caller pairs them; the kernel refuses an invalid file descriptor.
     unsafe { v4l::v4l2::ioctl(fd, request, std::ptr::from_mut(argument).cast()) }
 }
 
-/// What the driver says of the buffer that was dequeued last: the one that it does not hold.
+/// What the driver states about the buffer that was dequeued last: the only one that it does not
+/// hold.
 pub(super) struct Dequeued {
     pub sequence: u32,
     pub bytes_used: usize,
@@ -35,16 +38,17 @@ pub(super) struct Dequeued {
     pub is_damaged: bool,
 }
 
-/// `None` where the driver does not tell (v4l2loopback), or where more than one buffer is out.
+/// Queries the last dequeued buffer; `None` if the driver does not support the query (v4l2loopback)
+/// or more than one buffer is out.
 pub(super) fn last_dequeued(fd: RawFd, buffers: u32) -> Option<Dequeued> {
-    /// V4L2_BUF_FLAG_QUEUED and V4L2_BUF_FLAG_DONE: the buffer is the driver's, waiting for a picture or holding one.
+    /// V4L2_BUF_FLAG_QUEUED and V4L2_BUF_FLAG_DONE: the driver holds the buffer, empty or filled.
     const QUEUED_OR_DONE: u32 = 0x2 | 0x4;
     let mut out = None;
     for index in 0..buffers {
-        // SAFETY: v4l2_buffer is plain data, of which all-zero bytes are a value.
+        // SAFETY: v4l2_buffer is plain data, for which all zeros are valid.
         let mut buffer: v4l2_buffer = unsafe { std::mem::zeroed() };
         (buffer.index, buffer.type_, buffer.memory) = (index, 1, 1); // video capture, memory map
-        // SAFETY: the request's struct.
+        // SAFETY: the struct matches the request.
         unsafe { ask(fd, vidioc::VIDIOC_QUERYBUF, &mut buffer) }.ok()?;
         if buffer.flags & QUEUED_OR_DONE == 0 && out.replace(buffer).is_some() {
             return None;
@@ -63,7 +67,7 @@ pub(super) fn last_dequeued(fd: RawFd, buffers: u32) -> Option<Dequeued> {
     })
 }
 
-/// Whether a picture (or an error to be read) is there within `patience`.
+/// Whether a picture (or an error to be read) is available within `patience`.
 pub(super) fn wait_readable(fd: RawFd, patience: Duration) -> io::Result<bool> {
     // SAFETY: the camera that owns the file descriptor outlives this call.
     let borrowed = unsafe { BorrowedFd::borrow_raw(fd) };
@@ -88,16 +92,16 @@ pub(super) struct ControlDescription {
     pub flags: u32,
 }
 
-/// The simple controls of a device; compound ones and headings are left out.
+/// Lists the simple controls of a device, without compound ones and headings.
 pub(super) fn controls(fd: RawFd) -> Vec<ControlDescription> {
     let mut found = Vec::new();
     let mut id = 0;
-    // Every answer has a larger id than the last one; the bound only keeps a broken driver from going round.
+    // Ids increase with every answer; the bound only keeps a broken driver from looping forever.
     for _ in 0..1024 {
-        // SAFETY: plain data, of which all-zero bytes are a value.
+        // SAFETY: plain data, for which all zeros are valid.
         let mut query: v4l2_query_ext_ctrl = unsafe { std::mem::zeroed() };
         query.id = id | V4L2_CTRL_FLAG_NEXT_CTRL;
-        // SAFETY: the request's struct.
+        // SAFETY: the struct matches the request.
         let answer = unsafe { ask(fd, vidioc::VIDIOC_QUERY_EXT_CTRL, &mut query) };
         if answer.is_err() || query.id <= id {
             break;
@@ -120,22 +124,23 @@ pub(super) fn controls(fd: RawFd) -> Vec<ControlDescription> {
     found
 }
 
-/// The name of a menu's entry, where it has that entry.
+/// Returns the name of a menu entry, if it exists.
 pub(super) fn menu_entry(fd: RawFd, id: u32, index: u32) -> Option<String> {
-    // SAFETY: plain data, of which all-zero bytes are a value.
+    // SAFETY: plain data, for which all zeros are valid.
     let mut menu: v4l2_querymenu = unsafe { std::mem::zeroed() };
     (menu.id, menu.index) = (id, index);
-    // SAFETY: the request's struct.
+    // SAFETY: the struct matches the request.
     unsafe { ask(fd, vidioc::VIDIOC_QUERYMENU, &mut menu) }.ok()?;
-    // SAFETY: the bytes of the union are valid as bytes whichever part was written. The struct is packed: copy first.
+    // SAFETY: the union's bytes are valid as bytes whichever variant was written. The struct is
+    // packed: copy first.
     let bytes = unsafe { menu.__bindgen_anon_1.name };
     Some(CStr::from_bytes_until_nul(&bytes).ok()?.to_string_lossy().into_owned())
 }
 
-/// A control's value now.
+/// Returns a control's current value.
 pub(super) fn control_value(fd: RawFd, id: u32) -> io::Result<i64> {
     let mut control = v4l2_control { id, value: 0 };
-    // SAFETY: the request's struct.
+    // SAFETY: the struct matches the request.
     unsafe { ask(fd, vidioc::VIDIOC_G_CTRL, &mut control) }?;
     Ok(control.value.into())
 }
@@ -143,6 +148,6 @@ pub(super) fn control_value(fd: RawFd, id: u32) -> io::Result<i64> {
 /// Sets a control.
 pub(super) fn set_control(fd: RawFd, id: u32, value: i64) -> io::Result<()> {
     let value = i32::try_from(value).map_err(|_| io::Error::from(io::ErrorKind::InvalidInput))?;
-    // SAFETY: the request's struct.
+    // SAFETY: the struct matches the request.
     unsafe { ask(fd, vidioc::VIDIOC_S_CTRL, &mut v4l2_control { id, value }) }
 }

@@ -1,4 +1,4 @@
-//! What `stagepose devices` tells of every camera.
+//! The listing of all cameras that `stagepose devices` prints.
 
 use std::os::fd::RawFd;
 use std::path::PathBuf;
@@ -24,70 +24,70 @@ pub struct DeviceListing {
     pub name: String,
     /// The driver's name.
     pub driver: String,
-    /// Where it is plugged in.
+    /// The bus address where it is plugged in.
     pub bus: String,
-    /// Names that last as long as the camera.
+    /// Names that stay with the camera.
     pub by_id: Vec<PathBuf>,
-    /// Names that last as long as the port.
+    /// Names that stay with the port.
     pub by_path: Vec<PathBuf>,
     /// Formats with sizes and rates.
     pub formats: Vec<FormatListing>,
     /// Controls with ranges.
     pub controls: Vec<ControlListing>,
-    /// Other programs that hold it open.
+    /// Other programs that hold the camera open.
     pub held_by: Vec<String>,
 }
 
 /// A pixel format of a camera.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FormatListing {
-    /// Four letters.
+    /// Four-letter code.
     pub fourcc: String,
-    /// The driver's words.
+    /// The driver's description.
     pub description: String,
-    /// Whether this program can track from it.
+    /// Whether this program can track from this format.
     pub usable: bool,
-    /// Sizes with rates.
+    /// Sizes with their rates.
     pub sizes: Vec<SizeListing>,
 }
 
 /// A size of a format.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SizeListing {
-    /// Pixels.
+    /// Width, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height, pixels.
     pub height: u32,
-    /// Pictures a second.
+    /// Pictures per second.
     pub fps: Vec<f64>,
 }
 
 /// A control of a camera.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ControlListing {
-    /// As configs write it.
+    /// Name as written in configs.
     pub name: String,
-    /// V4L2's number.
+    /// V4L2's id.
     pub id: u32,
     /// integer, boolean, menu, button, bitmask or other.
     pub kind: &'static str,
-    /// Least value.
+    /// Minimum value.
     pub minimum: i64,
-    /// Largest value.
+    /// Maximum value.
     pub maximum: i64,
-    /// Between values.
+    /// Step between values.
     pub step: u64,
-    /// At the factory.
+    /// Factory default.
     pub default: i64,
-    /// Now, where it can be read.
+    /// Current value, if it can be read.
     pub value: Option<i64>,
-    /// False while an automatic holds it.
+    /// False while an automatic mode overrides it.
     pub active: bool,
     /// Entries of a menu.
     pub menu: Vec<(u32, String)>,
 }
 
-/// All cameras.
+/// Lists all cameras.
 pub fn devices() -> Vec<DeviceListing> {
     camera_nodes().into_iter().filter_map(listing).collect()
 }
@@ -101,7 +101,7 @@ fn listing(node: Node) -> Option<DeviceListing> {
     Some(DeviceListing { node: node.path(), name: card, driver, bus, by_id, by_path, formats, controls, held_by })
 }
 
-/// The modes of a device that can be read, at whole rates.
+/// Returns the supported modes of a device with integer rates.
 pub(super) fn offers(device: &Device) -> Vec<Offer> {
     let mut offers = Vec::new();
     for format in formats(device) {
@@ -114,14 +114,15 @@ pub(super) fn offers(device: &Device) -> Vec<Offer> {
     offers
 }
 
-/// What nokhwa can read: it calls grey cameras by a name that V4L2 does not know.
+/// Returns the layout if nokhwa can read it. Grey is missing because nokhwa uses a name for it that
+/// V4L2 does not know.
 fn layout_of(fourcc: &str) -> Option<PixelLayout> {
     use PixelLayout::{Bgr, Mjpeg, Nv12, Rgb, Yuyv};
     [Mjpeg, Yuyv, Nv12, Rgb, Bgr].into_iter().find(|l| l.fourcc() == fourcc)
 }
 
 fn formats(device: &Device) -> Vec<FormatListing> {
-    // The crate reads names as UTF-8 without doubt.
+    // Contained because the crate panics on names that are not UTF-8.
     let there = contained(|| device.enum_formats()).and_then(Result::ok).unwrap_or_default();
     let listing = |format: &v4l::format::Description| {
         let fourcc = String::from_utf8_lossy(&format.fourcc.repr).into_owned();
@@ -131,7 +132,8 @@ fn formats(device: &Device) -> Vec<FormatListing> {
     there.iter().map(listing).collect()
 }
 
-/// Sizes that cameras are used at, for drivers that take any size in a range: those that would be listed otherwise by the thousand.
+/// Common camera sizes, listed for drivers that accept any size in a range, which would otherwise
+/// be thousands.
 const USUAL_SIZES: [(u32, u32); 8] = [(320, 240), (640, 360), (640, 480), (800, 600), (1280, 720), (1280, 960), (1920, 1080), (3840, 2160)];
 
 fn sizes(device: &Device, fourcc: FourCC) -> Vec<SizeListing> {
@@ -152,7 +154,7 @@ fn sizes(device: &Device, fourcc: FourCC) -> Vec<SizeListing> {
     sizes.into_iter().map(|(width, height)| SizeListing { width, height, fps: rates(device, fourcc, width, height) }).collect()
 }
 
-/// Whole rates that cameras are used at, frames a second, for drivers that take any rate in a range.
+/// Common integer rates, frames per second, listed for drivers that accept any rate in a range.
 const USUAL_RATES: [f64; 8] = [5.0, 10.0, 15.0, 24.0, 25.0, 30.0, 50.0, 60.0];
 
 fn rates(device: &Device, fourcc: FourCC, width: u32, height: u32) -> Vec<f64> {

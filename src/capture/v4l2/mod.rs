@@ -1,8 +1,8 @@
-//! Cameras of Linux (V4L2): finding them by a name that lasts, listing what they can do, holding their controls,
-//! and reading them through nokhwa.
+//! Cameras on Linux (V4L2): finds them by a persistent name, lists their capabilities, sets their
+//! controls, and reads them through nokhwa.
 //!
-//! nokhwa opens a camera by number and hands out its frames. What it keeps to itself - menus, driver stamps, bytes
-//! used, a time limit for reading - is asked of the kernel beside it.
+//! nokhwa opens a camera by number and delivers its frames. What it does not expose (menus, driver
+//! stamps, bytes used, a timeout for reading) is queried directly from the kernel.
 
 mod camera;
 mod controls;

@@ -1,7 +1,9 @@
-//! Camera nodes and their names: a number changes with every plug, a by-id or by-path name lasts.
+//! Camera nodes and their names. A node's number changes with every plug; a by-id or by-path name
+//! persists.
 //!
-//! A camera can be named by `/dev/v4l/by-id/…` (this very camera, on any port), `/dev/v4l/by-path/…` (whatever is on that port),
-//! `/dev/videoN`, `N`, a part of its by-id name or of the name on its box, or `first`.
+//! A camera can be named by `/dev/v4l/by-id/…` (this very camera, on any port),
+//! `/dev/v4l/by-path/…` (whatever is on that port), `/dev/videoN`, `N`, a part of its by-id name or
+//! of the camera's own name, or `first`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,7 +14,7 @@ use v4l::capability::Flags;
 use super::ioctl;
 use crate::capture::camera::OpenFault;
 
-/// A node that pictures can be captured from.
+/// A node that supports video capture.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Node {
     /// N of /dev/videoN.
@@ -21,29 +23,30 @@ pub struct Node {
     pub card: String,
     /// The driver's name.
     pub driver: String,
-    /// Where it is plugged in, as the driver says it.
+    /// The driver's name of the port.
     pub bus: String,
     /// Names below /dev/v4l/by-id.
     pub by_id: Vec<PathBuf>,
     /// Names below /dev/v4l/by-path.
     pub by_path: Vec<PathBuf>,
-    /// What tells this camera from others of its kind: maker, model and serial number where USB gives them, else its place.
+    /// Distinguishes this camera from others of its kind: maker, model and serial number if USB
+    /// states them, else its place.
     pub identity: String,
 }
 
 impl Node {
-    /// /dev/videoN.
+    /// Returns /dev/videoN.
     pub fn path(&self) -> PathBuf {
         PathBuf::from(format!("/dev/video{}", self.number))
     }
 
-    /// Name and place for people.
+    /// Returns name and node for display.
     pub fn title(&self) -> String {
         format!("{} ({})", self.card, self.path().display())
     }
 }
 
-/// All camera nodes by number; metadata nodes and outputs are left out.
+/// Lists all camera nodes by number, without metadata nodes and outputs.
 pub fn camera_nodes() -> Vec<Node> {
     let Ok(entries) = fs::read_dir("/dev") else { return Vec::new() };
     let mut numbers: Vec<u32> = entries.flatten().filter_map(|e| number_of(&e.path())).collect();
@@ -51,7 +54,7 @@ pub fn camera_nodes() -> Vec<Node> {
     numbers.into_iter().filter_map(node).collect()
 }
 
-/// N of a path that ends in `videoN`.
+/// Parses N from a path that ends in `videoN`.
 fn number_of(path: &Path) -> Option<u32> {
     path.file_name()?.to_str()?.strip_prefix("video")?.parse().ok()
 }
@@ -67,7 +70,7 @@ fn node(number: u32) -> Option<Node> {
     Some(Node { number, card: caps.card, driver: caps.driver, bus: caps.bus, by_id, by_path, identity })
 }
 
-/// Links in a folder that lead to /dev/videoN.
+/// Returns the links in a folder that lead to /dev/videoN.
 fn links(folder: &str, number: u32) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path());
     let mut found: Vec<PathBuf> = entries.filter(|p| fs::canonicalize(p).ok().as_deref().and_then(number_of) == Some(number)).collect();
@@ -75,7 +78,8 @@ fn links(folder: &str, number: u32) -> Vec<PathBuf> {
     found
 }
 
-/// From the kernel's device tree: maker, model, serial number and which of its nodes, or the place of a device that is not USB.
+/// Reads the identity from sysfs: maker, model, serial number and index of the node, or the place
+/// of a device that is not USB.
 fn identity(number: u32) -> Option<String> {
     let class = PathBuf::from(format!("/sys/class/video4linux/video{number}"));
     let read = |path: PathBuf| fs::read_to_string(path).ok().map(|text| text.trim().to_owned());
@@ -91,7 +95,7 @@ fn identity(number: u32) -> Option<String> {
     })
 }
 
-/// The camera that a name of the config meant before.
+/// The camera that a configured name meant before.
 #[derive(Debug, Clone, Copy)]
 pub struct Known<'a> {
     /// [`Node::identity`]
@@ -100,16 +104,18 @@ pub struct Known<'a> {
     pub bus: &'a str,
 }
 
-/// The camera that a name of the config means now.
+/// Finds the camera that a configured name means now.
 ///
-/// `known` is the camera that the name meant before: a number or `first` then follows that camera to its new number. Of twins without
-/// serial numbers it is the one in the same place, where there is one.
+/// `known` is the camera that the name meant before: a number or `first` then follows that camera
+/// to its new number. Of several cameras with the same identity (no serial numbers), the one on the
+/// same port is preferred.
 ///
 /// # Errors
-/// A sentence that says what there is instead.
+/// A sentence that lists the available cameras.
 pub fn find_node(name: &str, known: Option<Known<'_>>) -> Result<Node, OpenFault> {
     let nodes = camera_nodes();
-    // by-id means this very camera by itself, by-path whatever is on the port: neither follows an identity.
+    // by-id already means this very camera, and by-path whatever is on the port: neither follows an
+    // identity.
     let lasting = name.starts_with("/dev/v4l/");
     if let (Some(known), false) = (known, lasting) {
         let missing = || OpenFault(format!("the camera {name} ({}) is not plugged in; plug it in again", known.identity));
@@ -154,7 +160,8 @@ fn is_forbidden(path: &Path) -> bool {
     fs::OpenOptions::new().read(true).write(true).open(path).is_err_and(|e| e.kind() == std::io::ErrorKind::PermissionDenied)
 }
 
-/// Other programs that hold a node open: "name (process 123)", as far as this user may see them.
+/// Lists other programs that hold a node open, as "name (process 123)", as far as this user may see
+/// them.
 pub fn programs_that_hold(node: &Path) -> Vec<String> {
     let own = std::process::id().to_string();
     let processes = fs::read_dir("/proc").into_iter().flatten().flatten().map(|e| e.path());

@@ -1,4 +1,5 @@
-//! Opening a V4L2 camera as the config wants it: found by its lasting name, set to the best mode, its controls held.
+//! Opens a V4L2 camera as configured: finds it by its persistent name, sets the best mode, and sets
+//! its controls.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -15,12 +16,12 @@ use super::{camera, listing};
 use crate::capture::camera::{Camera, CameraMode, CameraOpener, OpenFault};
 use crate::capture::choice::{Offer, Wanted, choose};
 
-/// Opens one camera, again and again.
+/// Opens one camera as often as needed.
 pub struct V4l2Opener {
     device: String,
     wanted: Wanted,
     controls: BTreeMap<String, i64>,
-    /// What the name meant when it was first opened, and what has been said already.
+    /// Which camera the name meant before, and which sentences were already logged.
     memory: Mutex<Memory>,
 }
 
@@ -30,7 +31,8 @@ struct Memory {
     said: Vec<String>,
 }
 
-/// What is to be said of the node that `device` means now, where another was meant before.
+/// Returns a warning if `device` now means another camera than before, or the same one on another
+/// port.
 fn change(device: &str, before: &Node, now: &Node) -> Option<String> {
     if before.identity != now.identity {
         return Some(format!("{device} is now another camera than before: {}; check that it is the calibrated one", now.title()));
@@ -39,12 +41,13 @@ fn change(device: &str, before: &Node, now: &Node) -> Option<String> {
 }
 
 impl V4l2Opener {
-    /// `device` is a by-id or by-path link, a node, a number, a part of the camera's name, or `first`.
+    /// Creates an opener; `device` is a by-id or by-path link, a node, a number, a part of the
+    /// camera's name, or `first`.
     pub fn new(device: String, wanted: Wanted, controls: BTreeMap<String, i64>) -> Self {
         Self { device, wanted, controls, memory: Mutex::default() }
     }
 
-    /// Says a sentence once, not at every reopening.
+    /// Logs a sentence once, not at every reopening.
     fn say_once(&self, sentence: String, warn: bool) {
         let mut memory = self.memory.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         if memory.said.contains(&sentence) {
@@ -63,7 +66,7 @@ impl V4l2Opener {
         find_node(&self.device, known.as_ref().map(|node| Known { identity: &node.identity, bus: &node.bus }))
     }
 
-    /// Notes which camera it is, and warns where it is another one or on another port than before.
+    /// Remembers the camera, and warns if it or its port has changed.
     fn remember(&self, node: &Node) {
         let mut memory = self.memory.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         if let Some(change) = memory.node.as_ref().and_then(|before| change(&self.device, before, node)) {
@@ -72,7 +75,7 @@ impl V4l2Opener {
         memory.node = Some(node.clone());
     }
 
-    /// Sets mode and controls by a handle of its own, which is closed again.
+    /// Sets mode and controls through a separate handle, which is closed again.
     fn prepare(&self, node: &Node) -> Result<(Offer, Held, Vec<String>), OpenFault> {
         let fault = |e: io::Error| OpenFault(opening_fault(node, &e));
         let device = Device::with_path(node.path()).map_err(fault)?;
