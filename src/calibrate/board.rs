@@ -1,14 +1,14 @@
-//! The chessboard: how many inner corners it has, how large its squares are, and where its corners lie.
+//! The chessboard: number of inner corners, size of its squares, and positions of its corners.
 //!
-//! A board's frame lies in its face: the origin is an inner corner, x runs along the columns, y along the rows, and z
-//! goes INTO the board, so that a board that faces the camera upright has its x to the right and its y down in the
-//! picture, as the camera itself. This is the frame of Bouguet's `omc`, `Tc` turned so that it can be told from the
-//! pattern alone; see [`Symmetry`].
+//! The board's frame lies in its face: the origin is an inner corner, x runs along the columns, y
+//! along the rows, and z points INTO the board. So a board that faces the camera upright has x to
+//! the right and y down in the picture, like the camera frame. This is the frame of Bouguet's
+//! `omc`, `Tc`, rotated so that it can be determined from the pattern alone; see [`Symmetry`].
 
 use nalgebra::Vector2;
 use thiserror::Error;
 
-/// A chessboard, described by its INNER corners: a board of 10 x 7 squares has 9 x 6.
+/// A chessboard, described by its INNER corners: a board of 10 x 7 squares has 9 x 6 of them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Board {
     columns: u32,
@@ -16,13 +16,13 @@ pub struct Board {
     square_m: f64,
 }
 
-/// Why numbers are no board.
+/// Why numbers do not describe a board.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum BoardError {
-    /// The text is not two numbers with an x between them.
+    /// The text is not two numbers separated by an x.
     #[error("--board is \"{0}\"; give the number of INNER corners along both sides, such as 9x6")]
     Form(String),
-    /// Too few or too many corners.
+    /// A number of corners is out of range.
     #[error("--board is {columns}x{rows}; both numbers count inner corners and must be from 3 to 100")]
     Size {
         /// Along x.
@@ -30,31 +30,33 @@ pub enum BoardError {
         /// Along y.
         rows: u32,
     },
-    /// The squares have no size, millimetres.
+    /// The size of the squares, millimetres, is out of range.
     #[error("--square-mm is {0}; give the side of one square in millimetres, above 0 and below 10000")]
     Square(f64),
-    /// The squares are too small for millimetres.
+    /// The squares are so small that metres were probably meant.
     #[error("--square-mm is {mm}, which looks like metres; it is in millimetres: for squares of {mm} m give {}", (.0 * 1e6).round() / 1e3, mm = .0)]
     Metres(f64),
 }
 
-/// Side of a square, millimetres, below which metres were meant: no camera resolves such a board. Raised, real boards for macro
-/// lenses are refused; lowered, squares of a fifth of a metre, given in metres, pass for millimetres.
+/// Side of a square, millimetres, below which metres are assumed to be meant: no camera resolves
+/// such a board. Raised, real boards for macro lenses are refused; lowered, squares of a fifth of a
+/// metre, given in metres, pass for millimetres.
 const LEAST_SQUARE_MM: f64 = 0.5;
 
-/// What a board's pattern says of its pose.
+/// How far a board's pattern determines its pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Symmetry {
-    /// One number of corners is odd and one even: the pattern has one origin only.
+    /// One number of corners is odd and the other even: the origin is unique.
     None,
-    /// Turned by 180 degrees it looks the same: the origin is taken where the x axis points right or down.
+    /// The pattern looks the same when rotated by 180 degrees: the origin is chosen so that the x
+    /// axis points right or down.
     Half,
-    /// It looks the same every 90 degrees (even x even, both equal).
+    /// The pattern looks the same every 90 degrees (both numbers even and equal).
     Quarter,
 }
 
 impl Board {
-    /// A board of `columns` x `rows` inner corners with squares of `square_m` metres.
+    /// Creates a board of `columns` x `rows` inner corners with squares of `square_m` metres.
     ///
     /// # Errors
     /// When a number is out of range.
@@ -69,10 +71,10 @@ impl Board {
         Ok(Self { columns, rows, square_m })
     }
 
-    /// Reads "9x6" with squares of `square_mm` millimetres.
+    /// Parses "9x6" with squares of `square_mm` millimetres.
     ///
     /// # Errors
-    /// As [`new`](Self::new), and where the text has another form.
+    /// As [`new`](Self::new), and when the text has another form.
     pub fn parse(text: &str, square_mm: f64) -> Result<Self, BoardError> {
         let numbers = text.trim().split_once(['x', 'X', '*', ',']);
         let parsed = numbers.and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
@@ -86,33 +88,33 @@ impl Board {
         Self::new(columns, rows, square_mm * 1e-3)
     }
 
-    /// Inner corners along x.
+    /// Returns the number of inner corners along x.
     pub fn columns(&self) -> u32 {
         self.columns
     }
 
-    /// Inner corners along y.
+    /// Returns the number of inner corners along y.
     pub fn rows(&self) -> u32 {
         self.rows
     }
 
-    /// Side of a square in metres.
+    /// Returns the side of a square, metres.
     pub fn square_m(&self) -> f64 {
         self.square_m
     }
 
-    /// Number of inner corners.
+    /// Returns the number of inner corners.
     pub fn corner_count(&self) -> usize {
         self.columns as usize * self.rows as usize
     }
 
-    /// Where corner `index` (row by row) lies on the board, metres.
+    /// Returns the position of corner `index` (row by row) in the board frame, metres.
     pub fn corner(&self, index: usize) -> Vector2<f64> {
         let columns = self.columns as usize;
         Vector2::new((index % columns) as f64, (index / columns) as f64) * self.square_m
     }
 
-    /// How far the pattern fixes its own origin.
+    /// Returns how far the pattern determines its own origin.
     pub fn symmetry(&self) -> Symmetry {
         if (self.columns + self.rows) % 2 == 1 {
             Symmetry::None

@@ -1,8 +1,9 @@
-//! Which views a calibration still lacks, and whether a new one is worth taking.
+//! Determines which views a calibration still lacks, and whether a new view is worth taking.
 //!
-//! A good set has the board in every part of the picture, tilted to every side, and each view unlike the others. This
-//! holds for a clip, from which views are picked, for the closing advice ("take next: …"), and for a live guide. Until the
-//! lens is known, a lens of one picture width serves: tilts come out right to a few degrees.
+//! A good set shows the board in every part of the picture and tilted to every side, and its views
+//! differ from each other. The guide is used for picking views from a clip, for the closing advice
+//! ("take next: …"), and for live guidance. Until the lens is known, a focal length of one picture
+//! width is assumed, which gives tilts to a few degrees.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -10,39 +11,41 @@ use super::solve::adjust::Observation;
 use super::solve::lens::Lens;
 use super::solve::start::{centre, pose_of};
 
-/// Columns of the parts into which the picture is divided: with three rows they are about square. Each has
-/// its words for the user. Raised, advice is finer and coverage harder to reach.
+/// Number of columns of parts into which the picture is divided; with three rows the parts are
+/// about square. Each has its words for the user. Raised, advice is finer and coverage harder to
+/// reach.
 pub const PART_COLUMNS: usize = 4;
-/// Rows of parts; see [`PART_COLUMNS`].
+/// Number of rows of parts; see [`PART_COLUMNS`].
 pub const PART_ROWS: usize = 3;
-/// Views of a good set: guides to calibration ask for 10 to 20. Chosen, not tuned. Raised,
-/// taking pictures lasts longer for a lens that is hardly surer …
+/// Number of views in a good set: calibration guides ask for 10 to 20. Chosen, not tuned. Raised,
+/// taking pictures takes longer and hardly improves the lens …
 pub const GOOD_VIEWS: usize = 12;
-/// … if not more parts of the picture than this are left out: in a corner the whole
-/// board often does not fit. Raised, the lens is guessed there.
+/// … if at most this many parts of the picture are missing: in a corner the whole board often does
+/// not fit. Raised, the lens is extrapolated there.
 const PARTS_TO_SPARE: usize = 1;
-/// A board counts as tilted from here on, degrees. Chosen, not tuned: perspective tells focal length from distance by the tilt, and the
-/// advice asks for 35. Raised, more views are called front-on; lowered, views count that tell next to nothing of it.
+/// Minimum tilt, degrees, of a board that counts as tilted. Chosen, not tuned: only tilt separates
+/// focal length from distance, and the advice asks for 35. Raised, more views are called front-on;
+/// lowered, views count that hardly separate them.
 pub const TILTED_DEG: f64 = 18.0;
 
-/// Which way the far side of a tilted board lies.
+/// The side of a tilted board that is farther away.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum TiltSide {
-    /// Its left side is farther away.
+    /// The left side is farther away.
     Left,
-    /// Its right side.
+    /// The right side is farther away.
     Right,
-    /// Its upper side.
+    /// The upper side is farther away.
     Top,
-    /// Its lower side.
+    /// The lower side is farther away.
     Bottom,
 }
 
 impl TiltSide {
-    /// All of them.
+    /// All sides.
     pub const ALL: [Self; 4] = [Self::Left, Self::Right, Self::Top, Self::Bottom];
 
-    /// A word for the user.
+    /// Returns a word for the user.
     pub fn name(self) -> &'static str {
         match self {
             Self::Left => "left",
@@ -53,17 +56,18 @@ impl TiltSide {
     }
 }
 
-/// A view as the guide sees it.
+/// The properties of a view that the guide uses.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ViewShape {
-    /// Where the board's corners lie, as shares of the picture's width and height.
+    /// The board's corners, as fractions of the picture's width and height.
     pub corners: Vec<Vector2<f64>>,
-    /// The board's normal, out of its back, camera axes: (0, 0, 1) is front-on.
+    /// The board's normal, out of its back, in camera axes: (0, 0, 1) is front-on.
     pub normal: Vector3<f64>,
 }
 
 impl ViewShape {
-    /// The shape of a view under a lens, or under a guessed one; `None` for corners that no board can show.
+    /// Computes the shape of a view with a lens, or with an assumed one; `None` for corners that no
+    /// board can show.
     pub fn new(observations: &[Observation], size: (u32, u32), lens: Option<&Lens>) -> Option<Self> {
         let width = f64::from(size.0.max(size.1));
         let guess = Lens::pinhole([width; 2], centre(size));
@@ -72,17 +76,17 @@ impl ViewShape {
         Some(Self { corners: observations.iter().map(share).collect(), normal: pose.rotation * Vector3::z() })
     }
 
-    /// Angle between the board's normal and the optical axis, degrees.
+    /// Returns the angle between the board's normal and the optical axis, degrees.
     pub fn tilt_deg(&self) -> f64 {
         self.normal.z.clamp(-1.0, 1.0).acos().to_degrees()
     }
 
-    /// To which side the board is tilted; `None` where it is not.
+    /// Returns the side to which the board is tilted; `None` if it is not tilted.
     pub fn side(&self) -> Option<TiltSide> {
         if self.tilt_deg() < TILTED_DEG {
             return None;
         }
-        // The plane's depth falls along its normal's x: where the normal points right, the right side is nearer.
+        // Depth falls along the normal's x: if the normal points right, the right side is nearer.
         Some(match (self.normal.x.abs() > self.normal.y.abs(), self.normal.x > 0.0, self.normal.y > 0.0) {
             (true, true, _) => TiltSide::Left,
             (true, false, _) => TiltSide::Right,
@@ -100,7 +104,8 @@ impl ViewShape {
         (self.corners.iter().map(|c| (c - middle).norm_squared()).sum::<f64>() / self.corners.len().max(1) as f64).sqrt()
     }
 
-    /// How unlike two views are: about 1 for another corner of the picture, for 25 degrees of tilt, or for twice the size.
+    /// Returns how much two views differ: about 1 for another corner of the picture, for 25 degrees
+    /// of tilt, or for twice the size.
     pub fn distance(&self, other: &Self) -> f64 {
         let place = (self.middle() - other.middle()).norm() / 0.5;
         let tilt = self.normal.angle(&other.normal).to_degrees() / 25.0;
@@ -118,11 +123,12 @@ pub struct ViewSet {
 /// What a new view would add.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Worth {
-    /// Distance to the view that is most like it (see [`ViewShape::distance`]); infinite for the first.
+    /// Distance to the view that is most like it (see [`ViewShape::distance`]); infinite for the
+    /// first.
     pub novelty: f64,
-    /// Parts of the picture that no view has reached yet.
+    /// Number of parts of the picture that no earlier view has reached.
     pub new_parts: usize,
-    /// Whether it is the first tilted to its side.
+    /// Whether it is the first view tilted to its side.
     pub new_side: bool,
 }
 
@@ -136,35 +142,35 @@ impl Worth {
 /// What is still missing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Missing {
-    /// Parts of the picture that no corner has reached, (column, row) of [`PART_COLUMNS`] x [`PART_ROWS`].
+    /// Parts of the picture without corners, (column, row) of [`PART_COLUMNS`] x [`PART_ROWS`].
     pub parts: Vec<(usize, usize)>,
     /// Sides to which no view is tilted.
     pub sides: Vec<TiltSide>,
 }
 
-/// The part of the picture in which a place lies.
+/// Returns the part of the picture that contains a position.
 fn part_of(share: &Vector2<f64>) -> (usize, usize) {
     let index = |c: f64, count: usize| ((c * count as f64) as usize).min(count - 1);
     (index(share.x, PART_COLUMNS), index(share.y, PART_ROWS))
 }
 
 impl ViewSet {
-    /// Takes a view in.
+    /// Adds a view.
     pub fn add(&mut self, shape: ViewShape) {
         self.shapes.push(shape);
     }
 
-    /// How many views there are.
+    /// Returns the number of views.
     pub fn len(&self) -> usize {
         self.shapes.len()
     }
 
-    /// The views, in the order they were taken in.
+    /// Returns the views in the order they were added.
     pub fn shapes(&self) -> &[ViewShape] {
         &self.shapes
     }
 
-    /// What a view would add.
+    /// Returns what a view would add.
     pub fn worth(&self, shape: &ViewShape) -> Worth {
         let missing = self.missing();
         let mut new: Vec<(usize, usize)> = shape.corners.iter().map(part_of).filter(|part| missing.parts.contains(part)).collect();
@@ -177,7 +183,7 @@ impl ViewSet {
         }
     }
 
-    /// What no view shows yet.
+    /// Returns what no view shows yet.
     pub fn missing(&self) -> Missing {
         let reached: Vec<(usize, usize)> = self.shapes.iter().flat_map(|s| s.corners.iter().map(part_of)).collect();
         let parts = (0..PART_ROWS).flat_map(|r| (0..PART_COLUMNS).map(move |c| (c, r))).filter(|part| !reached.contains(part));
@@ -185,19 +191,20 @@ impl ViewSet {
         Missing { parts: parts.collect(), sides: sides.collect() }
     }
 
-    /// The largest angle between two views' normals, degrees.
+    /// Returns the largest angle between two views' normals, degrees.
     pub fn widest_angle_deg(&self) -> f64 {
         let pairs = self.shapes.iter().enumerate().flat_map(|(k, a)| self.shapes[k + 1..].iter().map(move |b| (a, b)));
         pairs.map(|(a, b)| a.normal.angle(&b.normal).to_degrees()).fold(0.0, f64::max)
     }
 
-    /// Whether the views make a good set: enough of them, tilted to every side, in nearly every part of the picture.
+    /// Whether the views make a good set: enough of them, tilted to every side, in nearly every
+    /// part of the picture.
     pub fn is_good(&self) -> bool {
         let missing = self.missing();
         self.len() >= GOOD_VIEWS && missing.sides.is_empty() && missing.parts.len() <= PARTS_TO_SPARE
     }
 
-    /// The picture to take next, in words; `None` where nothing is missing.
+    /// Describes the picture to take next; `None` if nothing is missing.
     pub fn next_picture(&self) -> Option<String> {
         let missing = self.missing();
         let side = missing.sides.first().map(|side| format!("with its {} side about 35 degrees away from the camera", side.name()));
@@ -210,7 +217,7 @@ impl ViewSet {
     }
 }
 
-/// The missing part nearest to a picture's corner: the lens is least known there.
+/// Returns the missing part nearest to a picture's corner, where the lens is least known.
 fn farthest_part(parts: &[(usize, usize)]) -> Option<(usize, usize)> {
     let off = |(c, r): (usize, usize)| {
         let axis = |k: usize, count: usize| ((k as f64 + 0.5) / count as f64 - 0.5).abs();
@@ -248,7 +255,7 @@ mod tests {
 
     #[test]
     fn tilts_have_their_side_and_size() {
-        // About +y the right side goes away from the camera (z grows for negative angles about y).
+        // About +y the right side moves away from the camera (z grows for negative angles about y).
         let right = view(Vector3::y(), -30.0, 0.0);
         assert!((right.tilt_deg() - 30.0).abs() < 0.5, "{}", right.tilt_deg());
         assert_eq!(right.side(), Some(TiltSide::Right));

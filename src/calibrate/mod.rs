@@ -1,9 +1,10 @@
-//! Calibration: pictures of a chessboard in, a camera model with its uncertainty out, and how far to trust it.
+//! Calibration: from pictures of a chessboard to a camera model with its uncertainty, and a verdict
+//! on how far to trust it.
 //!
-//! [`finder`] finds the [`board`]'s corners in each [`picture`], [`solve`] estimates the lens and every board's pose,
-//! [`session`] puts both together until nothing moves, [`judge`] says what the result is worth, [`guide`] which views are
-//! missing, [`pick`] takes views from a clip, [`origin`] says which camera took a picture, [`report`] and
-//! [`table`] show it all.
+//! [`finder`] finds the [`board`]'s corners in each [`picture`], [`solve`] estimates the lens and
+//! every board's pose, [`session`] alternates both until nothing moves, and [`judge`] assesses the
+//! result. [`guide`] determines which views are missing, [`pick`] takes views from a clip,
+//! [`origin`] reads which camera took a picture, and [`report`] and [`table`] show the results.
 
 pub mod board;
 pub mod finder;

@@ -1,4 +1,4 @@
-//! Which camera took a picture, and at which focal length, as its file says (EXIF).
+//! Reads which camera took a picture, and at which focal length, from its file (EXIF).
 
 use std::io::Cursor;
 
@@ -6,7 +6,7 @@ use exif::{Exif, In, Tag, Value};
 
 use crate::contain::contained;
 
-/// What a file says of where its picture comes from.
+/// What a file states about the origin of its picture.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Origin {
     /// Maker and model, such as "Canon EOS R6".
@@ -16,7 +16,7 @@ pub struct Origin {
 }
 
 impl Origin {
-    /// Reads it from a picture's bytes; nothing where they say nothing.
+    /// Reads the origin from a picture's bytes; empty if they state none.
     pub fn of_picture(bytes: &[u8]) -> Self {
         let read = || exif::Reader::new().read_from_container(&mut Cursor::new(bytes)).ok();
         contained(read).ok().flatten().map_or_else(Self::default, |exif| Self::of_exif(&exif))
@@ -28,7 +28,7 @@ impl Origin {
             _ => None,
         };
         let (maker, model) = (text(Tag::Make).unwrap_or_default(), text(Tag::Model).unwrap_or_default());
-        // Many models begin with their maker's name as it is.
+        // Many models already begin with their maker's name.
         let first = maker.split_whitespace().next().unwrap_or_default().to_lowercase();
         let camera = if model.to_lowercase().starts_with(&first) { model } else { format!("{maker} {model}").trim().to_owned() };
         let focal_mm = match exif.get_field(Tag::FocalLength, In::PRIMARY).map(|field| &field.value) {
@@ -57,7 +57,7 @@ mod tests {
         Origin { camera: Some(camera.to_owned()), focal_mm }
     }
 
-    /// A JPEG's beginning with an EXIF block, as cameras write it.
+    /// The beginning of a JPEG with an EXIF block, as written by cameras.
     fn jpeg_of(maker: &str, model: &str, focal: Option<(u32, u32)>) -> Vec<u8> {
         let text = |tag: Tag, text: &str| exif::Field { tag, ifd_num: In::PRIMARY, value: Value::Ascii(vec![text.as_bytes().to_vec()]) };
         let mut fields = vec![text(Tag::Make, maker), text(Tag::Model, model)];

@@ -1,12 +1,13 @@
-//! Boards of other kinds, so that whoever photographed one is told so instead of being sent to look for corners.
+//! Recognizes boards of other kinds, to tell the user that they are not supported.
 //!
-//! Dark spots are told apart by their outlines alone: an ellipse and a parallelogram reach differently far out for how they are spread, a
-//! marker is a dark square with light fields inside of it, and a chessboard's squares have none.
+//! Dark spots are classified by their outlines: the ratio of extent to spread differs between an
+//! ellipse and a parallelogram. A marker is a dark square with light fields inside; a chessboard's
+//! squares have none.
 
 use image::{GrayImage, Luma};
 use nalgebra::{Matrix2, Vector2};
 
-/// A target that is not read.
+/// An unsupported target.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Target {
     /// A grid of dots.
@@ -15,24 +16,30 @@ pub enum Target {
     Markers,
 }
 
-/// Longer side of the picture that is looked at, pixels: markers of a fortieth of it still show their fields. Raised, looking takes longer.
+/// Longer side of the downscaled picture that is examined, pixels: markers of a fortieth of it
+/// still show their fields. Raised, it takes longer.
 const SIDE_PX: u32 = 1024;
-/// Spots that make a grid. Raised, small boards go unnamed; lowered, lamps and buttons are taken for boards.
+/// Minimum number of spots in a grid. Raised, small boards go unmentioned; lowered, lamps and
+/// buttons are taken for boards.
 const LEAST_CIRCLES: usize = 12;
-/// How far a spot of a row may lie from the place opposite to its neighbour, share of their distance. Raised, dots at random pass for grids.
+/// Maximum distance of a spot in a row from the point opposite its neighbour, as a fraction of
+/// their distance. Raised, random dots pass for grids.
 const ROW_SLACK: f64 = 0.2;
-/// Markers that make a board: few things look like one. Raised, boards of which little is seen go unnamed.
+/// Minimum number of markers on a board: few things look like one. Raised, mostly hidden boards go
+/// unmentioned.
 const LEAST_MARKERS: usize = 4;
-/// Pixels of a spot from which on its outline can be told. Raised, far boards go unnamed; lowered, specks are asked.
+/// Minimum area of a spot, pixels, for its outline to be classified. Raised, distant boards go
+/// unmentioned; lowered, specks are classified.
 const LEAST_AREA: usize = 60;
-/// How much darker than its surroundings a spot is, grey levels. Raised, dim pictures show none; lowered, noise makes spots.
+/// How much darker than its surroundings a spot must be, grey levels. Raised, dim pictures show
+/// none; lowered, noise makes spots.
 const DARKER: f64 = 12.0;
 
 impl Target {
-    /// All of them.
+    /// All kinds.
     pub const ALL: [Self; 2] = [Self::Circles, Self::Markers];
 
-    /// What it is.
+    /// Describes the target.
     pub fn words(self) -> &'static str {
         match self {
             Self::Circles => "a grid of circles, which is not read",
@@ -40,7 +47,7 @@ impl Target {
         }
     }
 
-    /// What a picture shows, if it is one of them.
+    /// Returns the kind of target that a picture shows, if any.
     pub fn seen_in(picture: &GrayImage) -> Option<Self> {
         let (width, height) = picture.dimensions();
         let scale = (f64::from(SIDE_PX) / f64::from(width.max(height))).min(1.0);
@@ -60,22 +67,25 @@ impl Target {
     }
 }
 
-/// Whether a spot lies halfway between its nearest neighbour and another spot, as spots of a grid do.
+/// Whether a spot lies halfway between its nearest neighbour and another spot, like those of a
+/// grid.
 fn is_in_a_row(middle: &Vector2<f64>, spots: &[Vector2<f64>]) -> bool {
     let offsets = || spots.iter().map(|other| other - middle).filter(|offset| *offset != Vector2::zeros());
     let Some(nearest) = offsets().min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared())) else { return false };
     offsets().any(|offset| (offset + nearest).norm() < ROW_SLACK * nearest.norm())
 }
 
-/// A dark spot with what it encloses.
+/// A dark spot including what it encloses.
 struct Spot {
     middle: Vector2<f64>,
     area: usize,
-    /// Area over that of a circle or a square of the same spread: 1 for an ellipse, 0.955 for a parallelogram, less for what has arms.
+    /// Area over that of an ellipse with the same spread: 1 for an ellipse, 0.955 for a
+    /// parallelogram, less for shapes with arms.
     filled: f64,
-    /// How far it reaches from its middle, in its own spread: 2 for an ellipse, 2.45 for a parallelogram.
+    /// Maximum extent from its middle, in units of its spread: 2 for an ellipse, 2.45 for a
+    /// parallelogram.
     reach: f64,
-    /// Share of light fields inside.
+    /// Fraction of the area that is light.
     light: f64,
 }
 
@@ -107,7 +117,8 @@ fn spots(picture: &GrayImage) -> Vec<Spot> {
     spots
 }
 
-/// Pixels that are darker than the mean of a window around them, an eighth of the picture wide.
+/// Finds pixels that are darker than the mean of a window around them, an eighth of the picture
+/// wide.
 fn dark_pixels(picture: &GrayImage) -> Vec<bool> {
     let (width, height) = (picture.width() as usize, picture.height() as usize);
     let mut sums = vec![0_u64; (width + 1) * (height + 1)];
@@ -131,7 +142,7 @@ fn dark_pixels(picture: &GrayImage) -> Vec<bool> {
     (0..width * height).map(|at| level(at % width, at / width) < mean(at % width, at / width) - DARKER).collect()
 }
 
-/// Everything that hangs together with a place by its sides.
+/// Returns all places connected to a start place by their sides.
 fn flood(start: usize, (width, height): (usize, usize), seen: &mut [bool], belongs: impl Fn(usize) -> bool) -> Vec<usize> {
     seen[start] = true;
     let mut region = vec![start];
@@ -150,7 +161,7 @@ fn flood(start: usize, (width, height): (usize, usize), seen: &mut [bool], belon
     region
 }
 
-/// The shape of a region with its holes; `None` where it ends at the picture's rim.
+/// Returns the shape of a region including its holes; `None` if it touches the picture's rim.
 fn spot(region: &[usize], (width, height): (usize, usize)) -> Option<Spot> {
     let (xs, ys) = (region.iter().map(|at| at % width), region.iter().map(|at| at / width));
     let (left, right) = (xs.clone().min()?, xs.max()?);
@@ -158,7 +169,7 @@ fn spot(region: &[usize], (width, height): (usize, usize)) -> Option<Spot> {
     if left == 0 || top == 0 || right + 1 == width || bottom + 1 == height {
         return None;
     }
-    // One pixel more on every side, from which what is outside is reached.
+    // One extra pixel on every side, so that the outside is connected.
     let (across, down) = (right - left + 3, bottom - top + 3);
     let mut own = vec![false; across * down];
     region.iter().for_each(|at| own[(at / width - top + 1) * across + at % width - left + 1] = true);
@@ -168,7 +179,7 @@ fn spot(region: &[usize], (width, height): (usize, usize)) -> Option<Spot> {
         (0..own.len()).filter(|at| !outside[*at]).map(|at| Vector2::new((at % across) as f64, (at / across) as f64)).collect();
     let area = inside.len() as f64;
     let middle = inside.iter().sum::<Vector2<f64>>() / area;
-    // A pixel is a small square itself.
+    // A pixel is itself a small square.
     let spread = inside.iter().map(|p| (p - middle) * (p - middle).transpose()).sum::<Matrix2<f64>>() / area + Matrix2::identity() / 12.0;
     let inverse = spread.try_inverse()?;
     let reach = inside.iter().map(|p| (p - middle).dot(&(inverse * (p - middle)))).fold(0.0, f64::max).sqrt();
@@ -181,7 +192,8 @@ fn spot(region: &[usize], (width, height): (usize, usize)) -> Option<Spot> {
 mod tests {
     use super::*;
 
-    /// A picture of 640 x 480 that is seen a little from the side; `ink` says where a point of the board is dark, in squares.
+    /// A picture of 640 x 480 pixels, seen slightly from the side; `ink` tells where the board is
+    /// dark, in squares.
     fn seen(ink: impl Fn(f64, f64) -> bool) -> GrayImage {
         GrayImage::from_fn(640, 480, |x, y| {
             let (x, y) = (f64::from(x), f64::from(y));

@@ -1,4 +1,5 @@
-//! Picks from a clip, or from a live camera, the views that are worth having: sharp, held still, and unlike those taken before.
+//! Picks useful views from a clip or a live camera: sharp, held still, and unlike those taken
+//! before.
 
 use std::path::PathBuf;
 
@@ -11,22 +12,24 @@ use super::guide::{ViewSet, ViewShape};
 use super::picture::{Inspected, inspect};
 use super::solve::adjust::{mean_distance, observations_of};
 
-/// More views than this add little and cost time: uncertainties fall with the root of their number, the solver's time grows with it.
+/// Maximum number of views. More add little: uncertainties fall with the root of their number,
+/// while the solver's time grows with it.
 const MOST_VIEWS: usize = 40;
-/// The board is held still when its corners moved less than this on average since the frame before, as a share of the picture's width: 4
-/// pixels of 640. Chosen, not tuned. Raised, views with motion blur are taken; lowered, few moments of a clip count.
+/// Maximum mean motion of the corners since the previous frame for the board to count as held
+/// still, as a fraction of the picture's width: 4 pixels of 640. Chosen, not tuned. Raised, views
+/// with motion blur are taken; lowered, few moments of a clip count.
 const STILL_SHARE: f64 = 0.006;
-/// A view must be this unlike all before it (see [`ViewShape::distance`]) to be taken: a tenth of
-/// the picture, or 5 degrees of tilt. Raised, short clips give too few views …
+/// Minimum difference from all earlier views (see [`ViewShape::distance`]): a tenth of the picture,
+/// or 5 degrees of tilt. Raised, short clips give too few views …
 const NOVELTY: f64 = 0.2;
-/// … and this much more for every view that there is already: at twenty views twice as much.
-/// Raised, long clips give fewer views; at 0 the first seconds fill the set.
+/// … increased by this for every view taken: at twenty views it has doubled. Raised, long clips
+/// give fewer views; at 0 the first seconds fill the set.
 const NOVELTY_PER_VIEW: f64 = 0.01;
-/// A view this many times as blurred as the sharpest so far is passed over. Raised, blurred views are
-/// taken; lowered, views at another distance, slightly out of focus, are lost.
+/// Blur, relative to the sharpest view so far, above which a view is rejected. Raised, blurred
+/// views are taken; lowered, views at another distance, slightly out of focus, are lost.
 const BLURRED: f64 = 1.6;
 
-/// What a frame showed.
+/// The result for one frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Look {
     /// No board.
@@ -35,13 +38,13 @@ pub enum Look {
     Moving,
     /// A board, more blurred than those before.
     Blurred,
-    /// A view like one that there is already.
+    /// A view like one already taken.
     Known,
-    /// A view worth having; it was taken.
+    /// A useful view, which was taken.
     Taken,
 }
 
-/// Looks at the frames of a clip one after the other.
+/// Examines the frames of a clip one after the other.
 #[derive(Debug)]
 pub struct ViewPicker {
     board: Board,
@@ -49,17 +52,17 @@ pub struct ViewPicker {
     pictures: Vec<Inspected>,
     before: Option<Vec<Option<Vector2<f64>>>>,
     sharpest_px: f64,
-    /// The last frame without the board, for the case that none has it.
+    /// The last frame without the board, reported if none shows it.
     without: Option<Inspected>,
 }
 
 impl ViewPicker {
-    /// Picks views of this board.
+    /// Creates a picker for views of this board.
     pub fn new(board: Board) -> Self {
         Self { board, taken: ViewSet::default(), pictures: Vec::new(), before: None, sharpest_px: f64::INFINITY, without: None }
     }
 
-    /// Looks at the next frame, and takes it where it is worth having.
+    /// Examines the next frame, and takes it if it is useful.
     pub fn look_at(&mut self, name: PathBuf, picture: &GrayImage) -> Look {
         let found = match find_board(picture, &self.board) {
             Ok(found) => found,
@@ -83,7 +86,7 @@ impl ViewPicker {
         }
         let observations = observations_of(&found.corners, &self.board);
         let Some(shape) = ViewShape::new(&observations, picture.dimensions(), None) else { return Look::Known };
-        // The first views may be rather alike; the more there are, the more a new one must bring.
+        // The first views may be rather alike; later ones must differ more.
         let wanted = NOVELTY + NOVELTY_PER_VIEW * self.taken.len() as f64;
         let worth = self.taken.worth(&shape);
         if self.taken.len() >= MOST_VIEWS || !(worth.is_worth_it() || worth.novelty > wanted) {
@@ -94,12 +97,12 @@ impl ViewPicker {
         Look::Taken
     }
 
-    /// The views taken so far.
+    /// Returns the views taken so far.
     pub fn taken(&self) -> &ViewSet {
         &self.taken
     }
 
-    /// The pictures taken; where there is none, one that says why.
+    /// Returns the pictures taken; if there are none, one that explains why.
     pub fn finish(self) -> Vec<Inspected> {
         if self.pictures.is_empty() { self.without.into_iter().collect() } else { self.pictures }
     }

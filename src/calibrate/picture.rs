@@ -1,4 +1,4 @@
-//! One picture, before anything is estimated: the board in it, or why there is none, and what its file says.
+//! One inspected picture: its board or the reason why there is none, and what its file states.
 
 use std::path::PathBuf;
 
@@ -10,31 +10,32 @@ use super::origin::Origin;
 use super::other_target::Target;
 use super::recompute::BoardPatch;
 
-/// What one picture gave before anything was estimated.
+/// What one picture yields before anything is estimated.
 #[derive(Debug, Clone)]
 pub struct Inspected {
     /// Name of the picture, for messages.
     pub file: PathBuf,
-    /// Width and height, pixels; `None` where it cannot be read.
+    /// Width and height, pixels; `None` if it cannot be read.
     pub size: Option<(u32, u32)>,
     /// The board, or why there is none.
     pub board: Result<FoundBoard, String>,
-    /// Inner corners of what was seen instead, where that is another board, and whether more of it may lie outside the picture.
+    /// Inner corners of another board that was seen instead, and whether more of it may lie outside
+    /// the picture.
     pub other_size: Option<((u32, u32), bool)>,
-    /// What was seen instead, where that is a target of another kind.
+    /// The kind of target that was seen instead, if it is no chessboard.
     pub other_target: Option<Target>,
     pub(crate) patch: Option<BoardPatch>,
     /// A small copy for the report.
     pub thumbnail: Option<GrayImage>,
-    /// What its file says of the camera.
+    /// What the file states about the camera.
     pub origin: Origin,
 }
 
-/// Longer side of the report's small pictures, pixels: enough to see which corners are
-/// meant. Raised, the report's file grows with its square.
+/// Longer side of the report's thumbnails, pixels: enough to recognize the corners. Raised, the
+/// report's file grows with its square.
 const THUMBNAIL_PX: u32 = 360;
 
-/// Looks for the board in one picture.
+/// Searches for the board in one picture.
 pub fn inspect(file: PathBuf, picture: &GrayImage, board: &Board) -> Inspected {
     let size = picture.dimensions();
     let found = find_board(picture, board);
@@ -52,13 +53,13 @@ pub fn inspect(file: PathBuf, picture: &GrayImage, board: &Board) -> Inspected {
 }
 
 impl Inspected {
-    /// A picture that cannot be read, and why.
+    /// Describes a picture that cannot be read, with the reason.
     pub fn unreadable(file: PathBuf, reason: String) -> Self {
         let (board, origin) = (Err(reason), Origin::default());
         Self { file, size: None, board, other_size: None, other_target: None, patch: None, thumbnail: None, origin }
     }
 
-    /// With what the picture's file says of the camera.
+    /// Adds what the picture's file states about the camera.
     pub fn taken_by(self, origin: Origin) -> Self {
         Self { origin, ..self }
     }

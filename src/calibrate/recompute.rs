@@ -1,8 +1,9 @@
-//! Corners measured again with the camera that they gave.
+//! Refits the corners with the estimated camera.
 //!
-//! The finder takes edges for straight. Under a lens they are not, and perspective makes one side of a corner larger than
-//! the other. Once the lens and the board's pose are known, every pixel around a corner is taken back to the board's plane,
-//! where edges are straight, and the fit is done there. Lens and corners are then repeated until nothing moves.
+//! The finder assumes straight edges. Lens distortion bends them, and perspective makes one side of
+//! a corner larger than the other. Once the lens and the board's pose are known, every pixel around
+//! a corner is mapped to the board's plane, where edges are straight, and the fit is done there.
+//! Lens and corners are then estimated alternately until nothing moves.
 
 use image::GrayImage;
 use nalgebra::{Matrix2, Matrix3, Vector2};
@@ -17,22 +18,23 @@ use super::solve::adjust::BoardFrame;
 use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::geometry::{Camera, Pose};
 
-/// The part of a picture that shows the board, kept for measuring again.
+/// The part of a picture that shows the board, kept for refitting.
 #[derive(Debug, Clone)]
 pub(crate) struct BoardPatch {
     levels: Vec<Level>,
-    /// Picture pixels of the patch's top-left pixel.
+    /// The patch's top-left pixel, in picture pixels.
     corner: Vector2<f64>,
 }
 
 impl BoardPatch {
-    /// Cuts out the box around the board with a margin, so that a set of large pictures need not be held.
+    /// Cuts out the board's bounding box with a margin, so that large pictures need not be kept in
+    /// memory.
     pub fn cut(picture: &GrayImage, found: &FoundBoard) -> Self {
         let margin_px = 40.0 + 8.0 * found.blur_px;
         let fold = |f: fn(f64, f64) -> f64, start: f64, k: usize| found.corners.iter().flatten().fold(start, |a, c| f(a, c[k]));
         let low = |k: usize| (fold(f64::min, f64::INFINITY, k) - margin_px).max(0.0) as u32;
         let high = |k: usize, size: u32| ((fold(f64::max, 0.0, k) + margin_px) as u32 + 2).min(size);
-        // Cut at multiples of 8, so that the halves fall on the same pixels whatever is cut.
+        // Cut at multiples of 8, so that halving aligns with the same pixels for every cut.
         let (x, y) = (low(0) / 8 * 8, low(1) / 8 * 8);
         let (w, h) = (high(0, picture.width()).saturating_sub(x).max(1), high(1, picture.height()).saturating_sub(y).max(1));
         let mut levels = vec![Level::of_picture(&image::imageops::crop_imm(picture, x, y, w, h).to_image())];
@@ -44,7 +46,7 @@ impl BoardPatch {
     }
 }
 
-/// One view's geometry, ready to take pixels to the board and back.
+/// One view's geometry: maps pixels to the board and back.
 pub(crate) struct BoardView<'a> {
     model: &'a CameraModel,
     pose: &'a Pose<Camera, BoardFrame>,
@@ -54,21 +56,21 @@ pub(crate) struct BoardView<'a> {
 }
 
 impl<'a> BoardView<'a> {
-    /// `None` where the board is seen edge-on.
+    /// Prepares the geometry; `None` if the board is seen edge-on.
     pub fn new(model: &'a CameraModel, pose: &'a Pose<Camera, BoardFrame>, board: &'a Board, found: &'a FoundBoard) -> Option<Self> {
         let r = pose.rotation_matrix();
         let from_board = Matrix3::from_columns(&[r.column(0).into_owned(), r.column(1).into_owned(), pose.translation]);
         Some(Self { model, pose, to_board: from_board.try_inverse()?, board, found })
     }
 
-    /// The place on the board, metres, that a raw pixel shows.
+    /// Returns the position on the board, metres, that a raw pixel shows.
     fn on_board(&self, pixel: Vector2<f64>) -> Option<Vector2<f64>> {
         let Normalized(n) = self.model.unproject(Pixel(pixel))?;
         let p = self.to_board * n.push(1.0);
         (p.z > 0.0).then(|| p.xy() / p.z)
     }
 
-    /// The raw pixel of a place on the board, and its derivative by that place.
+    /// Returns the raw pixel of a position on the board, and its derivative by that position.
     fn in_picture(&self, place: Vector2<f64>) -> Option<(Vector2<f64>, Matrix2<f64>)> {
         let r = self.pose.rotation_matrix();
         let p = r * place.push(0.0) + self.pose.translation;
@@ -81,7 +83,7 @@ impl<'a> BoardView<'a> {
         Some((pixel.0, by_n * Matrix2::from_columns(&[column(0), column(1)])))
     }
 
-    /// Corner `index` near `start` (raw pixel), fitted on the board's plane; `None` where the fit finds none.
+    /// Fits corner `index` near `start` (raw pixel) on the board's plane; `None` if the fit fails.
     pub fn corner(&self, patch: &BoardPatch, index: usize, start: Vector2<f64>, window: &mut Window) -> Option<Vector2<f64>> {
         let mut centre = start;
         for _ in 0..3 {
@@ -92,7 +94,7 @@ impl<'a> BoardView<'a> {
                 return Some(centre);
             }
         }
-        // A fit that wanders off is no measurement.
+        // A fit that moves this far is not a measurement.
         ((centre - start).norm() < 1.5).then_some(centre)
     }
 
@@ -136,7 +138,8 @@ impl<'a> BoardView<'a> {
 }
 
 impl BoardView<'_> {
-    /// What surrounds corner `index` on the unbent plane around `place` (board, metres), where a square's steps are u and v.
+    /// Returns the surroundings of corner `index` on the undistorted plane around `place` (board,
+    /// metres), where `u` and `v` are one square's steps.
     fn surroundings(&self, index: usize, place: Vector2<f64>, [u, v]: [Vector2<f64>; 2], scale: f64) -> Surroundings {
         let light = self.found.light.get(index).copied().unwrap_or_default() / scale;
         let nearest = u.perp(&v) / u.norm().max(v.norm());
@@ -145,7 +148,8 @@ impl BoardView<'_> {
         }
         let columns = self.board.columns() as usize;
         let (column, row) = (index % columns, index / columns);
-        // How far the place is from where the corner should be, squares: the next edges stay where they belong.
+        // Offset of `place` from the corner's true position, squares, so that the next edges stay
+        // where they belong.
         let off = (place - self.board.corner(index)) / self.board.square_m();
         let edge = |across: Vector2<f64>, step: Vector2<f64>, squares: f64, ends: bool| {
             let normal = across / across.norm();
@@ -162,7 +166,8 @@ impl BoardView<'_> {
     }
 }
 
-/// The map from pixels around a corner to the unbent plane, as a parabola in x and y through nine exact points.
+/// Map from pixels around a corner to the undistorted plane: quadratic in x and y, through nine
+/// exact points.
 struct Unbent {
     nodes: [[Vector2<f64>; 3]; 3],
     reach: f64,

@@ -1,4 +1,5 @@
-//! A calibration from beginning to end: boards found, lens estimated, corners measured again, views weeded, all judged.
+//! A complete calibration: estimates the lens from the boards found, refits the corners, rejects
+//! bad views, and judges the result.
 
 use std::path::PathBuf;
 
@@ -17,12 +18,13 @@ use super::solve::adjust::{Observation, mean_distance, observations_of};
 use super::solve::{self, Estimate, Extrinsics, LEAST_VIEWS, SolveOptions};
 use crate::geometry::robust_kernel::median;
 
-/// How a calibration is made.
+/// Options of a calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct CalibrationOptions {
-    /// What is estimated.
+    /// Which parameters are estimated.
     pub solve: SolveOptions,
-    /// Every view that shows the board is used, as in Bouguet's toolbox: none is weeded out.
+    /// Use every view that shows the board, as Bouguet's toolbox does, instead of rejecting bad
+    /// ones.
     pub keep_all_views: bool,
 }
 
@@ -31,17 +33,18 @@ pub struct CalibrationOptions {
 pub struct CalibrationView {
     /// Name of the picture.
     pub file: PathBuf,
-    /// The board's corners as measured last, in the board's order; `None` where the board was not found.
+    /// The board's corners as last measured, in the board's order; `None` if the board was not
+    /// found.
     pub corners: Option<Vec<Option<Vector2<f64>>>>,
-    /// Whether the estimate rests on this view.
+    /// Whether the estimate uses this view.
     pub used: bool,
-    /// Why it is not used, or what is to be said of it all the same.
+    /// Why it is not used, or a remark about a used view.
     pub reason: Option<String>,
-    /// Which entry of the estimate's poses it is.
+    /// Its index among the estimate's poses.
     pub index: Option<usize>,
-    /// Its own reprojection error over the corners used, per point, pixels.
+    /// Reprojection error over its used corners, per point, pixels.
     pub rms_px: Option<f64>,
-    /// Corners of it that were left out as wild (indices into the board's order).
+    /// Its corners that were rejected as outliers (indices in the board's order).
     pub outliers: Vec<usize>,
     /// Bouguet's omc and Tc with 3 sigma.
     pub extrinsics: Option<Extrinsics>,
@@ -54,7 +57,7 @@ pub struct CalibrationView {
 pub struct CameraCalibration {
     /// The board.
     pub board: Board,
-    /// Maker and model of the camera, where the pictures' files name it.
+    /// Maker and model of the camera, if the pictures' files name them.
     pub camera: Option<String>,
     /// Width and height of the pictures, pixels.
     pub size: (u32, u32),
@@ -64,16 +67,17 @@ pub struct CameraCalibration {
     pub estimate: Estimate,
     /// How far to trust it.
     pub judgement: Judgement,
-    /// How often the corners were measured again with the model, and by how much the last round moved one at most, pixels.
+    /// Number of rounds in which the corners were refitted, and the largest movement of a corner in
+    /// the last round, pixels.
     pub rounds: (usize, f64),
 }
 
-/// Why there is no calibration at all, and what to do.
+/// Why the calibration failed, and what to do.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[error("{0}")]
 pub struct CalibrationError(String);
 
-/// A view on its way through the estimation.
+/// A view during the estimation.
 struct Working<'a> {
     picture: usize,
     inspected: &'a Inspected,
@@ -81,20 +85,21 @@ struct Working<'a> {
     corners: Vec<Option<Vector2<f64>>>,
 }
 
-/// Corners are measured again at most this often; each round moves them far less than the
-/// one before. Raised, a set that does not settle takes longer.
+/// Maximum number of rounds of refitting the corners; each round moves them far less than the one
+/// before. Raised, a set that does not converge takes longer.
 const MOST_ROUNDS: usize = 6;
-/// Nothing moves any more when no corner moves farther than this, pixels: a tenth of what the best corners are known
-/// to. Raised, rounds that would still help are left out; lowered, rounds are spent on nothing.
+/// Maximum movement of a corner, pixels, that counts as converged: a tenth of the best corners'
+/// accuracy. Raised, useful rounds are skipped; lowered, rounds are wasted.
 const STILL_PX: f64 = 0.003;
-/// A view is weeded out when its corners fit this many times worse than the median view's. Chosen, not tuned.
-/// Raised, a bent board or a turned zoom ring stays in; lowered, merely blurred views go.
+/// A view is rejected if its corners fit this many times worse than the median view's. Chosen, not
+/// tuned. Raised, a bent board or a changed zoom stays in; lowered, merely blurred views are
+/// rejected.
 const WORSE: f64 = 3.0;
 
 /// Makes a calibration from inspected pictures.
 ///
 /// # Errors
-/// Where the pictures do not make one; the sentence says what to do.
+/// If no calibration is possible; the sentence says what to do.
 pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOptions) -> Result<CameraCalibration, CalibrationError> {
     let size = common_size(pictures)?;
     let mut reasons: Vec<Option<String>> = pictures.iter().map(|p| p.board.as_ref().err().cloned()).collect();
@@ -137,7 +142,7 @@ pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOpt
     Ok(CameraCalibration { board: *board, camera, size, views, estimate, judgement, rounds })
 }
 
-/// Estimates, measures the corners again with the result, and so on until nothing moves.
+/// Alternates estimation and refitting of the corners until nothing moves.
 fn settle(
     working: &mut [Working],
     board: &Board,
@@ -177,7 +182,7 @@ fn settle(
     Ok((estimate, (MOST_ROUNDS, moved)))
 }
 
-/// The size of all pictures that show the board.
+/// Returns the common size of all pictures that show the board.
 fn common_size(pictures: &[Inspected]) -> Result<(u32, u32), CalibrationError> {
     let mut sized = pictures.iter().filter(|p| p.board.is_ok()).filter_map(|p| Some((p, p.size?)));
     let Some((first, size)) = sized.next() else { return Ok((1, 1)) };
@@ -196,8 +201,9 @@ fn common_size(pictures: &[Inspected]) -> Result<(u32, u32), CalibrationError> {
     }
 }
 
-/// Two views whose corners lie this near to each other on average, as a share of the picture's diagonal, are one: 3 pixels of 640 x 480, as
-/// for a camera on a stand. Raised, views that differ are dropped; lowered, copies count twice and uncertainties come out too small.
+/// Mean distance of the corners of two views, as a fraction of the picture's diagonal, below which
+/// they count as the same view: 3 pixels of 640 x 480, as for a camera on a stand. Raised,
+/// different views are dropped; lowered, copies count twice and uncertainties come out too small.
 const SAME_VIEW: f64 = 0.004;
 
 fn drop_duplicates(working: &mut Vec<Working>, reasons: &mut [Option<String>], size: (u32, u32)) {
@@ -212,14 +218,15 @@ fn drop_duplicates(working: &mut Vec<Working>, reasons: &mut [Option<String>], s
     *working = kept;
 }
 
-/// The view that fits worst, if it fits so much worse than the others that something is wrong with it.
+/// Returns the view that fits worst, if it fits so much worse than the others that something is
+/// wrong with it.
 fn worst_view(working: &[Working], board: &Board, estimate: &Estimate) -> Option<(usize, String)> {
     let rms: Vec<f64> = working.iter().enumerate().map(|(v, w)| estimate.view_rms_px(v, &observations_of(&w.corners, board))).collect();
     let lost = |v: usize| estimate.used[v].iter().filter(|used| !**used).count();
     let half_lost = (0..working.len()).find(|&v| 2 * lost(v) > estimate.used[v].len());
     if let Some(v) = half_lost {
         let (lost, all) = (lost(v), estimate.used[v].len());
-        // A blurred picture has corners far off, too, and there is no need to look for a bent board.
+        // A blurred picture has large residuals too, so check that before suspecting the board.
         let why = judge::blurred(working[v].found, &blurs(working))
             .unwrap_or_else(|| "was the board bent, or the zoom or focus changed?".to_owned());
         return Some((v, format!("{lost} of its {all} corners do not fit the camera of the other pictures; {why}")));
@@ -233,11 +240,12 @@ fn worst_view(working: &[Working], board: &Board, estimate: &Estimate) -> Option
     })
 }
 
-/// A pose that is known worse than this adds nothing: 3 sigma of its rotation, rad, and of its place, as a share of the
-/// distance. Chosen, not tuned; it only makes a remark. Raised, fewer small or steep boards are named.
+/// Minimum 3 sigma of a pose that makes its view worth a remark: rotation in rad, and position as a
+/// fraction of the distance. Chosen, not tuned. Raised, fewer small or steep boards are mentioned.
 const ILL_CONDITIONED: [f64; 2] = [0.05, 0.05];
 
-/// What is to be said of a view whose own pose is hardly determined; it is used all the same, for it does no harm.
+/// Returns a remark about a view whose own pose is poorly determined. The view is still used, since
+/// it does no harm.
 fn ill_conditioned(pose: &Extrinsics) -> Option<String> {
     let (turn, place) = (pose.rotation_uncertainty.amax(), pose.translation_uncertainty_m.norm() / pose.translation_m.norm());
     (turn > ILL_CONDITIONED[0] || place > ILL_CONDITIONED[1]).then(|| {
@@ -246,12 +254,12 @@ fn ill_conditioned(pose: &Extrinsics) -> Option<String> {
     })
 }
 
-/// How blurred each view is, pixels.
+/// Returns the blur of each view, pixels.
 fn blurs(working: &[Working]) -> Vec<f64> {
     working.iter().map(|view| view.found.blur_px).collect()
 }
 
-/// Everything that is to be said of each picture.
+/// Collects the results for each picture.
 fn views_of(
     pictures: &[Inspected],
     working: &[Working],

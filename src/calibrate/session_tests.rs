@@ -1,4 +1,5 @@
-//! Whole calibrations: of rendered pictures with exact truth, and of other people's pictures with known results.
+//! Complete calibrations: of rendered pictures with exact truth, and of published pictures with
+//! known results.
 
 use std::path::Path;
 
@@ -43,7 +44,7 @@ fn rendered_pictures_give_the_camera_they_were_taken_with() {
     let truth = super::super::solve::lens::Lens::of_model(camera.model());
     let (found, three_sigma) = (made.estimate.bundle.lens.0, made.estimate.lens_uncertainty());
     for k in (0..9).filter(|&k| k != 4) {
-        // Four sigma: eight numbers at once, and one fixed set of noise.
+        // Four sigma: eight parameters at once, with one fixed noise realisation.
         assert!((found[k] - truth.0[k]).abs() < 1.34 * three_sigma[k], "number {k}: {} is not {}", found[k], truth.0[k]);
     }
     assert!(made.estimate.rms_px < 0.04, "{}", made.estimate.rms_px);
@@ -103,8 +104,8 @@ fn front_on_views_are_not_to_be_used() {
     assert!(made.judgement.next_picture.contains("side"), "{}", made.judgement.next_picture);
 }
 
-/// Views of a board close to a very wide lens, `nearer` of them closer than the others; `bent` says how far from the middle a ray appears,
-/// pixels, by its angle from the axis.
+/// Views of a board close to a very wide lens, `nearer` of them closer than the others; `bent`
+/// returns how far from the middle a ray appears, pixels, by its angle from the axis.
 fn seen_wide(board: &Board, nearer: usize, bent: impl Fn(f64) -> f64) -> Vec<Inspected> {
     let view = |k: usize| {
         let azimuth = 2.4 * k as f64;
@@ -147,7 +148,7 @@ fn a_fisheye_is_named_and_not_to_be_used() {
             assert!(sentence.contains("this is a fisheye or a very wide lens"), "{nearer}: {sentence}");
             assert!(made.judgement.next_picture.contains("do not help"), "{}", made.judgement.next_picture);
         }
-        // As wide, but such as the model bends.
+        // As wide, but within the model.
         let straight = |angle: f64| 200.0 * angle.tan() * (1.0 - 0.02 * angle.tan().powi(2));
         let made = calibrate(&seen_wide(&board, 0, straight), &board, &options).unwrap();
         assert!(!made.judgement.reasons().join(";").contains("fisheye"), "{:?}", made.judgement.reasons());
@@ -163,7 +164,7 @@ fn pictures_of_two_sizes_are_refused_by_name() {
     assert!(error.contains("view0.png is 640 x 480 pixels and view2.png is 1280 x 960"), "{error}");
 }
 
-/// The calibration of a set in ../shared/data; `None` where it is absent.
+/// The calibration of a set in ../shared/data; `None` if it is absent.
 fn shared(folder: &str, prefix: &str, board: &Board) -> Option<CameraCalibration> {
     let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")).join(folder);
     let Ok(entries) = std::fs::read_dir(&folder) else {
@@ -228,7 +229,7 @@ fn between(left: &CameraCalibration, l: usize, right: &CameraCalibration, r: usi
     (pose, covariance)
 }
 
-/// The pose that agrees best with all, each counting as its covariance says.
+/// Fuses the poses, weighted by their covariances.
 fn fused(each: &[(RightFromLeft, Matrix6<f64>)]) -> RightFromLeft {
     let mut mean = each[0].0;
     for _ in 0..5 {
@@ -248,7 +249,7 @@ fn fused(each: &[(RightFromLeft, Matrix6<f64>)]) -> RightFromLeft {
     mean
 }
 
-/// Both cameras of a stereo head see the same boards: what lies between their poses of each board is the baseline.
+/// Both cameras of a stereo head see the same boards; the pose between them is the baseline.
 #[test]
 fn the_baseline_of_a_stereo_head() {
     let board = Board::new(6, 4, 0.03).unwrap();

@@ -1,10 +1,10 @@
-//! The numbers as Bouguet's toolbox prints them.
+//! The parameters as printed by Bouguet's toolbox.
 
 use std::fmt::Write;
 
 use super::session::CameraCalibration;
 
-/// fc, cc, alpha_c, kc and err, each with 3 sigma, as lines of text.
+/// Returns fc, cc, alpha_c and kc, each with 3 sigma, and err, as lines of text.
 pub fn bouguet(made: &CameraCalibration) -> String {
     let n = &made.estimate.bundle.lens.0;
     let u = made.estimate.lens_uncertainty();

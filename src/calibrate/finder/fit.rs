@@ -1,11 +1,15 @@
-//! The sub-pixel corner: a blurred chessboard corner is drawn, and fitted to the grey levels around the place.
+//! The sub-pixel corner fit: fits a model of a blurred chessboard corner to the grey levels around
+//! a position.
 //!
-//! The picture of four squares that meet, blurred by a Gaussian, is `a + b erf(d1 / √2σ) erf(d2 / √2σ)` with the
-//! distances d1, d2 to the two edges, and a little more where the edges are not square to each other. Position, both directions, blur and the two levels are fitted together
-//! (Levenberg-Marquardt, all analytic; the kernel is in [`window`](super::window), and [`gather`](super::gather) takes the pixels). The model and the window are both
-//! symmetric about the corner, so that what the model does not know - gamma, sharpening, saturation, motion blur - moves
-//! the corner nowhere. Two things are not symmetric, and come from the corner's neighbours ([`Surroundings`]): the slope of
-//! the light, which over a blurred corner looks just like a displaced one, and the next edges, where the blur reaches them.
+//! The image of four squares that meet, blurred by a Gaussian, is
+//! `a + b erf(d1 / √2σ) erf(d2 / √2σ)`, where d1 and d2 are the distances to the two edges, plus a
+//! small term if the edges are not perpendicular. Position, both edge directions, blur and the two
+//! levels are fitted together (Levenberg-Marquardt with analytic derivatives; the kernel is in
+//! [`window`](super::window), and [`gather`](super::gather) collects the pixels). Model and window
+//! are both symmetric about the corner, so unmodelled effects (gamma, sharpening, saturation,
+//! motion blur) do not displace the corner. Two effects are not symmetric and are taken from the
+//! neighbouring corners ([`Surroundings`]): the slope of the light, which over a blurred corner
+//! looks just like a displacement, and the next edges, where their blur reaches the window.
 
 use nalgebra::{SVector, Vector2};
 
@@ -16,61 +20,69 @@ use super::surroundings::{Surroundings, reach};
 use super::window::{Linearised, Model, N, Window};
 use crate::geometry::least_squares::Damping;
 
-/// A corner as the fit sees it.
+/// A fitted corner.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CornerFit {
-    /// Level pixels.
+    /// Position, level pixels.
     pub position: Vector2<f64>,
     /// Standard deviation of the blur, pixels (a pixel's own width included).
     pub blur: f64,
-    /// The level half way between dark and light.
+    /// The grey level halfway between dark and light.
     pub middle: f64,
-    /// Signed: grey levels from the middle to the squares in the first quadrant, which is negative where they are dark.
+    /// Signed contrast: from the middle level to the squares in the first quadrant, grey levels;
+    /// negative if those are dark.
     pub contrast: f64,
-    /// What the model leaves unexplained, grey levels (rms).
+    /// Residual of the model, grey levels (rms).
     pub residual: f64,
 }
 
-/// What a fit over a window gives.
+/// The result of a fit over one window.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct WindowFit {
-    /// The corner from the window's centre.
+    /// The corner's offset from the window's centre, pixels.
     pub offset: Vector2<f64>,
     pub blur: f64,
     pub middle: f64,
     pub contrast: f64,
-    /// What the model leaves unexplained, as a share of the contrast.
+    /// Residual as a fraction of the contrast.
     pub residual: f64,
-    /// The edges as long as the steps given: along u and along v.
+    /// The edges along u and v, with the lengths of the given steps.
     pub directions: [Vector2<f64>; 2],
 }
 
-/// Bound of the fitted blur, as a share of a square: above it nothing of a corner is left between the next edges. Chosen, not tuned.
-/// Raised, the model may grow flat enough to fit a shadow; lowered, small squares of soft pictures lie at the bound.
+/// Upper bound of the fitted blur, as a fraction of a square: above it, nothing of a corner remains
+/// between the next edges. Chosen, not tuned. Raised, the model may become flat enough to fit a
+/// shadow; lowered, small squares in soft pictures lie at the bound.
 const WIDEST_BLUR: f64 = 0.6;
-/// Bound of the fitted blur, pixels: a pixel's own width is 0.29, and sharpened or thinned-out pictures that seem to have less have jagged
-/// edges, between whose steps a narrower model would hop about. Raised, sharp edges are fitted by wider ones.
+/// Lower bound of the fitted blur, pixels. A pixel's own width is 0.29; sharpened or subsampled
+/// pictures with a smaller apparent blur have jagged edges, between whose steps a narrower model
+/// would jump. Raised, sharp edges are fitted by wider ones.
 const LEAST_BLUR: f64 = 0.45;
-/// Cosine of the largest turn of an edge from the board's direction, 26 degrees: more than perspective and distortion turn it within a
-/// square. Raised, corners of strongly bent boards are lost; lowered, fits that turned onto another edge are kept.
+/// Cosine of the maximum angle between an edge and the board's direction, 26 degrees: more than
+/// perspective and distortion cause within a square. Raised, corners of strongly bent boards are
+/// lost; lowered, fits that turned onto another edge are kept.
 const ALONG: f64 = 0.9;
-/// The fit ends with a step of the corner below this, pixels, that gains less than this share of what is left unexplained. The step is
-/// still taken, so what remains is smaller. Raised, corners are less exact; lowered, each fit takes another iteration.
+/// The fit ends with a step that moves the corner by less than this, pixels, and reduces the cost
+/// by less than this fraction. That step is still applied, so the remaining error is smaller.
+/// Raised, corners are less exact; lowered, each fit takes another iteration.
 const LAST_STEP: f64 = 4e-3;
 const LAST_GAIN: f64 = 3e-3;
-/// Windows drawn for one corner at most; the last one's fit counts as it is. Raised,
-/// corners that do not settle take longer …
+/// Maximum number of windows per corner that are fitted to convergence; the last one's fit counts
+/// as it is. Raised, corners that do not converge take longer …
 const ROUNDS: usize = 4;
-/// … after this many that are good for one step only, where that shows that they do not lie around the corner. Raised, fits from a
-/// poor start may take more windows in all; at 0 each window is fitted to its end before it is drawn again.
+/// … after this many windows whose fit stops after one step, if that step shows that the window
+/// must be redrawn. Raised, fits from a poor start may draw more windows; at 0 each window is
+/// fitted to convergence before it is redrawn.
 const HASTY_ROUNDS: usize = 2;
-/// Residuals above this share of the contrast are no chessboard corner. Chosen wide, not tuned, for motion blur and
-/// sharpening leave residuals too; [`Lattice::drop_disturbed`](super::lattice::Lattice::drop_disturbed) is stricter
-/// afterwards. Raised, other crossings pass.
+/// Maximum residual of a chessboard corner, as a fraction of the contrast. Chosen wide, not tuned,
+/// since motion blur and sharpening leave residuals too;
+/// [`Lattice::drop_disturbed`](super::lattice::Lattice::drop_disturbed) is stricter afterwards.
+/// Raised, other crossings pass.
 pub(crate) const LARGEST_RESIDUAL: f64 = 0.35;
 
-/// Fits a corner near `start`, where one square's step along the board's axes is `u` and `v` (their cross product positive).
-/// The window is made for `blur`, and the fit starts from the `guess` of it. `None` where there is no such corner.
+/// Fits a corner near `start`, where `u` and `v` are one square's steps along the board's axes
+/// (cross product positive). The window is made for `blur`, and the fit starts from the blur
+/// `guess`. Returns `None` if there is no such corner.
 pub(crate) fn fit_corner(
     level: &Level,
     start: Vector2<f64>,
@@ -106,7 +118,7 @@ pub(crate) fn fit_corner(
     None
 }
 
-/// How a window was drawn.
+/// The parameters with which a window was drawn.
 #[derive(Debug, Clone, Copy)]
 struct Drawn {
     blur: f64,
@@ -114,23 +126,23 @@ struct Drawn {
 }
 
 impl Drawn {
-    /// Whether it need not be drawn again for a corner with this offset and blur.
+    /// Whether the window is still valid for a corner with this offset and blur.
     fn holds_for(&self, offset: Vector2<f64>, blur: f64) -> bool {
         let wide_enough = reach(blur) < reach(self.blur) + 0.8;
-        // The next edges' share was drawn with the blur as it was before.
+        // The contribution of the next edges was drawn with the previous blur.
         let same_blur = !self.has_edges || (blur / self.blur - 1.0).abs() < 0.03;
-        // The window must lie around the corner for its symmetry to help.
+        // The window must be centred on the corner for its symmetry to help.
         offset.norm() < 0.1 && wide_enough && same_blur
     }
 
-    /// Whether a first step to this model is to be believed, and so much of one that the window must be drawn again anyway.
+    /// Whether a first step is plausible, and so large that the window must be redrawn anyway.
     fn is_outdated_by(&self, model: &Model, step: &[f64; N]) -> bool {
         let is_sound = step[0].hypot(step[1]) < 0.5 && step[2..5].iter().all(|s| s.abs() < 0.2) && model.0[6].abs() > 1.0;
         is_sound && !self.holds_for(Vector2::new(model.0[0], model.0[1]), model.0[4].exp())
     }
 }
 
-/// Whether opposite quadrants are alike and neighbouring ones are not: a cheap look before the fit.
+/// Whether opposite quadrants are alike and neighbouring ones differ: a cheap test before the fit.
 fn looks_like_a_corner(level: &Level, p: Vector2<f64>, u: Vector2<f64>, v: Vector2<f64>) -> bool {
     let (s, t) = (0.27 * (u + v), 0.27 * (u - v));
     if ![p + s, p - s, p + t, p - t].iter().all(|&q| level.has(q, 1.0)) {
@@ -142,12 +154,14 @@ fn looks_like_a_corner(level: &Level, p: Vector2<f64>, u: Vector2<f64>, v: Vecto
     step > 1.5
 }
 
-/// Least squares of the corner model over a window; `farthest` bounds the corner's offset, pixels.
+/// Fits the corner model to a window by least squares; `farthest` bounds the corner's offset,
+/// pixels.
 pub(crate) fn fit_window(window: &mut Window, directions: [Vector2<f64>; 2], blur: f64, farthest: f64) -> Option<WindowFit> {
     fit_drawn(window, directions, blur, farthest, None)
 }
 
-/// The same; where `drawn` is given and the first step shows that the window must be drawn again, that step is all.
+/// Does the same; if `drawn` is given and the first step shows that the window must be redrawn,
+/// only that step is taken.
 fn fit_drawn(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64, farthest: f64, drawn: Option<Drawn>) -> Option<WindowFit> {
     if window.len() < 2 * N {
         return None;
@@ -157,7 +171,8 @@ fn fit_drawn(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64, farthest
     let bounds = [LEAST_BLUR.ln(), widest.max(2.0 * LEAST_BLUR).ln()];
     let mut damping = Damping { now: 1e-4, least: 1e-9, most: 1e4 };
     for iteration in 0..20 {
-        // A blur that lies at its bound and wants beyond stays there, or it would spoil the other numbers' step.
+        // A blur at its bound that would move beyond it is held fixed, or it would spoil the step
+        // of the other parameters.
         let downhill = here.gradient[4];
         let beyond = (model.0[4] <= bounds[0] && downhill > 0.0) || (model.0[4] >= bounds[1] && downhill < 0.0);
         let step = step::damped(&here, damping.now, beyond.then_some(4))?;
@@ -166,7 +181,7 @@ fn fit_drawn(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64, farthest
         let moved = step[0].hypot(step[1]);
         let gain: f64 = step.iter().zip(&here.gradient).map(|(s, g)| s * g).sum();
         let is_outdated = iteration == 0 && drawn.is_some_and(|drawn| drawn.is_outdated_by(&next, &step));
-        // A step this small is as good as the linear model says.
+        // For a step this small the linear model is accurate.
         if is_outdated || (moved < LAST_STEP && gain < LAST_GAIN * here.cost) {
             model = next;
             break;
@@ -185,13 +200,13 @@ fn fit_drawn(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64, farthest
     judged(&model, &here, [u, v])
 }
 
-/// Edges along the board, and the levels that fit best.
+/// Returns the start model: edges along the board's directions, and the levels that fit best.
 fn start(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64) -> Option<(Model, Linearised)> {
     let angle = |d: Vector2<f64>| d.y.atan2(d.x);
     window.with_levels(&Model([0.0, 0.0, angle(u), angle(v), blur.max(LEAST_BLUR).ln(), 0.0, 1.0].into()))
 }
 
-/// The result, where the edges stayed near the board's directions.
+/// Returns the result if the edges stayed near the board's directions.
 fn judged(model: &Model, seen: &Linearised, [u, v]: [Vector2<f64>; 2]) -> Option<WindowFit> {
     let direction = |angle: f64, step: Vector2<f64>| Vector2::new(angle.cos(), angle.sin()) * step.norm();
     let directions = [direction(model.0[2], u), direction(model.0[3], v)];

@@ -1,8 +1,10 @@
-//! The pixels of a corner's window, taken from a level: where they lie, their weights, and what the next edges add.
+//! Collects the pixels of a corner's window from a level: their offsets, weights, and the
+//! contribution of the next edges.
 //!
-//! The window is the part of the picture inside a parallelogram and a circle around its centre, so each line of the picture
-//! crosses it in one piece. Eight pixels are handled side by side; like the fit's own kernel, one body is compiled twice and
-//! does the same steps in the same order. [`Surroundings::sample`] says the same of a single pixel, in double precision.
+//! The window is the intersection of a parallelogram and a circle around its centre, so each
+//! picture row crosses it in one run. Eight pixels are processed side by side. As in the fit's
+//! kernel, one body is compiled twice with the same operations in the same order.
+//! [`Surroundings::sample`] computes the same for a single pixel in double precision.
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -13,14 +15,15 @@ use super::surroundings::{NextEdges, Surroundings, reach};
 use super::window::{Eight, LANES, Window, erf_and_slope};
 use crate::simd::multiversion;
 
-/// From the first of eight pixels to each, pixels.
+/// Offsets of eight consecutive pixels from the first, pixels.
 const STEPS: Eight = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
 
-/// Below this argument the error function is -1 in single precision: 1 - erf(4) is 1.5e-8, less than half its last digit.
-/// Raised, an edge's faint rim would be cut off; lowered, pixels are computed that get nothing.
+/// Argument below which the error function is -1 in single precision: 1 - erf(4) is 1.5e-8, less
+/// than half its last digit. Raised, an edge's faint rim would be cut off; lowered, pixels are
+/// computed that get nothing.
 const NOTHING: f32 = -4.0;
 
-/// `x * dx + y * dy + rest` of a pixel's offset from the centre.
+/// The linear function `x * dx + y * dy + rest` of a pixel's offset from the centre.
 #[derive(Debug, Clone, Copy, Default)]
 struct Line {
     x: f64,
@@ -33,31 +36,32 @@ impl Line {
         Self { x: slope.x, y: slope.y, rest }
     }
 
-    /// At the first of the pixels with this offset, and from each to the next.
+    /// Returns the value at the first pixel, at this offset, and the increment per pixel.
     #[inline(always)]
     fn along_row(&self, dx: f64, dy: f64) -> [f32; 2] {
         [(self.x * dx + self.y * dy + self.rest) as f32, self.x as f32]
     }
 
-    /// Where along x the line is between -1 and 1, `dy` from the centre.
+    /// Returns the range along x, at `dy` from the centre, in which the value is between -1 and 1.
     fn within_one(&self, dy: f64) -> [f64; 2] {
-        // A line that hardly changes along x is inside or outside all along it.
+        // A line that hardly changes along x is inside or outside everywhere.
         let slope = if self.x.abs() < 1e-9 { 1e-9 } else { self.x };
         let (middle, half) = (-(self.y * dy + self.rest) / slope, (1.0 / slope).abs());
         [middle - half, middle + half]
     }
 }
 
-/// A window, and how it is drawn.
+/// A window and its parameters.
 struct Area {
     centre: Vector2<f64>,
-    /// Squares along u and v, as shares of the window's half width.
+    /// Offsets along u and v, as fractions of the window's half width.
     squares: [Line; 2],
     /// Radius of the circle, pixels.
     reach: f64,
-    /// The light, 1 at the centre.
+    /// The light, relative to the centre.
     light: Line,
-    /// All zero where there are none: the compiler computes with what it takes before it looks, and anything might lie there.
+    /// All zero if there are none. The compiler may compute with these values before it tests
+    /// `has_edges`, so they must be defined.
     edges: Edges,
     has_edges: bool,
 }
@@ -76,13 +80,13 @@ impl Area {
     }
 }
 
-/// The next edges, their distances in units of the blur.
+/// The next edges, with distances in units of the blur.
 #[derive(Debug, Default)]
 struct Edges {
     along: [[Line; 2]; 2],
-    /// Steps of the pattern there: two, or one at the board's end.
+    /// Number of pattern steps at each edge: two, or one at the board's end.
     sizes: [[f32; 2]; 2],
-    /// 1 where the board ends.
+    /// 1 where the board ends, else 0.
     ends: [[f32; 2]; 2],
     beyond: f32,
 }
@@ -99,7 +103,8 @@ impl Edges {
     }
 }
 
-/// Fills `window` with the pixels around `centre`, where one square's step along the board's axes is `u` and `v`.
+/// Fills `window` with the pixels around `centre`, where `u` and `v` are one square's steps along
+/// the board's axes.
 pub(super) fn gather(
     level: &Level,
     centre: Vector2<f64>,
@@ -150,7 +155,7 @@ fn take_lanes(level: &Level, area: &Area, rows: [usize; 2], window: &mut Window)
     }
     let (count, pixels) = (window.count, &mut window.pixels);
     pixels.reserve(count + LANES);
-    // What was written behind the last pixel does not count.
+    // Pixels written behind the last one must not count.
     pixels.root_weight[count..count + LANES].fill(0.0);
     if !area.has_edges {
         let [across_u, across_v] = &mut pixels.beside;
@@ -160,7 +165,7 @@ fn take_lanes(level: &Level, area: &Area, rows: [usize; 2], window: &mut Window)
     }
 }
 
-/// Eight pixels of a row, the first of them [dx, dy] from the centre, to the `at`th place and behind it.
+/// Writes eight pixels of a row, the first at offset [dx, dy] from the centre, from place `at` on.
 #[inline(always)]
 fn take_eight(area: &Area, [dx, dy]: [f64; 2], per_reach: f64, grey: &Eight, at: usize, window: &mut Window) {
     let ([s, by_s], [t, by_t]) = (area.squares[0].along_row(dx, dy), area.squares[1].along_row(dx, dy));
@@ -180,7 +185,7 @@ fn take_eight(area: &Area, [dx, dy]: [f64; 2], per_reach: f64, grey: &Eight, at:
     }
 }
 
-/// What the next edges add to the same eight pixels.
+/// Writes what the next edges add to the same eight pixels.
 #[inline(always)]
 fn take_edges(edges: &Edges, [dx, dy]: [f64; 2], at: usize, window: &mut Window) {
     let mut on_board = [1.0_f32; LANES];
@@ -199,11 +204,12 @@ fn take_edges(edges: &Edges, [dx, dy]: [f64; 2], at: usize, window: &mut Window)
     }
 }
 
-/// How much of what is seen at eight pixels lies beyond an edge, `z` past it at the first of them and `by_z` more at each.
+/// Returns the fraction of each of eight pixels that lies beyond an edge; the first is `z` past the
+/// edge, each further one `by_z` more.
 #[inline(always)]
 fn past([z, by_z]: [f32; 2]) -> Eight {
     let mut past = [0.0_f32; LANES];
-    // Most pixels are so far inside that nothing of it is seen, and the error function is 1.
+    // Most pixels are so far inside that the fraction is zero.
     if z > NOTHING || z + by_z * STEPS[LANES - 1] > NOTHING {
         for k in 0..LANES {
             past[k] = 0.5 * (1.0 + erf_and_slope(z + by_z * STEPS[k]).0);
@@ -212,7 +218,7 @@ fn past([z, by_z]: [f32; 2]) -> Eight {
     past
 }
 
-/// The larger of both, by one instruction.
+/// Returns the larger value in one instruction.
 #[inline(always)]
 fn at_least(value: f32, least: f32) -> f32 {
     if value > least { value } else { least }
@@ -223,7 +229,7 @@ mod tests {
     use super::super::surroundings::NextEdge;
     use super::*;
 
-    /// A level with grey levels like noise, and a corner's surroundings on it.
+    /// A level with noise-like grey levels, and surroundings of a corner on it.
     fn drawn(with_edges: bool) -> (Level, Surroundings) {
         let (width, height) = (61_usize, 47);
         let grey = (0..width * height).map(|k| (k.wrapping_mul(2_654_435_761) >> 7 & 255) as f32).collect();
@@ -262,7 +268,7 @@ mod tests {
             assert!(eights.len() > 30);
             for ((name, a), (_, b)) in numbers(&eights).iter().zip(numbers(&single)) {
                 for k in 0..eights.len() {
-                    // A root near 0 is known as well as its square.
+                    // Near 0 the square of the root is what is accurate.
                     let off = if *name == "root weight" { a[k] * a[k] - b[k] * b[k] } else { a[k] - b[k] };
                     assert!(
                         off.abs() < 2e-6 * (1.0 + b[k].abs()) * if *name == "grey" { 2.0 } else { 1.0 },

@@ -1,20 +1,22 @@
-//! Values at whole-number places of the plane, in one block of memory: a lattice asks for its neighbours' neighbours all the
-//! time, and a search tree would take longer over that than the corners' fits do.
+//! Values at integer places of the plane, in one block of memory. A lattice queries its
+//! neighbourhood all the time, and a search tree would take longer than the corner fits.
 
 /// Coordinates along i and j.
 pub(crate) type Place = (i32, i32);
 
-/// Places lie within this of (0, 0): twice the largest board ([`Board::new`](crate::calibrate::board::Board::new)), for the
-/// root may be any of its corners. Raised, a lattice that grew wrong takes more memory.
+/// Maximum coordinate: twice the largest board
+/// ([`Board::new`](crate::calibrate::board::Board::new)), since the root may be any of its corners.
+/// Raised, a lattice that grew wrong takes more memory.
 const REACH: i32 = 200;
-/// Places left free beyond a new one when the block grows. Raised, blocks hold more empty places; lowered, they are copied more often.
+/// Free places kept beyond a new one when the block grows. Raised, blocks hold more empty places;
+/// lowered, they are copied more often.
 const ROOM: i32 = 3;
 
-/// Values by their places; iterates along j first.
+/// Values by their places, iterated along j first.
 #[derive(Debug, Clone)]
 pub(crate) struct Grid<T> {
     low: Place,
-    /// Places along i and along j.
+    /// Number of places along i and along j.
     size: (i32, i32),
     slots: Vec<Option<T>>,
 }
@@ -47,7 +49,8 @@ impl<T: Copy> Grid<T> {
         self.get(at).is_some()
     }
 
-    /// Puts a value at a place and gives what was there; places too far away for any board are passed over.
+    /// Sets the value at a place and returns the previous one; ignores places too far away for any
+    /// board.
     pub fn insert(&mut self, at: Place, value: T) -> Option<T> {
         if at.0.abs() > REACH || at.1.abs() > REACH {
             return None;
@@ -64,7 +67,7 @@ impl<T: Copy> Grid<T> {
         self.slots[slot].take()
     }
 
-    /// Makes the block reach `at`.
+    /// Grows the block to include `at`.
     fn grow(&mut self, at: Place) {
         let (mut low, mut high) = (at, at);
         if !self.slots.is_empty() {
@@ -87,20 +90,20 @@ impl<T: Copy> Grid<T> {
         self.slots.iter().enumerate().filter_map(|(slot, value)| Some((self.place(slot), value.as_ref()?)))
     }
 
-    /// The values at most `reach` places away along either axis.
+    /// Returns the values at most `reach` places away along either axis.
     pub fn around(&self, (i, j): Place, reach: i32) -> impl Iterator<Item = &T> {
         let rows = (i - reach - self.low.0).max(0)..(i + reach + 1 - self.low.0).min(self.size.0);
         let [first, last] = [j - reach, j + reach + 1].map(|end| (end - self.low.1).clamp(0, self.size.1) as usize);
         rows.flat_map(move |row| self.slots[(row * self.size.1) as usize..][first..last].iter().flatten())
     }
 
-    /// Other values at the same places, or none.
+    /// Maps the values to others at the same places, or to none.
     pub fn filter_map<U: Copy>(&self, mut to: impl FnMut(Place, &T) -> Option<U>) -> Grid<U> {
         let other = |(slot, value): (usize, &Option<T>)| value.as_ref().and_then(|value| to(self.place(slot), value));
         Grid { low: self.low, size: self.size, slots: self.slots.iter().enumerate().map(other).collect() }
     }
 
-    /// Keeps the values of which this is true.
+    /// Keeps the values for which `keep` is true.
     pub fn retain(&mut self, mut keep: impl FnMut(Place, &T) -> bool) {
         *self = self.filter_map(|place, value| keep(place, value).then_some(*value));
     }

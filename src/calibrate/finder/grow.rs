@@ -1,4 +1,4 @@
-//! Corners fitted at a lattice's places: those that it has, again, and those that are missing beside them.
+//! Fits corners at a lattice's places: refits existing ones, and finds missing ones beside them.
 
 use nalgebra::Vector2;
 
@@ -11,11 +11,12 @@ use super::surroundings::Surroundings;
 use super::window::Window;
 use crate::geometry::robust_kernel::median;
 
-/// Blur, level pixels, that a fit's first window is made for at most; the fit widens it where the picture asks for it.
-/// Raised, windows in blurred pictures are larger from the start; lowered, more of them are drawn twice.
+/// Maximum blur, level pixels, for which a fit's first window is made; the fit widens it if
+/// necessary. Raised, windows in blurred pictures are larger from the start; lowered, more of them
+/// are drawn twice.
 const WIDEST_START: f64 = 2.0;
-/// A lattice that has more corners than the largest board, 100 x 100, stops growing.
-/// Raised, it only takes longer over patterns that are no board.
+/// Number of corners above which a lattice stops growing: the largest board has 100 x 100. Raised,
+/// patterns that are no board take longer.
 const MOST_CORNERS: usize = 10_000;
 
 impl From<CornerFit> for Cell {
@@ -25,15 +26,15 @@ impl From<CornerFit> for Cell {
 }
 
 impl Lattice {
-    /// Fits every corner on `level`, drops those that are none, and looks for the missing ones: inside, and outwards while
-    /// corners appear.
+    /// Fits every corner on `level`, drops those that fail, and searches for missing ones: inside,
+    /// and outwards while corners appear.
     pub fn complete(&mut self, level: &Level) {
         self.refit(level, None);
         self.grow(level, None);
     }
 
-    /// Looks for the corners that are missing beside those there are, while some appear; all of them `within` an extent, if
-    /// there is one.
+    /// Searches for missing corners next to existing ones while any appear, only `within` an extent
+    /// if one is given.
     pub fn grow(&mut self, level: &Level, within: Option<Extent>) {
         let (mut window, mut guess) = (Window::default(), self.blur);
         let mut tried: Grid<usize> = Grid::default();
@@ -44,7 +45,7 @@ impl Lattice {
             missing.dedup();
             let before = self.cells.len();
             for (i, j) in missing {
-                // A place is tried again only when it has more neighbours than the last time.
+                // A place is tried again only if it has more neighbours than last time.
                 let neighbours = self.neighbours(i, j);
                 if tried.insert((i, j), neighbours).is_some_and(|before| before >= neighbours) {
                     continue;
@@ -68,15 +69,15 @@ impl Lattice {
         self.cells.around((i, j), 1).count()
     }
 
-    /// Fits every corner on `level` where its position is known to about a pixel, and drops those that are none. With `margin`
-    /// the lattice is the whole board, and what lies around it is known.
+    /// Fits every corner on `level`, given positions within about a pixel, and drops those that
+    /// fail. `margin` states that the lattice is the whole board, and what surrounds it.
     pub fn refit(&mut self, level: &Level, margin: Option<&Margin>) {
         let (mut window, mut guess) = (Window::default(), self.blur);
         let mut blurs = Vec::with_capacity(self.cells.len());
         let fits = self.cells.filter_map(|(i, j), cell| {
             let around = self.surroundings((i, j), cell.position, margin);
             let fit = self.fit_at(level, (i, j), cell.position, guess, &around, &mut window)?;
-            // The next one is most likely as blurred as this one.
+            // The next corner's blur is most likely similar.
             guess = fit.blur;
             blurs.push(fit.blur);
             Some(fit.into())
@@ -87,7 +88,7 @@ impl Lattice {
         }
     }
 
-    /// A corner fit with the steps and colours of this lattice, from a `guess` of the blur.
+    /// Fits a corner with this lattice's steps and colours, from a `guess` of the blur.
     fn fit_at(
         &self,
         level: &Level,
@@ -98,7 +99,7 @@ impl Lattice {
         window: &mut Window,
     ) -> Option<CornerFit> {
         let steps = self.steps(i, j)?;
-        // A narrow start keeps the window small; it widens where the fit asks for it.
+        // A narrow start keeps the window small; the fit widens it if necessary.
         let fit = fit_corner(level, start, steps, [self.blur, guess].map(|blur| blur.min(WIDEST_START)), around, window)?;
         let dark_first = (i + j).rem_euclid(2) == 0;
         ((fit.contrast < 0.0) == dark_first).then_some(fit)

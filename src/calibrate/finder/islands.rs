@@ -1,8 +1,10 @@
-//! Corners that only seem to belong to the lattice: pieces that hang together in themselves, and not with the rest.
+//! Finds corners that only seem to belong to the lattice: pieces that are connected in themselves
+//! but not with the rest.
 //!
-//! A piece that was linked in at the wrong place foretells its own corners well, so looking at each corner's neighbours does
-//! not show it. But the steps that lead to it are not like those around them. The largest piece is the board; another one is
-//! kept, beyond a reflection or a finger, if it lies where the board foretells it.
+//! A piece that was linked at the wrong place predicts its own corners well, so checking each
+//! corner against its neighbours does not reveal it. But the steps that lead to it differ from
+//! those around them. The largest piece is the board. Another piece, beyond a reflection or a
+//! finger, is kept if it lies where the board predicts it.
 
 use nalgebra::{Matrix3, Matrix3x2, Vector2, Vector3};
 
@@ -10,24 +12,28 @@ use super::grid::{Grid, Place};
 use super::lattice::Lattice;
 use crate::geometry::robust_kernel::median;
 
-/// A step that differs from the median of those around it by more than this share links nothing: perspective changes steps by less from one
-/// square to the next, a slip by one square by far more. Raised, wrong pieces stay; lowered, steep boards fall apart.
+/// Maximum relative difference between a step and the median of those around it for the step to
+/// link two corners: perspective changes steps by less from one square to the next, a slip by one
+/// square by far more. Raised, wrong pieces stay; lowered, steep boards fall apart.
 const UNLIKE: f64 = 0.4;
-/// Steps that differ by less than this share along both axes are alike, and their median need not be computed. As long
-/// as it is at most half of [`UNLIKE`] it changes no verdict; lowered, it saves less time.
+/// Relative difference along both axes below which steps count as alike, so that their median need
+/// not be computed. It changes no result while it is at most half of [`UNLIKE`]; lowered, it saves
+/// less time.
 const ALIKE: f64 = 0.2;
-/// A piece is kept when its corners lie this near, in squares, to where the board predicts them: beyond half a square the next place is the
-/// nearer one. Raised, pieces with wrong coordinates stay; lowered, those of bent boards beyond a finger are lost.
+/// Maximum distance, in squares, between a piece's corners and the board's prediction for the piece
+/// to be kept; beyond half a square the next place is nearer. Raised, pieces with wrong coordinates
+/// stay; lowered, pieces of bent boards beyond a finger are lost.
 const NEAR: f64 = 0.35;
-/// Corners of a piece that are asked: those nearest to the board. Raised, farther ones decide too,
-/// which the board predicts worse; lowered, one bad corner counts for more.
+/// Number of a piece's corners that are checked, the nearest to the board. Raised, farther ones
+/// decide too, which the board predicts worse; lowered, one bad corner counts for more.
 const TOLD: usize = 6;
-/// Corners of the board that predict one beyond it: the nearest, five times as many as the three unknowns of each axis. Raised, the
-/// plane that they lie on reaches farther and perspective bends it; lowered, their noise counts for more.
+/// Number of board corners that predict one beyond it: the nearest, five times as many as the three
+/// unknowns per axis. Raised, the fitted plane extends farther and perspective bends it; lowered,
+/// their noise counts for more.
 const FORETELLERS: usize = 16;
 
 impl Lattice {
-    /// Drops what is not in one piece with the rest.
+    /// Drops corners that are not connected with the rest.
     pub(super) fn drop_islands(&mut self) {
         let mut pieces = self.pieces();
         pieces.sort_by_key(|piece| std::cmp::Reverse(piece.len()));
@@ -37,7 +43,8 @@ impl Lattice {
         self.retain(|at| !strays.contains(at));
     }
 
-    /// Whether the corners of a piece that are nearest to the board lie where it foretells them; farther ones it cannot tell.
+    /// Whether the piece's corners nearest to the board lie where the board predicts them; it
+    /// cannot predict farther ones.
     fn belongs(&self, piece: &[Place], board: &[Place]) -> bool {
         let off = |a: &Place, b: &Place| (a.0 - b.0).pow(2) + (a.1 - b.1).pow(2);
         let mut nearest: Vec<(i32, Place)> = piece.iter().filter_map(|at| Some((board.iter().map(|b| off(at, b)).min()?, *at))).collect();
@@ -45,12 +52,12 @@ impl Lattice {
         nearest.iter().take(TOLD).all(|&(_, at)| self.is_foretold(at, board))
     }
 
-    /// How many corners are in the largest piece.
+    /// Returns the number of corners in the largest piece.
     pub(super) fn largest_piece(&self) -> usize {
         self.pieces().iter().map(Vec::len).max().unwrap_or(0)
     }
 
-    /// What hangs together by steps that are like those around them.
+    /// Returns the pieces that are connected by steps like those around them.
     fn pieces(&self) -> Vec<Vec<Place>> {
         let typical = [(1, 0), (0, 1)].map(|along| self.typical_steps(along));
         let linked = |from: Place, to: Place| {
@@ -79,7 +86,8 @@ impl Lattice {
         pieces
     }
 
-    /// For each step along one axis, by its first corner, the median of those around.
+    /// Returns for each step along one axis, by its first corner, the median of the steps around
+    /// it.
     fn typical_steps(&self, along: Place) -> Grid<Vector2<f64>> {
         let steps = self.differences(along);
         let (mut xs, mut ys) = (Vec::new(), Vec::new());
@@ -90,7 +98,7 @@ impl Lattice {
                 let larger = if off.x > off.y { off.x } else { off.y };
                 farthest = if larger > farthest { larger } else { farthest };
             });
-            // Where all are alike, the median is no farther off than they are.
+            // If all steps are alike, the median is no farther off than they are.
             if farthest < ALIKE * here.norm() {
                 return Some(*here);
             }
@@ -101,7 +109,7 @@ impl Lattice {
         })
     }
 
-    /// Whether a corner lies where the nearest ones of the board predict it, as on a plane seen from afar.
+    /// Whether a corner lies where an affine fit to the nearest corners of the board predicts it.
     fn is_foretold(&self, at: Place, board: &[Place]) -> bool {
         let mut nearest: Vec<(i32, Place)> = board.iter().map(|b| ((b.0 - at.0).pow(2) + (b.1 - at.1).pow(2), *b)).collect();
         nearest.sort_unstable();

@@ -1,7 +1,8 @@
-//! A lattice of corners: whole-number coordinates, positions in the picture, and what they predict of their neighbours.
+//! A lattice of corners: integer coordinates, positions in the picture, and predictions of
+//! neighbours.
 //!
-//! Coordinates (i, j) turn clockwise in the picture from +i to +j, and the square between +i and +j of corner (0, 0)
-//! is dark, so the one of (i, j) is dark where i + j is even.
+//! From +i to +j is clockwise in the picture. The square between +i and +j of corner (0, 0) is
+//! dark, so that of (i, j) is dark if i + j is even.
 
 use nalgebra::Vector2;
 
@@ -12,13 +13,13 @@ use crate::geometry::robust_kernel::median;
 /// One corner of a lattice.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cell {
-    /// Level pixels.
+    /// Position, level pixels.
     pub position: Vector2<f64>,
-    /// The level half way between dark and light.
+    /// The grey level halfway between dark and light.
     pub middle: f64,
     /// Half the difference between light and dark, grey levels.
     pub contrast: f64,
-    /// What the fit left unexplained, grey levels; 0 before there was one.
+    /// Residual of the fit, grey levels; 0 before there was one.
     pub residual: f64,
 }
 
@@ -30,7 +31,7 @@ pub(crate) struct Lattice {
     pub blur: f64,
 }
 
-/// Lowest and highest coordinates.
+/// Minimum and maximum coordinates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Extent {
     pub low: (i32, i32),
@@ -38,7 +39,7 @@ pub(crate) struct Extent {
 }
 
 impl Extent {
-    /// Corners along i and j.
+    /// Returns the number of corners along i and j.
     pub fn size(&self) -> (u32, u32) {
         ((self.high.0 - self.low.0 + 1) as u32, (self.high.1 - self.low.1 + 1) as u32)
     }
@@ -47,21 +48,24 @@ impl Extent {
         (self.low.0..=self.high.0).contains(&i) && (self.low.1..=self.high.1).contains(&j)
     }
 
-    /// The larger number first.
+    /// Returns the size with the larger number first.
     pub fn sorted_size(&self) -> (u32, u32) {
         let (a, b) = self.size();
         (a.max(b), a.min(b))
     }
 }
 
-/// A corner this share of a square away from where its neighbours predict it is none: half as far as the border to the next place. Raised,
-/// corners of shadows and reflections stay; lowered, true ones of bent boards and near the rim of wide lenses go.
+/// Maximum distance, in squares, between a corner and its neighbours' prediction: half as far as
+/// the border to the next place. Raised, corners of shadows and reflections stay; lowered, true
+/// ones of bent boards and near the rim of wide lenses are dropped.
 const STRAY: f64 = 0.25;
-/// Corners up to this many squares away predict one: follows from [`Lattice::predicted`], and must grow with it.
+/// Distance in squares up to which corners contribute to a prediction: follows from
+/// [`Lattice::predicted`], and must grow with it.
 const FORETELLS: i32 = 3;
-/// More than this times the noise and this share of the contrast left unexplained, added in squares, is no clean corner.
-/// Chosen, not tuned: twice the median residual, and a share for boards whose residuals are nearly nothing. Raised, corners
-/// under a shadow's edge or a reflection stay; lowered, good ones of noisy pictures go.
+/// Maximum residual of a clean corner: this multiple of the noise and this fraction of the
+/// contrast, added in quadrature. Chosen, not tuned: twice the median residual, and a fraction for
+/// boards with almost no residuals. Raised, corners under a shadow's edge or a reflection stay;
+/// lowered, good ones in noisy pictures are dropped.
 const DISTURBED_NOISE: f64 = 2.0;
 const DISTURBED_SHARE: f64 = 0.08;
 
@@ -78,7 +82,7 @@ impl Lattice {
         self.cells.get(at)
     }
 
-    /// The corners at most `reach` places away.
+    /// Returns the corners at most `reach` places away.
     pub fn around(&self, at: Place, reach: i32) -> impl Iterator<Item = &Cell> {
         self.cells.around(at, reach)
     }
@@ -87,7 +91,7 @@ impl Lattice {
         self.cells.iter()
     }
 
-    /// `None` where there is not one corner.
+    /// Returns the range of coordinates; `None` if there are no corners.
     pub fn extent(&self) -> Option<Extent> {
         let (first, _) = self.cells.iter().next()?;
         Some(self.cells.iter().fold(Extent { low: first, high: first }, |e, ((i, j), _)| Extent {
@@ -100,12 +104,12 @@ impl Lattice {
         self.cells.get((i, j)).map(|cell| cell.position)
     }
 
-    /// The steps from each corner to the next along one axis.
+    /// Returns the steps from each corner to the next along one axis.
     pub fn differences(&self, along: Place) -> Grid<Vector2<f64>> {
         self.cells.filter_map(|(i, j), cell| Some(self.at(i + along.0, j + along.1)? - cell.position))
     }
 
-    /// One square's step along +i and +j at a corner, from its neighbours or theirs.
+    /// Returns one square's step along +i and +j at a corner, from its neighbours or theirs.
     pub fn steps(&self, i: i32, j: i32) -> Option<[Vector2<f64>; 2]> {
         let step = |i: i32, j: i32, di: i32, dj: i32| {
             let (before, here, after) = (self.at(i - di, j - dj), self.at(i, j), self.at(i + di, j + dj));
@@ -121,7 +125,7 @@ impl Lattice {
         Some([find(1, 0)?, find(0, 1)?])
     }
 
-    /// Where a corner should be, judging by those around it.
+    /// Predicts a corner's position from those around it.
     pub fn predicted(&self, i: i32, j: i32) -> Option<Vector2<f64>> {
         let (mut sum, mut weight) = (Vector2::zeros(), 0.0);
         let mut say = |p: Vector2<f64>, w: f64| {
@@ -149,15 +153,15 @@ impl Lattice {
         (weight > 0.0).then(|| sum / weight)
     }
 
-    /// Drops corners that do not look like one where it counts: a shadow's edge or a reflection runs through them. The picture's
-    /// own noise is what the better half leaves unexplained.
+    /// Drops corners whose residual is too large, as when a shadow's edge or a reflection runs
+    /// through them. The median residual serves as the picture's noise.
     pub fn drop_disturbed(&mut self) {
         let mut residuals: Vec<f64> = self.cells.iter().map(|(_, cell)| cell.residual).collect();
         let Some(noise) = median(&mut residuals) else { return };
         self.cells.retain(|_, cell| cell.residual < (DISTURBED_NOISE * noise).hypot(DISTURBED_SHARE * cell.contrast));
     }
 
-    /// Drops corners that lie where their neighbours do not predict them, the worst first.
+    /// Drops corners that do not lie where their neighbours predict them, the worst first.
     pub fn drop_strays(&mut self) {
         let mut off: Grid<f64> = self.cells.filter_map(|at, cell| Some(self.share_off(at, cell)));
         loop {
@@ -174,27 +178,28 @@ impl Lattice {
         }
     }
 
-    /// How far a corner lies from where its neighbours predict it, squares; infinite where nothing speaks for it.
+    /// Returns the distance between a corner and its neighbours' prediction, squares; infinite if
+    /// there is no prediction.
     fn share_off(&self, (i, j): Place, cell: &Cell) -> f64 {
         let share = |[u, v]: [Vector2<f64>; 2]| Some((cell.position - self.predicted(i, j)?).norm() / u.norm().min(v.norm()));
         self.steps(i, j).and_then(share).unwrap_or(f64::INFINITY)
     }
 
-    /// Keeps the corners of which this is true.
+    /// Keeps the corners for which `keep` is true.
     pub fn retain(&mut self, mut keep: impl FnMut(Place) -> bool) {
         self.cells.retain(|at, _| keep(at));
     }
 
-    /// The same corners on a level `steps` levels coarser (negative: finer).
+    /// Returns the same corners on a level `steps` levels coarser (negative: finer).
     pub fn rescaled(&self, steps: i32) -> Self {
         let cells = self.cells.filter_map(|_, cell| Some(Cell { position: rescaled(cell.position, steps), ..*cell }));
-        // A pixel's own width is part of the blur, and it is another pixel there.
+        // The blur includes the pixel's own width, which differs between levels.
         let own = 1.0 / 12.0;
         let lens = (self.blur * self.blur - own).max(0.01) * 0.25_f64.powi(steps);
         Self { cells, blur: (lens + own).sqrt() }
     }
 
-    /// Drops outermost rows and columns that are mostly empty: single corners out there are chance.
+    /// Drops outermost rows and columns that are mostly empty: isolated corners there are chance.
     pub fn trim(&mut self) {
         while let Some(extent) = self.extent() {
             let (w, h) = extent.size();

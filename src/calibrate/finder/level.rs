@@ -1,6 +1,7 @@
-//! A picture as floating-point grey levels, and its halves: what the finder works on.
+//! A picture as floating-point grey levels, and its reductions by half, on which the finder works.
 //!
-//! Halving averages 2 x 2 pixels, so a position moves to (c + 0.5) / 2 - 0.5; a side of odd length loses its last line.
+//! Halving averages 2 x 2 pixels, so a position c becomes (c + 0.5) / 2 - 0.5; a side of odd length
+//! loses its last line.
 
 use image::GrayImage;
 use nalgebra::Vector2;
@@ -20,7 +21,7 @@ impl Level {
         Self { width: picture.width() as usize, height: picture.height() as usize, grey }
     }
 
-    /// Half the size.
+    /// Returns the level at half the size.
     pub fn halved(&self) -> Self {
         let (width, height) = (self.width / 2, self.height / 2);
         let mut grey = Vec::with_capacity(width * height);
@@ -32,7 +33,8 @@ impl Level {
         Self { width, height, grey }
     }
 
-    /// Smoothed by the binomial filter (1 4 6 4 1)/16 along both axes: a Gaussian of sigma 1. Edges repeat the border.
+    /// Smooths by the binomial filter (1 4 6 4 1)/16 along both axes: a Gaussian of sigma 1. Border
+    /// pixels are repeated.
     pub fn smoothed(&self) -> Self {
         let (w, h) = (self.width, self.height);
         let mut grey = vec![0.0_f32; w * h];
@@ -57,7 +59,7 @@ impl Level {
         inside(p.x, self.width) && inside(p.y, self.height)
     }
 
-    /// Eight grey levels from the `index`th; 0 beyond the last.
+    /// Returns eight grey levels from `index` on; 0 beyond the last.
     #[inline(always)]
     pub fn eight_from(&self, index: usize) -> [f32; 8] {
         let mut eight = [0.0; 8];
@@ -68,14 +70,14 @@ impl Level {
         eight
     }
 
-    /// Bilinear grey level; positions outside are moved to the rim.
+    /// Returns the bilinearly interpolated grey level; positions outside are clamped to the rim.
     pub fn sample(&self, p: Vector2<f64>) -> f32 {
         let inside = |c: f64, size: usize| {
             let last = f64::from(size as u32) - 1.001;
             (if c > last { last } else { c }).max(0.0) as f32
         };
         let (x, y) = (inside(p.x, self.width), inside(p.y, self.height));
-        // By way of 32 bits: the processor has no other conversion.
+        // Via i32: the processor converts to it in one instruction.
         let (i, j) = (x as i32, y as i32);
         let (a, b) = (x - i as f32, y - j as f32);
         let first = j as usize * self.width + i as usize;
@@ -84,7 +86,7 @@ impl Level {
     }
 }
 
-/// The picture at full size, half, quarter … down to sides of at least `least` pixels.
+/// Returns the picture at full size, half, quarter … while both sides have at least `least` pixels.
 pub(crate) fn pyramid(picture: &GrayImage, least: usize) -> Vec<Level> {
     let mut levels = vec![Level::of_picture(picture)];
     while let Some(last) = levels.last().filter(|l| l.width.min(l.height) >= 2 * least) {
@@ -93,7 +95,8 @@ pub(crate) fn pyramid(picture: &GrayImage, least: usize) -> Vec<Level> {
     levels
 }
 
-/// A position of one level as a position `steps` levels further down (half the size each), or up where negative.
+/// Converts a position to the level `steps` levels coarser (half the size each), or finer if
+/// negative.
 pub(crate) fn rescaled(p: Vector2<f64>, steps: i32) -> Vector2<f64> {
     let s = 0.5_f64.powi(steps);
     p.map(|c| (c + 0.5) * s - 0.5)

@@ -1,8 +1,9 @@
-//! Which candidate is whose neighbour on the board, and the lattices that this makes.
+//! Links neighbouring candidates on the board, and collects the resulting lattices.
 //!
-//! Two candidates are neighbours if an edge of both runs along the line between them, if the colours are swapped from
-//! one to the other, and if the picture is dark on one side and light on the other all along that line. A link must be
-//! seen from both ends. What hangs together by links is a lattice: each member gets whole-number coordinates.
+//! Two candidates are neighbours if an edge of each runs along the line between them, if the
+//! colours are swapped from one to the other, and if the picture is dark on one side and light on
+//! the other all along that line. A link must hold from both ends. Linked candidates form a
+//! lattice, and each member gets integer coordinates.
 
 use std::collections::VecDeque;
 
@@ -13,25 +14,30 @@ use super::lattice::{Cell, Lattice};
 use super::level::Level;
 use super::saddle::Saddle;
 
-/// Neighbours are sought among this many nearest candidates: a board tilted steeply has several rows nearer than the next corner
-/// along its long side. Raised, crowded pictures take longer; lowered, steep boards fall apart into rows.
+/// Number of nearest candidates among which neighbours are searched: a steeply tilted board has
+/// several rows nearer than the next corner along its long side. Raised, crowded pictures take
+/// longer; lowered, steep boards fall apart into rows.
 const NEAREST: usize = 40;
-/// … of which these are looked at first, nearest first, so that most need no more. It saves time and changes no
-/// link. Raised, a plain board takes longer; lowered, more corners are looked at twice.
+/// … of which this many are tried first, nearest first, as most corners need no more. It saves time
+/// and changes no link. Raised, a plain board takes longer; lowered, more corners are tried twice.
 const FIRST: usize = 12;
-/// Candidates a bucket holds on average: few, so that little more than the nearest are looked at. Lowered, more empty buckets are visited.
+/// Average number of candidates per bucket: few, so that little more than the nearest are examined.
+/// Lowered, more empty buckets are visited.
 const CROWD: f64 = 2.0;
-/// Cosine of the largest angle between an edge and the line to the neighbour, 20 degrees. Chosen, not tuned. Raised,
-/// links of distorted or noisy boards are lost; lowered, diagonals of steep boards pass for edges.
+/// Cosine of the maximum angle between an edge and the line to the neighbour, 20 degrees. Chosen,
+/// not tuned. Raised, links of distorted or noisy boards are lost; lowered, diagonals of steep
+/// boards pass for edges.
 const ALONG: f64 = 0.94;
-/// Cosine of the largest turn of the crossing edge from one neighbour to the next, 37 degrees: wider than [`ALONG`], as both ends'
-/// errors add up. Raised, links of noisy boards are lost; lowered, corners of different things are linked.
+/// Cosine of the maximum angle between the crossing edges of two neighbours, 37 degrees: wider than
+/// [`ALONG`], as both ends' errors add up. Raised, links of noisy boards are lost; lowered, corners
+/// of different objects are linked.
 const CROSSING: f64 = 0.8;
-/// Candidates below which no lattice is worth a look: two thirds of the smallest board, 3 x 3. Raised, small
-/// boards of which few corners are seen are missed; lowered, chance groups are looked at.
+/// Minimum number of candidates in a lattice: two thirds of the smallest board, 3 x 3. Raised,
+/// small boards with few visible corners are missed; lowered, chance groups are examined.
 const LEAST_LATTICE: usize = 6;
 
-/// The four ways out of a corner: along edge 0, against it, along edge 1, against it.
+/// The neighbours in the four ways out of a corner: along edge 0, against it, along edge 1, against
+/// it.
 type Neighbours = [Option<usize>; 4];
 
 fn outward(saddle: &Saddle, way: usize) -> Vector2<f64> {
@@ -39,12 +45,12 @@ fn outward(saddle: &Saddle, way: usize) -> Vector2<f64> {
     if way.is_multiple_of(2) { direction } else { -direction }
 }
 
-/// The way out of `saddle` along `edge` that points towards `d`.
+/// Returns the way out of `saddle` along `edge` that points towards `d`.
 fn way_towards(saddle: &Saddle, edge: usize, d: Vector2<f64>) -> usize {
     2 * edge + usize::from(saddle.edges[edge].dot(&d) < 0.0)
 }
 
-/// All lattices among the candidates, largest first.
+/// Returns all lattices among the candidates, largest first.
 pub(super) fn lattices(smooth: &Level, saddles: &[Saddle]) -> Vec<Lattice> {
     let buckets = Buckets::new(smooth, saddles);
     let mut near = Vec::new();
@@ -68,7 +74,7 @@ pub(super) fn lattices(smooth: &Level, saddles: &[Saddle]) -> Vec<Lattice> {
     found
 }
 
-/// The nearest fitting candidate in each of the four ways; `near` is room to work in.
+/// Returns the nearest matching candidate in each of the four ways; `near` is scratch memory.
 fn neighbours(smooth: &Level, saddles: &[Saddle], buckets: &Buckets, index: usize, near: &mut Vec<u64>) -> Neighbours {
     let mut found = [None; 4];
     let from = &saddles[index];
@@ -90,7 +96,8 @@ fn neighbours(smooth: &Level, saddles: &[Saddle], buckets: &Buckets, index: usiz
                 if forwards.abs() < ALONG || slot.is_some() {
                     continue;
                 }
-                // Colours are swapped at the neighbour: what opens a dark square here closes one there.
+                // Colours are swapped at the neighbour: the edge that starts a dark square here
+                // ends one there.
                 let parallel = along.dot(&to.edges[1 - edge]).abs() > ALONG;
                 let crossing = from.edges[1 - edge].dot(&to.edges[edge]).abs() > CROSSING;
                 let alike = to.contrast < 4.0 * from.contrast && from.contrast < 4.0 * to.contrast;
@@ -106,15 +113,17 @@ fn neighbours(smooth: &Level, saddles: &[Saddle], buckets: &Buckets, index: usiz
     found
 }
 
-/// Whether dark and light lie on the right sides at three places of the line between two candidates.
-// By itself, or the compiler moves its work in front of the cheap tests that most candidates fail.
+/// Whether dark and light lie on the correct sides at three places of the line between two
+/// candidates.
+// Not inlined, or the compiler moves its work before the cheap tests that most candidates fail.
 #[inline(never)]
 fn edge_between(smooth: &Level, from: &Saddle, to: &Saddle, edge: usize) -> bool {
     let line = to.position - from.position;
     let mut aside = Vector2::new(-line.y, line.x);
     let length = aside.norm();
     aside *= (0.15 * length).clamp(0.8, 4.0) / length;
-    // At growing angle from edge 0 it is dark, from edge 1 it is light; backwards along the edge the sides change twice.
+    // Towards growing angle from edge 0 it is dark, from edge 1 light; against the edge's direction
+    // both the side and the colour swap.
     let sign = if edge == 0 { -1.0 } else { 1.0 };
     let margin = 0.2 * from.contrast.min(to.contrast);
     [0.3, 0.5, 0.7].iter().all(|&t| {
@@ -123,7 +132,7 @@ fn edge_between(smooth: &Level, from: &Saddle, to: &Saddle, edge: usize) -> bool
     })
 }
 
-/// Gives coordinates to everything that hangs on `root`.
+/// Assigns coordinates to everything linked to `root`.
 fn spread(saddles: &[Saddle], root: usize, taken: &mut [bool], mutual: impl Fn(usize, usize) -> Option<usize>) -> Lattice {
     let mut cells: Grid<Cell> = Grid::default();
     // Each entry: candidate, its coordinates, and the two ways that lead along +i and +j.
@@ -142,7 +151,7 @@ fn spread(saddles: &[Saddle], root: usize, taken: &mut [bool], mutual: impl Fn(u
             }
             taken[to] = true;
             let next = &saddles[to];
-            // The edges swap their names; the axes go on in the same directions.
+            // The edges swap their roles; the axes keep their directions.
             let along_i = way_towards(next, 1 - along_i / 2, outward(&saddles[index], along_i));
             let along_j = way_towards(next, 1 - along_j / 2, outward(&saddles[index], along_j));
             queue.push_back((to, (i + di, j + dj), [along_i, along_j]));
@@ -151,13 +160,13 @@ fn spread(saddles: &[Saddle], root: usize, taken: &mut [bool], mutual: impl Fn(u
     Lattice::new(cells)
 }
 
-/// The way along the other edge that lies clockwise (growing angle, y down) of `way`.
+/// Returns the way along the other edge that lies clockwise (growing angle, y down) of `way`.
 fn way_at_growing_angle(saddle: &Saddle, way: usize) -> usize {
     let (here, other) = (outward(saddle, way), saddle.edges[1 - way / 2]);
     2 * (1 - way / 2) + usize::from(here.perp(&other) < 0.0)
 }
 
-/// Candidates sorted into square buckets, for finding the nearest.
+/// Candidates in square buckets, for nearest-neighbour queries.
 struct Buckets {
     side: f64,
     columns: usize,
@@ -179,8 +188,9 @@ impl Buckets {
         Self { side, columns, rows, members }
     }
 
-    /// At least the `most` nearest other candidates, in no order, each as a number that sorts by distance and ends in its index;
-    /// looks ring by ring, so that crowded places stay cheap.
+    /// Collects at least the `most` nearest other candidates, unordered, each as a number that
+    /// sorts by distance and ends in its index. Searches ring by ring, so that crowded places stay
+    /// cheap.
     fn around(&self, saddles: &[Saddle], index: usize, most: usize, near: &mut Vec<u64>) {
         near.clear();
         let from = saddles[index].position;
@@ -195,12 +205,12 @@ impl Buckets {
                 let step = if whole { 1 } else { (2 * ring).max(1) as usize };
                 for column in (c - ring..=c + ring).step_by(step).filter(|&k| k >= 0 && k < self.columns as isize) {
                     let members = &self.members[row as usize * self.columns + column as usize];
-                    // A positive number's bits sort as it does.
+                    // The bits of a positive float sort like its value.
                     let key = |m: usize| u64::from(((saddles[m].position - from).norm_squared() as f32).to_bits()) << 32 | m as u64;
                     near.extend(members.iter().filter(|&&m| m != index).map(|&m| key(m)));
                 }
             }
-            // One more ring: the nearest of it may be nearer than the farthest of this one.
+            // One more ring: its nearest may be nearer than the farthest of this one.
             if enough_at.is_none() && near.len() >= most {
                 enough_at = Some(ring + 1);
             }

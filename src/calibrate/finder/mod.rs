@@ -1,11 +1,14 @@
-//! The board finder: a grey picture in, the board's inner corners out, each to a few hundredths of a pixel.
+//! The board finder: takes a grey picture and returns the board's inner corners, each to a few
+//! hundredths of a pixel.
 //!
-//! From the coarsest level of a pyramid to the finest: candidates (`saddle`), what hangs together as a lattice
-//! (`links`), missing corners fitted where their neighbours predict them (`grow`, on the `lattice` kept in a `grid`). The first
-//! level that shows the board nearly whole ends the search - coarse levels are cheap and do not see a screen's pixels,
-//! paper's grain or noise; one on which the lattice is torn waits until the finer ones have been seen. Then every corner, the
-//! missing ones too, is fitted on the finest level that is sharper than the blur (`fit`), and the lattice is turned so that
-//! the origin is the same corner in every picture (`placement`).
+//! The search runs from the coarsest level of a pyramid to the finest. On each level it finds
+//! candidates (`saddle`), links them into lattices (`links`), and fits missing corners where their
+//! neighbours predict them (`grow`, on the `lattice` stored in a `grid`). The first level that
+//! shows the board nearly whole ends the search: coarse levels are cheap, and a screen's pixels,
+//! paper grain and noise vanish on them. A level on which the lattice is torn is deferred until the
+//! finer ones have been tried. Then all corners, including missing ones, are fitted on the finest
+//! level that is sharp enough (`fit`), and the lattice is rotated so that the origin is the same
+//! corner in every picture (`placement`).
 
 pub(crate) mod fit;
 mod gather;
@@ -36,15 +39,18 @@ use surroundings::BLUR_REACHES;
 /// A board in a picture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FoundBoard {
-    /// Raw pixels of the inner corners, row by row as [`Board::corner`] counts them; `None` where one is hidden.
+    /// The inner corners in raw pixels, row by row in the order of [`Board::corner`]; `None` for a
+    /// hidden one.
     pub corners: Vec<Option<Vector2<f64>>>,
-    /// Standard deviation of the blur across the corners' edges, pixels (a sharp picture's own pixel width, 0.3, included).
+    /// Standard deviation of the blur across the corners' edges, pixels (including the pixel's own
+    /// width of 0.3).
     pub blur_px: f64,
     /// Half the difference between light and dark squares, grey levels (the median).
     pub contrast: f64,
     /// Relative change of the light per pixel at each corner, along x and y.
     pub light: Vec<Vector2<f64>>,
-    /// Level of what lies around the board, on the scale on which dark squares are -1 and light ones 1.
+    /// Level of the area around the board, on the scale on which dark squares are -1 and light ones
+    /// 1.
     pub margin: f64,
     /// Whether the square between the origin's x and y is dark.
     pub dark_origin: bool,
@@ -58,31 +64,31 @@ impl FoundBoard {
         (index % columns + index / columns).is_multiple_of(2) == self.dark_origin
     }
 
-    /// How many corners are seen.
+    /// Returns how many corners are visible.
     pub fn seen(&self) -> usize {
         self.corners.iter().flatten().count()
     }
 }
 
-/// Why there is no board, and what was seen instead.
+/// Why no board was found, and what was seen instead.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum NoBoard {
-    /// Nothing hangs together; what the picture is like.
+    /// No lattice was found; holds a description of the picture.
     #[error("no chessboard: {0}")]
     Nothing(String),
-    /// A board, or part of one, with other numbers of corners.
+    /// A board, or part of one, with another number of corners.
     #[error("a chessboard of {columns}x{rows} inner corners{}, not the {wanted} that was asked for", if *cut { " at the picture's rim" } else { "" })]
     OtherSize {
         /// Inner corners along the longer side.
         columns: u32,
         /// Inner corners along the shorter side.
         rows: u32,
-        /// As asked for.
+        /// The requested size.
         wanted: String,
-        /// Whether it ends at the picture's rim, so that more of it may lie outside.
+        /// Whether it reaches the picture's rim, so that more of it may lie outside.
         cut: bool,
     },
-    /// The right size, as asked for, but with no clear end.
+    /// The requested size, but its end cannot be determined.
     #[error(
         "{0} corners of a chessboard whose outermost squares cannot be told from what is around them; light the board evenly, and show its rim"
     )]
@@ -97,32 +103,40 @@ pub enum NoBoard {
     },
 }
 
-/// Shorter side, pixels, down to which levels are made: squares of a 9x6 board that fills such a picture have about 9 pixels. Raised,
-/// noisy pictures lose the level that shows the board best; lowered, one more level is searched for nothing.
+/// Minimum shorter side of a level, pixels: squares of a 9x6 board that fills such a picture have
+/// about 9 pixels. Raised, noisy pictures lose the level that shows the board best; lowered, one
+/// more level is searched in vain.
 const LEAST_SIDE: usize = 60;
-/// Lattices looked at on each level, the largest first: the board is mostly the first, the others are for
-/// patterns in the background that are larger. Raised, pictures without the board take longer.
+/// Maximum number of lattices examined per level, largest first: the board is mostly the first, the
+/// others allow for larger patterns in the background. Raised, pictures without the board take
+/// longer.
 const LATTICES: usize = 3;
-/// A coarse level on which less than this share of the board hangs together is too coarse for it, and is only come back to if no other
-/// shows the board. Raised, finer levels are searched that need not be; lowered, time goes into completing lattices in vain.
+/// Minimum fraction of the board in one lattice for a coarse level to be completed at once; smaller
+/// lattices are tried only if no other level shows the board. Raised, finer levels are searched
+/// unnecessarily; lowered, time is spent completing lattices in vain.
 const WORTH_COMPLETING: f64 = 0.5;
-/// A coarse lattice with a smaller share of its corners in one piece is torn, and mostly stays so when it is completed; it waits for
-/// the finer levels. Raised, boards behind a reflection wait too; lowered, torn lattices are completed in vain.
+/// Minimum fraction of a coarse lattice's corners in one piece. Below it the lattice is torn, and
+/// mostly stays so when completed; it is deferred until the finer levels are searched. Raised,
+/// boards behind a reflection are deferred too; lowered, torn lattices are completed in vain.
 const IN_ONE_PIECE: f64 = 0.7;
-/// The search ends with this share of the board's corners: the few others are looked for again on the sharpest level. Raised, a board with
-/// hidden corners is searched on every level; lowered, the search ends where a finer level would have shown more.
+/// Fraction of the board's corners that ends the search: the few others are searched for on the
+/// sharpest level. Raised, a board with hidden corners is searched on every level; lowered, the
+/// search ends where a finer level would have shown more.
 const NEARLY_WHOLE: f64 = 0.9;
-/// A board counts as seen when this share of its corners is. Chosen, not tuned: fewer mostly lie on one side
-/// and tell the pose badly. Raised, pictures with a hand before the board are lost.
+/// Minimum fraction of visible corners for a board to count as found. Chosen, not tuned: fewer
+/// mostly lie on one side and constrain the pose poorly. Raised, pictures with a hand before the
+/// board are lost.
 const LEAST_SEEN: f64 = 0.7;
-/// Corners are fitted on a level where the blur is at most this, pixels: finer pixels only make the windows larger, for the edges
-/// hold no more detail. Raised, blurred pictures take longer; lowered, corners are fitted on coarser pixels …
+/// Maximum blur, pixels, of a level on which corners are fitted: finer pixels only make the windows
+/// larger, for the edges hold no more detail. Raised, blurred pictures take longer; lowered,
+/// corners are fitted on coarser pixels …
 pub(crate) const WIDEST_BLUR: f64 = 2.5;
-/// … or where squares are smaller than this, pixels: they have no pixels to spare.
-/// Raised, more blurred pictures are fitted on the finer level.
+/// … unless squares are smaller than this, pixels: they have no pixels to spare. Raised, more
+/// blurred pictures are fitted on the finer level.
 pub(crate) const SMALL_SQUARE: f64 = 8.0;
-/// A level on which more blur than this is expected is not even tried, pixels: a little above [`WIDEST_BLUR`], as the expectation comes
-/// from the coarser level. Raised, levels are fitted in vain; lowered, some that are sharp enough are left out.
+/// Expected blur, pixels, above which a level is not even tried: a little above [`WIDEST_BLUR`], as
+/// the expectation comes from the coarser level. Raised, levels are fitted in vain; lowered, some
+/// that are sharp enough are skipped.
 const EXPECTED_BLUR: f64 = 2.8;
 
 /// Finds the board's corners in a picture.
@@ -132,7 +146,7 @@ const EXPECTED_BLUR: f64 = 2.8;
 pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBoard> {
     let levels = level::pyramid(picture, LEAST_SIDE);
     let (index, lattice) = search(&levels, board).map_err(|partial| seen_instead(picture, board, partial, &levels))?;
-    // Corners that are dropped from here on are hidden ones: the board stays as large as it is.
+    // Corners dropped from here on count as hidden: the board keeps its extent.
     let extent = lattice.extent().unwrap_or_default();
     let (mut lattice, sharp) = sharpened(lattice, index, &levels);
     let level = &levels[sharp];
@@ -142,7 +156,7 @@ pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBo
     }
     let mut margin = Margin::around(&lattice, extent, level);
     let blur_reaches = |lattice: &Lattice| lattice.blur > BLUR_REACHES * lattice.square();
-    // Once more with all that the neighbours tell of each corner, where it was not all known the last time.
+    // Refit with all that the neighbours tell about each corner, unless it was all known before.
     if sharp == index || blur_reaches(&lattice) {
         lattice.refit(level, Some(&margin));
         if blur_reaches(&lattice) {
@@ -152,7 +166,8 @@ pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBo
     }
     lattice.drop_strays();
     lattice.drop_islands();
-    // After the islands, for they may part the board into pieces; those that only disturbed ones spoke for go too.
+    // After the islands, since this may split the board into pieces. Corners supported only by
+    // disturbed ones go too.
     lattice.drop_disturbed();
     lattice.drop_strays();
     let lattice = lattice.rescaled(-(sharp as i32));
@@ -166,7 +181,7 @@ pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBo
 /// A lattice and the level it was found on.
 type OnLevel = (usize, Lattice);
 
-/// The lattice that is the board, or the largest of those that are not.
+/// Returns the lattice that is the board, or the largest of those that are not.
 fn search(levels: &[Level], board: &Board) -> Result<OnLevel, Option<OnLevel>> {
     let (mut best, mut partial, mut torn, mut small) = (None, None, Vec::new(), Vec::new());
     let mut keep = |index: usize, mut lattice: Lattice, best: &mut Option<OnLevel>| {
@@ -208,7 +223,7 @@ fn search(levels: &[Level], board: &Board) -> Result<OnLevel, Option<OnLevel>> {
     best.ok_or(partial)
 }
 
-/// The largest lattices of one level, as far as candidates hang together.
+/// Returns the largest lattices of one level.
 fn lattices_of(level: &Level) -> Vec<Lattice> {
     let smooth = level.smoothed();
     let mut lattices = links::lattices(&smooth, &saddle::find_saddles(&smooth));
@@ -216,12 +231,12 @@ fn lattices_of(level: &Level) -> Vec<Lattice> {
     lattices
 }
 
-/// The lattice with its corners fitted on the finest level that is not more blurred than [`WIDEST_BLUR`], or that small squares
-/// need, and which level that is.
+/// Fits the corners on the finest level whose blur is at most [`WIDEST_BLUR`], or that small
+/// squares need; returns the lattice and that level's index.
 fn sharpened(lattice: Lattice, found_on: usize, levels: &[Level]) -> (Lattice, usize) {
     let (mut lattice, mut at) = (lattice, found_on);
     let is_sharp = |lattice: &Lattice, most: f64| lattice.blur <= most || lattice.square() < SMALL_SQUARE;
-    // Two levels at once where that goes well: the fit's start is then half a pixel off at most.
+    // Try two levels at once: the start of the fit is then at most half a pixel off.
     let mut stride = 2;
     while at > 0 {
         let to = at.saturating_sub(stride);
@@ -229,10 +244,11 @@ fn sharpened(lattice: Lattice, found_on: usize, levels: &[Level]) -> (Lattice, u
         let before = finer.len();
         let expected_sharp = is_sharp(&finer, EXPECTED_BLUR);
         if expected_sharp {
-            // Small squares tell little of the blur, so it is asked of the finer level itself.
+            // The blur of small squares is poorly known, so measure it on the finer level itself.
             finer.refit(&levels[to], None);
         }
-        // Where noise or a screen's own pixels hide the corners from the finer level, the coarser one has the word.
+        // Where noise or a screen's own pixels hide the corners on the finer level, keep the
+        // coarser one.
         let lost = finer.len() * 20 < before * 19;
         if expected_sharp && !lost && is_sharp(&finer, WIDEST_BLUR) {
             (lattice, at) = (finer, to);
@@ -245,7 +261,7 @@ fn sharpened(lattice: Lattice, found_on: usize, levels: &[Level]) -> (Lattice, u
     (lattice, at)
 }
 
-/// The sentence for a picture without the board.
+/// Describes what was seen in a picture without the board.
 fn seen_instead(picture: &GrayImage, board: &Board, partial: Option<(usize, Lattice)>, levels: &[Level]) -> NoBoard {
     let found = partial.and_then(|(index, lattice)| Some((lattice.extent()?, lattice, &levels[index])));
     let Some((extent, lattice, level)) = found.filter(|(e, l, _)| e.sorted_size().1 >= 3 && l.len() >= 9) else {
@@ -262,7 +278,7 @@ fn seen_instead(picture: &GrayImage, board: &Board, partial: Option<(usize, Latt
     NoBoard::OtherSize { columns, rows, wanted: board.to_string(), cut }
 }
 
-/// What a picture without a board looks like, for the user.
+/// Describes a picture without a board, for the user.
 fn brightness(picture: &GrayImage) -> String {
     let mut counts = [0_usize; 256];
     picture.as_raw().iter().for_each(|&v| counts[usize::from(v)] += 1);
@@ -283,8 +299,9 @@ fn brightness(picture: &GrayImage) -> String {
     }
 }
 
-/// Width of the copy in which blur is looked for: fine enough for what ruins corners, and the noise of large sensors is averaged out.
-/// Raised, the lens' own softness in large pictures is called blur; lowered, blur that ruins corners is not seen.
+/// Maximum width, pixels, of the downscaled copy in which blur is measured: fine enough for blur
+/// that ruins corners, while the noise of large sensors is averaged out. Raised, the lens's own
+/// softness in large pictures is reported as blur; lowered, harmful blur is missed.
 const LOOKED_AT_PX: u32 = 640;
 
 fn is_blurred(picture: &GrayImage) -> bool {

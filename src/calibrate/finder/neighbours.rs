@@ -1,5 +1,5 @@
-//! What a corner's neighbours tell of the place around it: how the light falls, where the next edges run, and what lies
-//! around the board.
+//! What a corner's neighbours tell about its surroundings: the slope of the light, the next edges,
+//! and the area around the board.
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -11,7 +11,7 @@ use super::surroundings::{BLUR_REACHES, NextEdge, NextEdges, Surroundings};
 use super::window::erf_and_slope;
 use crate::geometry::robust_kernel::median;
 
-/// What lies around a board.
+/// The area around a board.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Margin {
     extent: Extent,
@@ -19,12 +19,14 @@ pub(crate) struct Margin {
     pub lightness: f64,
 }
 
-/// How far outside the outermost corners the margin is looked at, squares: the board's last squares end at 1, and half a square
-/// further the blur brings in little of them. Raised, what lies behind the board is taken for its margin.
+/// How far outside the outermost corners the margin is sampled, squares: the board's last squares
+/// end at 1, and half a square further the blur adds little of them. Raised, what lies behind the
+/// board is taken for its margin.
 const OUTSIDE: f64 = 1.5;
 
 impl Margin {
-    /// Of a lattice that is the whole board, which spans `extent`, hidden corners included.
+    /// Measures the margin of a lattice that is the whole board and spans `extent`, hidden corners
+    /// included.
     pub fn around(lattice: &Lattice, extent: Extent, level: &Level) -> Self {
         let mut seen = [Vec::new(), Vec::new()];
         for ((i, j), cell) in lattice.cells() {
@@ -34,7 +36,7 @@ impl Margin {
                 let place = cell.position + out * OUTSIDE;
                 if level.has(place, 1.0) {
                     let seen_here = (f64::from(level.sample(place)) - cell.middle) / cell.contrast.max(1.0);
-                    // The blur brings in the board's own squares, which are dark and light in turn.
+                    // The blur adds the board's own squares, which are alternately dark and light.
                     let half_square = (OUTSIDE - 1.0) * u.perp(&v) / (if out.perp(&u) == 0.0 { v.norm() } else { u.norm() });
                     let own = erf_and_slope((half_square * FRAC_1_SQRT_2 / lattice.blur) as f32).0;
                     seen[(i + j).rem_euclid(2) as usize].push(seen_here / (0.5 + 0.5 * f64::from(own)));
@@ -47,35 +49,39 @@ impl Margin {
     }
 }
 
-/// Blur above this share of a square makes the level of a single corner unsure, for the next edges' blur reaches into it. Lowered, narrow
-/// reflections are averaged out; raised, the slope of the light over blurred corners is noisy and displaces them …
+/// Blur, as a fraction of a square, above which a single corner's level is uncertain, since the
+/// blur of the next edges reaches it. Lowered, narrow reflections are averaged out; raised, the
+/// slope of the light over blurred corners is noisy and displaces them …
 const MUCH_BLUR: f64 = 0.18;
-/// … so that the light comes from the corners within this many squares. Elsewhere it is within one square,
-/// for a reflection is narrow. Raised, the light's slope is that of half the board.
+/// … so that the light is fitted to the corners within this many squares; otherwise within one
+/// square, since a reflection is narrow. Raised, the slope of the light is that of half the board.
 const REACH_BLURRED: i32 = 3;
 
-/// The outermost squares, which may be cut, alternate at least this much a quarter of a square out, and what is around the
-/// board at most this much, as a share of the squares inside: about half way between none and all. Raised, boards under
-/// uneven light seem to end early; lowered, patterns behind the board seem to continue it.
+/// Alternation, relative to the squares inside, that separates squares from no squares: about
+/// halfway between none and full. The outermost squares, which may be cut, reach it a quarter of a
+/// square out; the area around the board does not. Raised, boards under uneven light seem to end
+/// early; lowered, patterns behind the board seem to continue it.
 const ALTERNATES: f64 = 0.45;
-/// Squares along a side that must be seen for it to say anything: fewer alternate by chance. A side of
-/// three corners has two, and says nothing; raised, longer sides do not either.
+/// Minimum number of visible squares along a side for a verdict: fewer alternate by chance. A side
+/// of three corners has two squares and gives none; raised, longer sides give none either.
 const LEAST_SQUARES: usize = 3;
 
 impl Lattice {
-    /// Whether the board ends where the lattice does: one more row of squares beyond its outermost corners, and then no more.
-    /// Sides that the picture cuts off tell nothing.
+    /// Whether the board ends where the lattice does: exactly one more row of squares beyond its
+    /// outermost corners. Sides cut off by the picture give no verdict.
     pub(super) fn is_whole_board(&self, level: &Level) -> bool {
         (0..4).all(|side| {
-            // What is around the board may be anything, but no whole squares.
+            // The area around the board may look like anything but whole squares.
             let goes_on = self.goes_on(level, side) == Some(true);
-            // Squares may be cut so narrow that they are hardly there; then the other side must not go on either.
+            // Squares may be cut so narrow that they hardly exist; then the opposite side must have
+            // a verdict and not continue either.
             let begins = self.has_squares(level, side) != Some(false) || self.goes_on(level, side ^ 1).is_some();
             !goes_on && begins
         })
     }
 
-    /// Drops outermost corners with no squares beyond them, while the lattice is larger than `size` (the larger number first).
+    /// Drops outermost corners with no squares beyond them, while the lattice is larger than `size`
+    /// (the larger number first).
     pub(super) fn drop_false_ends(&mut self, level: &Level, size: (u32, u32)) {
         for side in 0..4 {
             let Some(extent) = self.extent() else { return };
@@ -88,9 +94,10 @@ impl Lattice {
         }
     }
 
-    /// Whether there are squares beyond the outermost corners of a side; `None` where the picture cuts them off.
+    /// Whether there are squares beyond the outermost corners of a side; `None` if the picture cuts
+    /// them off.
     fn has_squares(&self, level: &Level, side: usize) -> Option<bool> {
-        // Going out by one square swaps the colours.
+        // One square further out, the colours are swapped.
         Some(-self.share_of_inside(level, side, 0.25)? > ALTERNATES)
     }
 
@@ -101,15 +108,15 @@ impl Lattice {
         all.map(|all| all.iter().all(|&share| share > ALTERNATES))
     }
 
-    /// How much the squares outside alternate, as a share of those inside.
+    /// Returns the alternation of the squares outside, relative to those inside.
     fn share_of_inside(&self, level: &Level, side: usize, out: f64) -> Option<f64> {
         let extent = self.extent()?;
         let inside = self.alternation(level, extent, side, -0.5).filter(|a| *a > 0.0)?;
         Some(self.alternation(level, extent, side, out)? / inside)
     }
 
-    /// How much the squares beside one side alternate, `out` squares outside the outermost corners: 1 is fully, the sign says
-    /// which colour comes first.
+    /// Returns how much the squares alternate along one side, `out` squares outside the outermost
+    /// corners: 1 is full alternation; the sign tells which colour comes first.
     fn alternation(&self, level: &Level, extent: Extent, side: usize, out: f64) -> Option<f64> {
         let (w, h) = extent.size();
         let length = if side < 2 { h } else { w } as i32;
@@ -128,7 +135,8 @@ impl Lattice {
             if level.has(place, 0.0) {
                 let lightness = (f64::from(level.sample(place)) - 0.5 * (a.middle + b.middle)) / (0.5 * (a.contrast + b.contrast));
                 let parity = if (at.0 + at.1).rem_euclid(2) == 0 { 1.0 } else { -1.0 };
-                // The colour inside is as the quadrant's; which one that is depends on the side.
+                // The colour inside is that of the quadrant; which quadrant it is depends on the
+                // side.
                 let quadrant = if matches!(side, 1 | 3) { parity } else { -parity };
                 sum = (sum.0 + quadrant * lightness.clamp(-1.5, 1.5), sum.1 + 1);
             }
@@ -136,13 +144,13 @@ impl Lattice {
         (sum.1 >= LEAST_SQUARES).then(|| sum.0 / sum.1 as f64)
     }
 
-    /// What the neighbours of a corner at `here` tell of it.
+    /// Returns what the neighbours tell about a corner at `here`.
     pub(super) fn surroundings(&self, at: (i32, i32), here: Vector2<f64>, margin: Option<&Margin>) -> Surroundings {
         Surroundings { light: self.light(at, here).unwrap_or_default(), edges: self.next_edges(at, here, margin) }
     }
 
-    /// Relative change of the light per pixel: the plane through the levels half way between dark and light of the corners
-    /// around.
+    /// Returns the relative change of the light per pixel, from a plane fitted to the middle levels
+    /// of the corners around.
     pub(super) fn light(&self, (i, j): (i32, i32), here: Vector2<f64>) -> Option<Vector2<f64>> {
         let [u, v] = self.steps(i, j)?;
         let blurred = self.blur > MUCH_BLUR * u.perp(&v) / u.norm().max(v.norm());
@@ -155,11 +163,11 @@ impl Lattice {
         });
         let plane = normal.try_inverse()? * levels;
         let slope = plane.xy() / plane.z.max(1.0);
-        // Light that changes by half from one corner to the next is no slope any more.
+        // A change by half from one corner to the next is not a slope any more.
         (slope.dot(&u).abs() < 0.5 && slope.dot(&v).abs() < 0.5).then_some(slope)
     }
 
-    /// The four next edges; `None` where the blur does not reach the window from there.
+    /// Returns the four next edges; `None` if their blur does not reach the window.
     fn next_edges(&self, (i, j): (i32, i32), here: Vector2<f64>, margin: Option<&Margin>) -> Option<NextEdges> {
         let [u, v] = self.steps(i, j)?;
         let area = u.perp(&v);
@@ -173,7 +181,7 @@ impl Lattice {
             let next = self.at(i + di, j + dj).or_else(|| self.predicted(i + di, j + dj));
             let place = next.unwrap_or(here + u * f64::from(di) + v * f64::from(dj));
             let ends = margin.is_some_and(|m| !m.extent.contains((i + di, j + dj)));
-            // An edge turns a little from one corner to the next.
+            // An edge's direction changes slightly from one corner to the next.
             let turned = self.steps(i + di, j + dj).map(|[u, v]| if di == 0 { Vector2::new(-u.y, u.x) } else { Vector2::new(v.y, -v.x) });
             let normal = turned.filter(|_| !ends).map_or(normal, |n| n.normalize());
             NextEdge { normal, place: normal.dot(&place), ends }
@@ -184,7 +192,7 @@ impl Lattice {
         Some(NextEdges { along, beyond: if dark_first { -lightness } else { lightness } })
     }
 
-    /// The shorter side of the median square, level pixels.
+    /// Returns the shorter side of the median square, level pixels.
     pub(super) fn square(&self) -> f64 {
         let across = |[u, v]: [Vector2<f64>; 2]| u.perp(&v) / u.norm().max(v.norm());
         let mut all: Vec<f64> = self.cells().filter_map(|((i, j), _)| self.steps(i, j)).map(across).collect();

@@ -1,9 +1,10 @@
-//! Which corner of a lattice is the board's origin.
+//! Determines which corner of a lattice is the board's origin.
 //!
-//! A lattice may be turned by quarter turns until its numbers of corners are the board's. Of the turns that fit, those
-//! with a dark square beyond the origin are taken if there are any; that leaves one where the pattern is not symmetric.
-//! Where two are left, half a turn apart, the x axis that points right and down wins: boards are held upright or sideways,
-//! seldom at 45 degrees, which is where this choice changes over. Where four are left, the x axis that points right wins.
+//! A lattice may be rotated by quarter turns until its numbers of corners match the board's. Among
+//! the matching rotations, those with a dark square beyond the origin are preferred if there are
+//! any; for a pattern without symmetry that leaves one. If two are left, half a turn apart, the x
+//! axis that points right and down wins: boards are held upright or sideways, seldom at 45 degrees,
+//! where this choice flips. If four are left, the x axis that points right wins.
 
 use nalgebra::Vector2;
 
@@ -12,17 +13,18 @@ use super::lattice::{Extent, Lattice};
 use crate::calibrate::board::{Board, Symmetry};
 use crate::geometry::robust_kernel::median;
 
-/// Whether the lattice spans exactly the board, one way or the other.
+/// Whether the lattice spans exactly the board in either orientation.
 pub(super) fn fits(lattice: &Lattice, board: &Board) -> bool {
     lattice.extent().is_some_and(|extent| extent.sorted_size() == sorted_size(board))
 }
 
-/// The board's corners along its sides, the larger number first.
+/// Returns the board's corners along its sides, the larger number first.
 pub(super) fn sorted_size(board: &Board) -> (u32, u32) {
     (board.columns().max(board.rows()), board.columns().min(board.rows()))
 }
 
-/// The corners in the board's order, of a lattice that spans `extent`, hidden corners included; `None` where that is not the board.
+/// Puts the corners in the board's order; the lattice spans `extent`, hidden corners included.
+/// Returns `None` if that is not the board.
 pub(super) fn placed(lattice: &Lattice, extent: Extent, board: &Board, margin: f64) -> Option<FoundBoard> {
     let turns: Vec<Turn> = (0..4).filter_map(|quarter| Turn::new(lattice, extent, board, quarter)).collect();
     let dark = turns.iter().any(|turn| turn.dark_origin);
@@ -44,10 +46,10 @@ pub(super) fn placed(lattice: &Lattice, extent: Extent, board: &Board, margin: f
     })
 }
 
-/// A lattice turned by quarters until it may be the board.
+/// A lattice rotated by quarter turns so that it matches the board.
 struct Turn {
     corners: Vec<Option<Vector2<f64>>>,
-    /// Their coordinates in the lattice.
+    /// The corners' coordinates in the lattice.
     places: Vec<(i32, i32)>,
     /// Whether the square beyond the origin is dark.
     dark_origin: bool,
@@ -59,7 +61,7 @@ impl Turn {
     fn new(lattice: &Lattice, extent: Extent, board: &Board, quarter: usize) -> Option<Self> {
         let (w, h) = extent.size();
         let (low, high) = (extent.low, extent.high);
-        // Origin and the lattice directions of x and y; y follows x clockwise, as j follows i.
+        // The origin, and the lattice directions of x and y; y follows x clockwise, as j follows i.
         let (origin, x, y) = match quarter {
             0 => ((low.0, low.1), (1, 0), (0, 1)),
             1 => ((high.0, low.1), (0, 1), (-1, 0)),
@@ -75,13 +77,14 @@ impl Turn {
         let all = (0..rows).flat_map(|r| (0..columns).map(move |c| (c, r)));
         let places: Vec<_> = all.map(|(c, r)| at(c, r)).collect();
         let corners: Vec<_> = places.iter().map(|&at| lattice.get(at).map(|cell| cell.position)).collect();
-        // The quadrant between x and y has the colour of (i, j)'s own where the turn is by a half, the other one else.
+        // The quadrant between x and y has the colour of (i, j)'s own after a half turn, otherwise
+        // the opposite one.
         let dark_origin = ((origin.0 + origin.1).rem_euclid(2) == 0) == quarter.is_multiple_of(2);
         Some(Self { dark_origin, x_axis: x_axis(&corners, board.columns() as usize), corners, places })
     }
 }
 
-/// Where the rows of corners run to: the mean step along x.
+/// Returns the direction of the rows of corners: the normalized mean step along x.
 fn x_axis(corners: &[Option<Vector2<f64>>], columns: usize) -> Vector2<f64> {
     let rows = corners.chunks(columns).flat_map(|row| row.windows(2));
     let sum: Vector2<f64> = rows.filter_map(|pair| Some(pair[1]? - pair[0]?)).sum();

@@ -1,9 +1,9 @@
-//! Candidates: points where the picture looks like the meeting of four squares.
+//! Finds candidates: points where the picture looks like four squares meeting.
 //!
-//! Where two dark and two light squares meet, the smoothed picture is a saddle: the determinant of its second
-//! derivatives is negative there, whatever the tilt. Each saddle is then looked at on a small ring: opposite points of
-//! the ring must be alike, and going around it must cross the saddle's own level exactly four times. The crossings are
-//! the directions of the two edges.
+//! Where two dark and two light squares meet, the smoothed picture has a saddle: the determinant of
+//! its second derivatives is negative there, whatever the tilt. Each saddle is then checked on a
+//! small ring: opposite points of the ring must be alike, and the ring must cross the saddle's own
+//! level exactly four times. The crossings are the directions of the two edges.
 
 use std::f64::consts::PI;
 
@@ -14,33 +14,37 @@ use super::level::Level;
 /// A candidate corner on one level.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Saddle {
-    /// Level pixels.
+    /// Position, level pixels.
     pub position: Vector2<f64>,
-    /// Unit vectors along the two edges: going from the first to the second at growing angle crosses a dark square.
+    /// Unit vectors along the two edges: the quadrant from the first to the second at growing angle
+    /// is dark.
     pub edges: [Vector2<f64>; 2],
-    /// Its own grey level.
+    /// The saddle's own grey level.
     pub middle: f64,
     /// Half the difference between light and dark, grey levels.
     pub contrast: f64,
 }
 
-/// Determinants below this, (grey levels per square pixel) squared, are noise: a board of about 2.5 grey levels of contrast on a quiet
-/// sensor. Raised, dim boards are missed; lowered, noise gives candidates, each of which costs a look at its ring.
+/// Determinant below which a saddle is noise, (grey levels per square pixel) squared: a board of
+/// about 2.5 grey levels of contrast on a quiet sensor. Raised, dim boards are missed; lowered,
+/// noise produces candidates, each of which costs a ring check.
 const LEAST_DETERMINANT: f32 = 2.5;
-/// Candidates kept at most, the strongest: more than the 10 000 corners of the largest board. Raised, textured
-/// pictures take longer; lowered, texture with more contrast crowds out large boards.
+/// Maximum number of candidates kept, the strongest: more than the 10 000 corners of the largest
+/// board. Raised, textured pictures take longer; lowered, texture with more contrast crowds out
+/// large boards.
 const MOST_CANDIDATES: usize = 12_000;
-/// Radius of the ring, level pixels: three sigma of the smoothing, so that the quadrants show, and less than a square.
-/// Raised, boards with small squares are missed; lowered, the smoothing mixes the quadrants.
+/// Radius of the ring, level pixels: three sigma of the smoothing, so that the quadrants show, and
+/// less than a square. Raised, boards with small squares are missed; lowered, the smoothing mixes
+/// the quadrants.
 const RING_RADIUS: f64 = 3.0;
-/// Points on half the ring: 0.6 pixels apart, closer than the picture has detail. Raised, a
+/// Number of points on half the ring: 0.6 pixels apart, finer than the picture's detail. Raised, a
 /// candidate only costs more; lowered, the edges' directions get coarser.
 const HALF_RING: usize = 16;
 
-/// The ring's points from its centre, x and y.
+/// Offsets of the ring's points from its centre, x and y.
 type Ring = [[f32; 2]; 2 * HALF_RING];
 
-/// All candidates of a level; `smooth` is the level after [`Level::smoothed`].
+/// Returns all candidates of a level; `smooth` is the level after [`Level::smoothed`].
 pub(super) fn find_saddles(smooth: &Level) -> Vec<Saddle> {
     let ring: Ring = std::array::from_fn(|k| {
         let (sin, cos) = (k as f64 * PI / HALF_RING as f64).sin_cos();
@@ -55,7 +59,7 @@ pub(super) fn find_saddles(smooth: &Level) -> Vec<Saddle> {
     peaks.into_iter().filter_map(|(_, index)| look_at(smooth, index, &ring)).collect()
 }
 
-/// Local maxima of Ixy² - Ixx Iyy with their pixel index.
+/// Returns the local maxima of Ixy² - Ixx Iyy with their pixel index.
 fn determinant_peaks(smooth: &Level) -> Vec<(f32, usize)> {
     let (w, h) = (smooth.width, smooth.height);
     let margin = RING_RADIUS as usize + 2;
@@ -78,7 +82,7 @@ fn determinant_peaks(smooth: &Level) -> Vec<(f32, usize)> {
     for y in margin..h - margin {
         let row = &determinant[y * w..][..w];
         for start in (margin..w - margin).step_by(8) {
-            // Most are flat: a look at eight pixels at once.
+            // Most pixels are flat: test eight at once.
             let end = (start + 8).min(w - margin);
             if row[start..end].iter().fold(true, |flat, &v| flat & (v < LEAST_DETERMINANT)) {
                 continue;
@@ -89,7 +93,8 @@ fn determinant_peaks(smooth: &Level) -> Vec<(f32, usize)> {
     peaks
 }
 
-/// Whether no pixel around is larger; of equal ones the last in the row, and the first of rows, is a peak.
+/// Whether no neighbouring pixel is larger. Of equal ones, the last in a row and the first of the
+/// rows is the peak.
 fn is_peak(determinant: &[f32], w: usize, index: usize) -> bool {
     let value = determinant[index];
     if value < LEAST_DETERMINANT || value <= determinant[index - 1] || value < determinant[index + 1] {
@@ -100,7 +105,8 @@ fn is_peak(determinant: &[f32], w: usize, index: usize) -> bool {
     above && below
 }
 
-/// Grey levels on the ring around a position, all of which lies inside the picture: so nothing is asked of each place.
+/// Returns the grey levels on the ring around a position. The ring must lie inside the picture:
+/// bounds are not checked per point.
 fn on_ring(smooth: &Level, position: Vector2<f64>, ring: &Ring) -> [f32; 2 * HALF_RING] {
     let (middle_x, middle_y, w) = (position.x as f32, position.y as f32, smooth.width);
     let mut around = [0.0; 2 * HALF_RING];
@@ -115,7 +121,7 @@ fn on_ring(smooth: &Level, position: Vector2<f64>, ring: &Ring) -> [f32; 2 * HAL
     around
 }
 
-/// The saddle point near a pixel, if its ring is a chessboard corner's.
+/// Returns the saddle point near a pixel if its ring is that of a chessboard corner.
 fn look_at(smooth: &Level, index: usize, ring: &Ring) -> Option<Saddle> {
     let position = saddle_point(smooth, index)?;
     let middle = f64::from(smooth.sample(position));
@@ -137,7 +143,8 @@ fn look_at(smooth: &Level, index: usize, ring: &Ring) -> Option<Saddle> {
     Some(Saddle { position, edges: crossings(&folded)?.map(|angle| Vector2::new(angle.cos(), angle.sin())), middle, contrast })
 }
 
-/// Newton's step to the point where the gradient vanishes, at most 1.5 pixels away.
+/// Takes one Newton step to the point where the gradient vanishes; `None` if it is more than 1.5
+/// pixels away along an axis.
 fn saddle_point(smooth: &Level, index: usize) -> Option<Vector2<f64>> {
     let w = smooth.width;
     let at = |dx: isize, dy: isize| f64::from(smooth.grey[(index as isize + dy * w as isize + dx) as usize]);
@@ -153,7 +160,8 @@ fn saddle_point(smooth: &Level, index: usize) -> Option<Vector2<f64>> {
     (step.amax() <= 1.5).then(|| Vector2::new((index % w) as f64, (index / w) as f64) + step)
 }
 
-/// The two edges' angles from the half ring's signs: exactly one change to dark and one to light.
+/// Returns the two edges' angles from the half ring's signs, which must change exactly once to dark
+/// and once to light.
 fn crossings(folded: &[f64; HALF_RING]) -> Option<[f64; 2]> {
     let (mut to_dark, mut to_light) = (None, None);
     for k in 0..HALF_RING {

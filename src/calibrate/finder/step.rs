@@ -2,8 +2,8 @@
 
 use super::window::{Linearised, N};
 
-/// The step that is to be taken off the model, with `damping` on the diagonal; number `held` stays as it is. `None` where the
-/// equations have no solution.
+/// Returns the step to subtract from the model, with `damping` on the diagonal; parameter `held`
+/// stays fixed. `None` if the equations have no solution.
 pub(super) fn damped(linearised: &Linearised, damping: f64, held: Option<usize>) -> Option<[f64; N]> {
     let mut a = linearised.normal;
     let mut step = linearised.gradient;
@@ -15,7 +15,7 @@ pub(super) fn damped(linearised: &Linearised, damping: f64, held: Option<usize>)
         a.iter_mut().for_each(|row| row[k] = 0.0);
         (a[k][k], step[k]) = (1.0, 0.0);
     }
-    // L D Lᵀ, and forwards through L on the way.
+    // L D Lᵀ, with the forward substitution through L on the way.
     let (mut inverse, mut lower) = ([0.0; N], [[0.0; N]; N]);
     for c in 0..N {
         let column = a[c];
@@ -27,7 +27,7 @@ pub(super) fn damped(linearised: &Linearised, damping: f64, held: Option<usize>)
             let share = column[r] * inverse[c];
             lower[r][c] = share;
             step[r] -= share * step[c];
-            // Whole rows: what lies left of the diagonal is not looked at again.
+            // Whole rows: the part left of the diagonal is not used again.
             for k in 0..N {
                 a[r][k] -= share * column[k];
             }

@@ -1,5 +1,6 @@
-//! What lies around a corner and is not symmetric about it: the slope of the light, and the next edges. How far the corner's window
-//! reaches into it, and what a single pixel of the window is worth.
+//! The asymmetric surroundings of a corner: the slope of the light, and the next edges. Also
+//! defines how far the corner's window extends, and how a single pixel of it is weighted and
+//! corrected.
 
 use nalgebra::Vector2;
 
@@ -10,9 +11,9 @@ use super::window::{Sample, erf_and_slope};
 pub(crate) struct NextEdge {
     /// Unit normal, pointing along the board's axis.
     pub normal: Vector2<f64>,
-    /// Its place along the normal.
+    /// Its coordinate along the normal.
     pub place: f64,
-    /// The board ends there: what follows is no square.
+    /// Whether the board ends there, so that no square follows.
     pub ends: bool,
 }
 
@@ -20,43 +21,47 @@ pub(crate) struct NextEdge {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct NextEdges {
     pub along: [[NextEdge; 2]; 2],
-    /// Level of what lies around the board in this corner's pattern: 1 as the squares in its first quadrant, -1 as the others.
+    /// Level of the area around the board, in this corner's pattern: 1 like the squares in its
+    /// first quadrant, -1 like the others.
     pub beyond: f64,
 }
 
-/// What a corner's neighbours tell of the place around it.
+/// What a corner's neighbours tell about its surroundings.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Surroundings {
     /// Relative change of the light per pixel.
     pub light: Vector2<f64>,
-    /// Places and normals in level pixels; `None` where the blur does not reach them.
+    /// Coordinates and normals in level pixels; `None` if their blur does not reach the window.
     pub edges: Option<NextEdges>,
 }
 
-/// Share of a square, from the corner, that the window covers: a little less than half, so that windows of neighbours do not
-/// overlap and the next edges stay far. Raised, the next edges disturb the fit; lowered, it has fewer pixels.
+/// Half width of the window as a fraction of a square: a little less than half, so that neighbours'
+/// windows do not overlap and the next edges stay away. Raised, the next edges disturb the fit;
+/// lowered, it has fewer pixels.
 const WINDOW: f64 = 0.46;
-/// The same where the next edges are drawn too: blurred corners need more room, and the model then knows what
-/// lies there. Raised, more of the next squares counts, whose edges are taken as given.
+/// The same if the next edges are modelled too: blurred corners need more room, and the model then
+/// includes what lies there. Raised, more of the next squares counts, whose edges are assumed
+/// known.
 const WIDE_WINDOW: f64 = 0.7;
-/// The next edges are drawn where the blur is more than this share of the way to them. At it, they lie four sigma of the blur beyond the
-/// window: (1 - [`WINDOW`]) / 0.13. Raised, undrawn edges displace corners; lowered, edges are drawn in vain, which costs time.
+/// Blur, as a fraction of the distance to the next edges, above which they are modelled. At this
+/// value they lie four sigma of the blur beyond the window: (1 - [`WINDOW`]) / 0.13. Raised,
+/// unmodelled edges displace corners; lowered, edges are modelled in vain, which costs time.
 pub(crate) const BLUR_REACHES: f64 = 0.13;
 
-/// How far the window reaches, pixels: enough of the edges, and all of the blur.
+/// Returns the window's radius, pixels: enough of the edges, and all of the blur.
 pub(crate) fn reach(blur: f64) -> f64 {
     (4.0 + 3.0 * blur).clamp(7.0, 14.0)
 }
 
 impl Surroundings {
-    /// Share of a square that the window covers.
+    /// Returns the window's half width as a fraction of a square.
     pub fn window(&self) -> f64 {
         if self.edges.is_some() { WIDE_WINDOW } else { WINDOW }
     }
 
-    /// The pixel at `place` (level pixels, or whatever the edges are in), `offset` from the window's centre and (s, t) squares
-    /// along the two axes; `None` outside the window. Its weight falls to nothing at the rim, so that a pixel more or less
-    /// changes nothing.
+    /// Returns the sample of a pixel at `place` (level pixels, or the unit of the edges), which is
+    /// `offset` from the window's centre and (s, t) squares along the two axes; `None` outside the
+    /// window. The weight falls to zero at the rim, so that one pixel more or less changes nothing.
     #[inline]
     pub fn sample(
         &self,
@@ -80,7 +85,7 @@ impl Surroundings {
 }
 
 impl NextEdges {
-    /// What the next edges add to both blurred steps, and to the pattern as a whole.
+    /// Returns what the next edges add to both blurred steps, and to the pattern as a whole.
     fn at(&self, place: Vector2<f64>, blur: f64) -> ([f64; 2], f64) {
         let scale = std::f64::consts::FRAC_1_SQRT_2 / blur;
         let mut on_board = 1.0;
@@ -89,9 +94,10 @@ impl NextEdges {
                 let z = scale * (edge.normal.dot(&place) - edge.place);
                 if z.abs() > 4.0 { z.signum() } else { f64::from(erf_and_slope(z as f32).0) }
             };
-            // How much of what is seen here lies beyond either edge.
+            // The fraction of this point's light that comes from beyond either edge.
             let (past_before, past_after) = (0.5 * (1.0 - step(&before)), 0.5 * (1.0 + step(&after)));
-            // The next square has the other colour, which is a step of two; at the board's end only the colour goes.
+            // The next square has the other colour, a step of two; at the board's end the pattern
+            // only stops, a step of one.
             let size = |edge: &NextEdge| if edge.ends { 1.0 } else { 2.0 };
             on_board *= 1.0 - if before.ends { past_before } else { 0.0 } - if after.ends { past_after } else { 0.0 };
             size(&before) * past_before - size(&after) * past_after

@@ -1,4 +1,4 @@
-//! The finder on rendered boards with exact truth, and on what is no board.
+//! The finder on rendered boards with exact truth, and on pictures without a board.
 
 use image::{GrayImage, Luma};
 use nalgebra::{UnitQuaternion, Vector3};
@@ -15,7 +15,8 @@ fn photographer() -> BoardPhotographer {
     BoardPhotographer::new(CameraModel::new(intrinsics).unwrap())
 }
 
-/// A board whose middle is `z` in front of the camera, tilted about an axis in its plane, then turned in its plane.
+/// A board with its middle `z` in front of the camera, tilted about an axis in its plane, then
+/// rotated in its plane.
 fn pose(board: &Board, tilt_deg: f64, azimuth: f64, roll: f64, z: f64) -> Pose<Camera, BoardFrame> {
     let axis = Vector3::new(azimuth.cos(), azimuth.sin(), 0.0);
     let turn = UnitQuaternion::from_scaled_axis(axis * tilt_deg.to_radians()) * UnitQuaternion::from_scaled_axis(Vector3::z() * roll);
@@ -23,7 +24,8 @@ fn pose(board: &Board, tilt_deg: f64, azimuth: f64, roll: f64, z: f64) -> Pose<C
     Pose::new(turn, Vector3::new(0.01, -0.005, z) - turn * middle)
 }
 
-/// rms distance to the truth over pictures of several tilts; every corner must be found.
+/// Returns the rms distance to the truth over pictures of several tilts; every corner must be
+/// found.
 fn error_px(board: &Board, how: &Photograph, tilts: &[f64], z: f64) -> f64 {
     let camera = photographer();
     let (mut squares, mut count) = (0.0, 0.0);
@@ -148,7 +150,7 @@ fn another_board_is_named_and_no_board_is_none() {
     let wanted = Board::new(9, 6, 0.03).unwrap();
     let error = find_board(&picture, &wanted).unwrap_err();
     assert!(matches!(error, NoBoard::OtherSize { columns: 8, rows: 5, cut: false, .. }), "{error}");
-    // A smaller board is no part of a larger one.
+    // A smaller board is not found in a larger one.
     let smaller = Board::new(7, 5, 0.03).unwrap();
     assert!(find_board(&picture, &smaller).is_err());
     let black = find_board(&GrayImage::new(320, 240), &wanted).unwrap_err();

@@ -1,17 +1,20 @@
-//! The pixels around a corner, and the kernel of the corner fit: the normal equations of the drawn corner over them.
+//! The pixels around a corner, and the kernel of the corner fit: the normal equations of the corner
+//! model over these pixels.
 //!
-//! Eight pixels are handled side by side, in single precision: the sums are good to a millionth, a corner to a ten
-//! thousandth of a pixel. There is one body; it is compiled twice, once for processors with AVX2, and both do the same
-//! steps in the same order, so that a corner is the same to the last bit on every machine.
+//! Eight pixels are processed side by side in single precision: sums are accurate to a millionth, a
+//! corner to a ten thousandth of a pixel. One body is compiled twice, once for processors with
+//! AVX2. Both versions do the same operations in the same order, so a corner is bit-identical on
+//! every machine.
 
 use std::f32::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI, LN_2, LOG2_E};
 
 use crate::simd::multiversion;
 use nalgebra::{SVector, Vector2};
 
-/// Pixels handled side by side: one AVX2 register of single precision.
+/// Pixels processed side by side: one AVX2 register of single precision.
 pub(super) const LANES: usize = 8;
-/// Numbers of the model: position (2), the two edges' angles, ln blur, middle level, contrast.
+/// Number of model parameters: position (2), the two edges' angles, ln blur, middle level,
+/// contrast.
 pub(crate) const N: usize = 7;
 
 pub(super) type Eight = [f32; LANES];
@@ -19,19 +22,19 @@ pub(super) type Eight = [f32; LANES];
 /// One pixel near a corner.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Sample {
-    /// Where it lies from the window's centre, pixels.
+    /// Offset from the window's centre, pixels.
     pub offset: Vector2<f64>,
-    /// Its grey level.
+    /// Grey level.
     pub grey: f64,
-    /// How much it counts.
+    /// Weight.
     pub weight: f64,
     /// What the next edges add to the blurred step across u and to the one across v.
     pub beside: [f64; 2],
-    /// What lies beyond the board's end adds to the pattern.
+    /// What the area beyond the board's end adds to the pattern.
     pub beyond: f64,
 }
 
-/// The pixels' numbers, each in its own row of memory; the rows are as long as the largest window asked for.
+/// The pixels' values, one array per quantity; the arrays are as long as the largest window so far.
 #[derive(Debug, Default)]
 pub(super) struct Pixels {
     pub x: Vec<f32>,
@@ -54,10 +57,11 @@ impl Pixels {
     }
 }
 
-/// Eight pixels' derivatives by the seven numbers, and their residuals, all times the root of the weight.
+/// Derivatives by the seven parameters, and residuals, of eight pixels, all multiplied by the root
+/// of the weight.
 type Rows = [Eight; N + 1];
 
-/// The pixels around a corner, and room for the kernel to work in.
+/// The pixels around a corner, and scratch memory for the kernel.
 #[derive(Debug, Default)]
 pub(crate) struct Window {
     pub(super) pixels: Pixels,
@@ -65,11 +69,13 @@ pub(crate) struct Window {
     rows: Vec<Rows>,
 }
 
-/// The drawn corner: position from the window's centre, angles of the edges along u and v, ln blur, middle level, contrast.
+/// The corner model: position from the window's centre, angles of the edges along u and v, ln blur,
+/// middle level, contrast.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Model(pub SVector<f64, N>);
 
-/// All products of two of: the derivatives by the seven numbers, the residual; the upper triangle.
+/// Upper triangle of all pairwise products of the derivatives by the seven parameters and the
+/// residual.
 type Gram = [[f32; N + 1]; N + 1];
 
 /// Weighted cost, normal matrix and gradient.
@@ -83,12 +89,12 @@ pub(crate) struct Linearised {
 }
 
 impl Window {
-    /// No pixels, the room kept.
+    /// Removes all pixels but keeps the memory.
     pub fn clear(&mut self) {
         self.count = 0;
     }
 
-    /// Takes a pixel in.
+    /// Adds a pixel.
     pub fn push(&mut self, sample: &Sample) {
         let at = self.count;
         if at.is_multiple_of(LANES) {
@@ -103,12 +109,12 @@ impl Window {
         self.count += 1;
     }
 
-    /// How many pixels there are.
+    /// Returns the number of pixels.
     pub fn len(&self) -> usize {
         self.count
     }
 
-    /// Weighted cost, normal matrix and gradient of the model.
+    /// Returns the weighted cost, normal matrix and gradient of the model.
     pub fn linearised(&mut self, model: &Model) -> Linearised {
         linear(&self.gram(model), [0.0, 1.0])
     }
@@ -118,11 +124,11 @@ impl Window {
         products(&self.pixels, &mut self.rows, &model.0.map(|v| v as f32))
     }
 
-    /// The model with the two levels that fit `shape` best, and what [`linearised`](Self::linearised) gives for it; `shape` has
-    /// middle 0 and contrast 1.
+    /// Returns the model with the two levels that fit `shape` best, and its
+    /// [`linearised`](Self::linearised) equations; `shape` has middle 0 and contrast 1.
     pub fn with_levels(&mut self, shape: &Model) -> Option<(Model, Linearised)> {
         let gram = self.gram(shape);
-        // The residual is the pattern less the grey level here, so the step to the least cost is exact.
+        // The residual is linear in both levels, so the step to the minimum cost is exact.
         let at = |r: usize, c: usize| f64::from(gram[r][c]);
         let determinant = at(5, 5) * at(6, 6) - at(5, 6) * at(5, 6);
         let middle = -(at(6, 6) * at(5, N) - at(5, 6) * at(6, N)) / determinant;
@@ -134,8 +140,8 @@ impl Window {
     }
 }
 
-/// What a model with other levels gives, by the products for middle 0 and contrast 1: its residual and its derivatives are
-/// linear in those. Levels of 0 and 1 change nothing.
+/// Returns the equations of a model with other levels, from the products for middle 0 and contrast
+/// 1: its residual and its derivatives are linear in the levels. Levels of 0 and 1 change nothing.
 fn linear(gram: &Gram, [middle, contrast]: [f64; 2]) -> Linearised {
     let at = |r: usize, c: usize| f64::from(gram[r.min(c)][r.max(c)]);
     let with_residual = |k: usize| at(k, N) + middle * at(k, 5) + (contrast - 1.0) * at(k, 6);
@@ -153,7 +159,8 @@ fn linear(gram: &Gram, [middle, contrast]: [f64; 2]) -> Linearised {
 }
 
 multiversion! {
-    /// The sums of all products of two of the rows' eight columns; the upper triangle.
+    /// Returns the sums over all pixels of the pairwise products of the rows' eight columns; the
+    /// upper triangle.
     fn products(pixels: &Pixels, rows: &mut [Rows], model: &SVector<f32, N>) -> Gram;
     ["avx2"] => products_lanes, else products_lanes
 }
@@ -163,17 +170,18 @@ fn products_lanes(pixels: &Pixels, rows: &mut [Rows], model: &SVector<f32, N>) -
     let p = model;
     let scale = FRAC_1_SQRT_2 / p[4].exp();
     let ((sin1, cos1), (sin2, cos2)) = (p[2].sin_cos(), p[3].sin_cos());
-    // Blur carries light across both edges at once where they are not square to each other: Mehler's series in the cosine
-    // between their normals.
+    // If the edges are not perpendicular, blur carries light across both at once: Mehler's series
+    // in the cosine between their normals.
     let (slant, slant_by_turn) = (-(p[2] - p[3]).cos(), (p[2] - p[3]).sin());
     for (chunk, row) in rows.iter_mut().enumerate() {
         let at = LANES * chunk;
         let (px, py, grey, roots) = (eight(&pixels.x, at), eight(&pixels.y, at), eight(&pixels.grey, at), eight(&pixels.root_weight, at));
         let (beside1, beside2, beyond) = (eight(&pixels.beside[0], at), eight(&pixels.beside[1], at), eight(&pixels.beyond, at));
-        // By index, over all columns of a row at once: so it is compiled to the wide registers.
+        // By index over all columns of a row at once, so that it compiles to wide registers.
         for k in 0..LANES {
             let (x, y) = (px[k] - p[0], py[k] - p[1]);
-            // Distances to the edge along u (positive towards v) and to the edge along v (positive towards u).
+            // Distances to the edge along u (positive towards v) and to the edge along v (positive
+            // towards u).
             let (z1, z2) = (scale * (cos1 * y - sin1 * x), scale * (sin2 * x - cos2 * y));
             let ((e1, g1), (e2, g2)) = (erf_and_slope(z1), erf_and_slope(z2));
             let (f1, f2) = (e1 + beside1[k], e2 + beside2[k]);
@@ -200,7 +208,7 @@ fn products_lanes(pixels: &Pixels, rows: &mut [Rows], model: &SVector<f32, N>) -
     [line::<0>(rows), line::<1>(rows), line::<2>(rows), line::<3>(rows), line::<4>(rows), line::<5>(rows), line::<6>(rows), line::<7>(rows)]
 }
 
-/// Eight numbers from the `at`th.
+/// Returns eight numbers from index `at` on.
 #[inline(always)]
 pub(super) fn eight(of: &[f32], at: usize) -> Eight {
     let mut eight = [0.0; LANES];
@@ -208,7 +216,7 @@ pub(super) fn eight(of: &[f32], at: usize) -> Eight {
     eight
 }
 
-/// The products of column K with itself and those behind it.
+/// Returns the products of column K with itself and the columns behind it.
 #[inline(always)]
 fn line<const K: usize>(rows: &[Rows]) -> [f32; N + 1] {
     let mut sums = [[0.0_f32; LANES]; N + 1];
@@ -219,11 +227,12 @@ fn line<const K: usize>(rows: &[Rows]) -> [f32; N + 1] {
             }
         }
     }
-    // Pairs first: a sum of eight whose rounding does not depend on how it is compiled.
+    // Sum in a fixed order, so that the rounding does not depend on how it is compiled.
     sums.map(|s| ((s[0] + s[4]) + (s[1] + s[5])) + ((s[2] + s[6]) + (s[3] + s[7])))
 }
 
-/// The error function (Abramowitz & Stegun 7.1.26, 1.5e-7) and its derivative: they share the exponential.
+/// Returns the error function (Abramowitz & Stegun 7.1.26, 1.5e-7) and its derivative, which share
+/// the exponential.
 #[inline(always)]
 pub(crate) fn erf_and_slope(z: f32) -> (f32, f32) {
     let bell = exp_of_negative(-z * z);
@@ -232,19 +241,22 @@ pub(crate) fn erf_and_slope(z: f32) -> (f32, f32) {
     ((1.0 - tail * bell).copysign(z), FRAC_2_SQRT_PI * bell)
 }
 
-/// e to the power of a number at or below 0, to 2e-7 of its value or 1e-12: two to a whole power, times a polynomial for the rest.
+/// Returns e to the power of a number at or below 0, to 2e-7 of its value or 1e-12: an integer
+/// power of two times a polynomial for the rest.
 #[inline(always)]
 fn exp_of_negative(x: f32) -> f32 {
-    // Adding and taking away 1.5 * 2^23 rounds to a whole number, which then stands in the lowest bits: there single precision steps by 1.
+    // 1.5 * 2^23: adding and subtracting it rounds to an integer, which then stands in the lowest
+    // bits, since single precision steps by 1 there.
     const ROUND: f32 = 12_582_912.0;
-    // Products of three of these must stay normal numbers (2^-126): others take a hundred times as long.
-    // Raised, the tails of blurred edges end too early; lowered, such products underflow.
+    // Minimum exponent. Products of three such values must stay normal numbers (2^-126); subnormal
+    // ones take a hundred times as long. Raised, the tails of blurred edges end too early; lowered,
+    // such products underflow.
     const LEAST_POWER: f32 = -40.0;
     let power = (x * LOG2_E).max(LEAST_POWER);
     let rounded = power + ROUND;
     let rest = power - (rounded - ROUND);
     let whole = f32::from_bits(rounded.to_bits().wrapping_sub(ROUND.to_bits()).wrapping_add(127) << 23);
-    // The series of 2^rest for rest within half of 0.
+    // The series of 2^rest for |rest| <= 0.5.
     let series = 1.0
         + rest
             * (LN_2
@@ -317,7 +329,7 @@ mod tests {
             let mut moved = [model, model];
             (moved[0].0[k], moved[1].0[k]) = (model.0[k] - h, model.0[k] + h);
             let [low, high] = moved.map(|m| window.linearised(&m).cost);
-            // The cost is the sum of squares: half its slope is the gradient.
+            // The cost is the sum of squares, so half its slope is the gradient.
             let slope = (high - low) / (4.0 * h);
             assert!((slope - gradient[k]).abs() < 2e-3 * gradient[k].abs() + 2.0, "number {k}: {slope} is not {}", gradient[k]);
         }

@@ -1,4 +1,4 @@
-//! Cross-validation: the views in two halves, each half calibrated by itself. What the two say must agree.
+//! Cross-validation: calibrates two halves of the views separately and compares the results.
 
 use super::super::solve::adjust::{Bundle, Observation};
 use super::super::solve::lens::{LENS_NAMES, LENS_NUMBERS};
@@ -8,26 +8,26 @@ use super::map;
 /// How the two halves compare.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Halves {
-    /// Difference of each number in units of the joint sigma; 0 where it is not estimated.
+    /// Difference of each parameter in units of its joint sigma; 0 if it is not estimated.
     pub sigmas: [f64; LENS_NUMBERS],
-    /// How far the halves' cameras differ over most (80 %) of the picture, pixels.
+    /// How far the halves' cameras differ at most over most (80 %) of the picture, pixels.
     pub most_px: f64,
 }
 
 impl Halves {
-    /// The number that differs most, and by how many joint sigma.
+    /// Returns the parameter that differs most, and by how many joint sigma.
     pub fn worst_number(&self) -> (&'static str, f64) {
         let most = (0..LENS_NUMBERS).max_by(|&a, &b| self.sigmas[a].total_cmp(&self.sigmas[b])).unwrap_or(0);
         (LENS_NAMES[most], self.sigmas[most])
     }
 
-    /// Whether every number agrees within its joint 3 sigma.
+    /// Whether every parameter agrees within 3 joint sigma.
     pub fn agree(&self) -> bool {
         self.worst_number().1 <= 3.0
     }
 }
 
-/// Calibrates the even and the odd views; `None` where a half has too few views or is undetermined.
+/// Calibrates the even and the odd views; `None` if a half has too few views or is undetermined.
 pub fn compare(views: &[Vec<Observation>], whole: &Estimate, size: (u32, u32), options: &SolveOptions) -> Option<Halves> {
     if views.len() < 2 * LEAST_VIEWS {
         return None;

@@ -1,7 +1,7 @@
-//! What the lens' uncertainty, or the difference of two lenses, comes to in pixels over the picture.
+//! Converts the lens's uncertainty, or the difference of two lenses, into pixels over the picture.
 //!
-//! A principal point that is off by a few pixels is mostly made up for by a small turn of the camera, which a tracker
-//! finds by itself. So the turn that fits best is taken out before the pixels are counted.
+//! An error of a few pixels in the principal point is mostly compensated by a small rotation of the
+//! camera, which a tracker finds by itself. So the best-fitting rotation is removed first.
 
 use nalgebra::{Matrix3, SMatrix, UnitQuaternion, Vector2, Vector3};
 
@@ -9,16 +9,18 @@ use super::super::solve::lens::{LENS_NUMBERS, Lens, LensMatrix};
 use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::geometry::robust_kernel::median;
 
-/// Columns and rows of a map; odd, so that the middle has a place, and about as 4 to 3. Raised, maps are finer and take longer.
+/// Number of columns of a map; odd, so that the middle is sampled, and about 4 to 3 with the rows.
+/// Raised, maps are finer and take longer.
 pub const MAP_COLUMNS: usize = 17;
-/// See [`MAP_COLUMNS`].
+/// Number of rows of a map; see [`MAP_COLUMNS`].
 pub const MAP_ROWS: usize = 13;
 
-/// Share of the places that "most of the picture" means: the rest is the outermost rim, where few corners ever are.
-/// Raised, the rim decides the verdict; lowered, a lens known in the middle alone passes.
+/// Fraction of the places that counts as "most of the picture": the rest is the outermost rim,
+/// where corners are rare. Raised, the rim decides the verdict; lowered, a lens known only in the
+/// middle passes.
 pub const MOST: f64 = 0.8;
 
-/// One number for each place of a grid that spans the picture.
+/// One value for each place of a grid that spans the picture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PixelMap {
     /// Row by row, [`MAP_COLUMNS`] x [`MAP_ROWS`], pixels; `None` where the lens has no ray.
@@ -26,12 +28,13 @@ pub struct PixelMap {
 }
 
 impl PixelMap {
-    /// The largest value.
+    /// Returns the largest value.
     pub fn worst(&self) -> f64 {
         self.values_px.iter().flatten().fold(0.0, |a: f64, &b| a.max(b))
     }
 
-    /// What `share` (0 to 1) of the places stay below; infinite where no place has a value.
+    /// Returns the value below which a fraction `share` (0 to 1) of the places stays; infinite if
+    /// no place has a value.
     pub fn quantile(&self, share: f64) -> f64 {
         let mut known: Vec<f64> = self.values_px.iter().flatten().copied().collect();
         known.sort_unstable_by(f64::total_cmp);
@@ -40,20 +43,22 @@ impl PixelMap {
     }
 }
 
-/// The grid's places: from the picture's corner to its opposite corner.
+/// Returns the grid's places, from the picture's corner to the opposite corner.
 pub fn places((width, height): (u32, u32)) -> impl Iterator<Item = Vector2<f64>> {
     let step = |k: usize, count: usize, size: u32| f64::from(size - 1) * k as f64 / (count - 1) as f64;
     (0..MAP_ROWS).flat_map(move |r| (0..MAP_COLUMNS).map(move |c| Vector2::new(step(c, MAP_COLUMNS, width), step(r, MAP_ROWS, height))))
 }
 
-/// How a pixel moves when the camera turns: derivative by a rotation vector in camera axes.
+/// Returns how a pixel moves when the camera rotates: the derivative by a rotation vector in camera
+/// axes.
 fn by_turn(by_point: [Vector2<f64>; 2], n: Vector2<f64>) -> SMatrix<f64, 2, 3> {
-    // d(xy/z) of a turned ray (x, y, 1).
+    // Derivative of (x/z, y/z) of a rotated ray (x, y, 1).
     let turn = SMatrix::<f64, 2, 3>::new(-n.x * n.y, 1.0 + n.x * n.x, -n.y, -1.0 - n.y * n.y, n.x * n.y, n.x);
     SMatrix::<f64, 2, 2>::from_columns(&by_point) * turn
 }
 
-/// 3 sigma of where a distant point appears, by the lens' covariance, the best turn taken out.
+/// Returns 3 sigma of a distant point's image position, from the lens's covariance, with the best
+/// rotation removed.
 pub fn uncertainty(model: &CameraModel, lens: &Lens, covariance: &LensMatrix) -> PixelMap {
     let size = (model.width(), model.height());
     let rows: Vec<Option<(SMatrix<f64, 2, LENS_NUMBERS>, SMatrix<f64, 2, 3>)>> = places(size)
@@ -78,8 +83,9 @@ pub fn uncertainty(model: &CameraModel, lens: &Lens, covariance: &LensMatrix) ->
     PixelMap { values_px: values.collect() }
 }
 
-/// How far apart two cameras put the same distant points, vectors from the first to the second, pixels of the first, the
-/// turn that fits best taken out; `None` at places where one of them has no ray.
+/// Returns the displacement between two cameras' images of the same distant points, from the first
+/// to the second, in pixels of the first, with the best rotation removed; `None` where either has
+/// no ray.
 pub fn difference(first: &CameraModel, second: &CameraModel) -> Vec<Option<Vector2<f64>>> {
     let size = (first.width(), first.height());
     let lens = Lens::of_model(second);
@@ -93,8 +99,8 @@ pub fn difference(first: &CameraModel, second: &CameraModel) -> Vec<Option<Vecto
     rays.into_iter().map(|ray| ray.and_then(apart)).collect()
 }
 
-/// The turn of the camera after which a lens sees the rays nearest to their places. Places where it is far off - a lens that
-/// was never shown its rim - have little say.
+/// Returns the rotation of the camera with which a lens images the rays nearest to their places.
+/// Places with large deviations (a lens that was never shown its rim) have little weight.
 fn best_turn(lens: &Lens, rays: &[Option<(Vector2<f64>, Vector3<f64>)>]) -> UnitQuaternion<f64> {
     let mut turn = UnitQuaternion::identity();
     for _ in 0..15 {
@@ -122,7 +128,7 @@ fn best_turn(lens: &Lens, rays: &[Option<(Vector2<f64>, Vector3<f64>)>]) -> Unit
     turn
 }
 
-/// The lengths of a field of differences.
+/// Returns the lengths of a field of differences.
 pub fn lengths(field: &[Option<Vector2<f64>>]) -> PixelMap {
     PixelMap { values_px: field.iter().map(|v| v.map(|v| v.norm())).collect() }
 }
@@ -145,7 +151,7 @@ mod tests {
     #[test]
     fn another_focal_length_is_no_turn() {
         let field = lengths(&difference(&camera(600.0, 319.5), &camera(606.0, 319.5)));
-        assert!((field.worst() - 4.0).abs() < 0.1, "{}", field.worst()); // 1 % of 400 px, the way to a corner
+        assert!((field.worst() - 4.0).abs() < 0.1, "{}", field.worst()); // 1 % of 400 px, the distance to a corner
     }
 
     #[test]

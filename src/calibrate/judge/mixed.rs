@@ -1,16 +1,18 @@
-//! Pictures of two cameras, or of two focal lengths, in one set.
+//! Detects pictures of two cameras, or of two focal lengths, in one set.
 //!
-//! A calibration is of one camera at one zoom. Pictures of two are the one mistake that the corners themselves hide best: each set fits
-//! itself, and both together fit neither.
+//! A calibration is valid for one camera at one zoom. Mixing two is the mistake that the corners
+//! themselves hide best: each set fits itself, and both together fit neither.
 
 use super::super::origin::Origin;
 use super::super::picture::Inspected;
 
-/// Focal lengths this near to each other, as a share, are one: files round them to about a percent. Raised, a small turn
-/// of the zoom goes unnoticed; lowered, rounding is taken for two zooms, and the set is refused.
+/// Maximum relative difference between focal lengths that count as the same: files round them to
+/// about a percent. Raised, a small change of zoom goes unnoticed; lowered, rounding is taken for
+/// two zooms, and the set is refused.
 const SAME_FOCAL: f64 = 0.02;
 
-/// Where pictures that show the board come from two cameras, or were taken at two focal lengths: the sentence that says so.
+/// Returns a sentence if the pictures that show the board come from two cameras, or were taken at
+/// two focal lengths.
 pub(crate) fn mixed(pictures: &[Inspected]) -> Option<String> {
     let shown: Vec<&Inspected> = pictures.iter().filter(|p| p.board.is_ok()).collect();
     let by_camera = parted(&shown, |origin| origin.camera.clone(), |a, b| a == b);
@@ -29,7 +31,8 @@ pub(crate) fn mixed(pictures: &[Inspected]) -> Option<String> {
     })
 }
 
-/// What most files say, what the first of the others says, how many say otherwise, and the name of the first that does.
+/// Returns the most frequent value, the first value that differs, the number of pictures that
+/// differ, and the name of the first of those.
 fn parted<T: Clone>(
     pictures: &[&Inspected],
     said: impl Fn(&Origin) -> Option<T>,
@@ -82,7 +85,7 @@ mod tests {
         assert!(said.contains("most are of Canon EOS R6, 1 of Pixel 7 (the first: p.jpg)"), "{said}");
         let said = mixed(&[a.clone(), b.clone(), picture("c.jpg", Some("Canon EOS R6"), Some(35.0))]).unwrap();
         assert!(said.contains("at 24 mm, 1 at 35 mm (the first: c.jpg)"), "{said}");
-        // A picture without the board takes no part, whoever took it.
+        // A picture without the board does not count, whichever camera took it.
         assert_eq!(mixed(&[a, Inspected { board: Err("no board".to_owned()), ..phone }]), None);
     }
 }

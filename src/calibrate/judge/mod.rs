@@ -1,8 +1,9 @@
-//! How far to trust a calibration: what residuals alone do not say.
+//! Judges how far to trust a calibration, beyond what residuals tell.
 //!
-//! A set of pictures that are all alike gives small residuals and a wrong lens. So the uncertainty is carried to the
-//! picture's pixels, the halves of the set are held against each other, and the views are asked what they could have
-//! shown. Every finding has a weight; the heaviest makes the verdict.
+//! Pictures that are all alike give small residuals and a wrong lens. So the uncertainty is
+//! propagated to pixels in the picture, the halves of the set are compared, and the views are
+//! checked for what they can determine at all. Every finding has a weight; the heaviest decides the
+//! verdict.
 
 pub mod halves;
 pub mod map;
@@ -26,11 +27,11 @@ pub(crate) use words::{
 /// The verdict, best first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
-    /// Fit for the stage.
+    /// Good enough for the stage.
     Good,
-    /// Works, with more error than needed.
+    /// Works, with more error than necessary.
     Usable,
-    /// Wrong, or not known well enough.
+    /// Wrong, or too uncertain.
     DoNotUse,
 }
 
@@ -44,81 +45,88 @@ impl std::fmt::Display for Verdict {
     }
 }
 
-/// One thing that speaks for or against.
+/// One argument for or against the calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finding {
-    /// What it allows at best.
+    /// The best verdict that it allows.
     pub weight: Verdict,
     /// A clause without a full stop.
     pub text: String,
 }
 
-/// All that is known about a calibration's worth.
+/// Everything known about a calibration's quality.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Judgement {
     /// The verdict.
     pub verdict: Verdict,
     /// Everything found, heaviest first.
     pub findings: Vec<Finding>,
-    /// What is likely a mistake, and does no harm to the lens itself.
+    /// Likely mistakes that do not affect the lens itself.
     pub remarks: Vec<String>,
-    /// What picture to take next.
+    /// Which picture to take next.
     pub next_picture: String,
-    /// Numbers of which 3 sigma is not below their value: they may as well be 0.
+    /// Parameters that are not larger than their 3 sigma: they may as well be 0.
     pub insignificant: Vec<&'static str>,
-    /// 3 sigma of where a distant point appears.
+    /// 3 sigma of a distant point's image position.
     pub uncertainty: PixelMap,
-    /// The two halves of the views, where there are enough.
+    /// Comparison of the two halves of the views, if there are enough.
     pub halves: Option<Halves>,
-    /// Share of the picture's parts that corners have reached.
+    /// Fraction of the picture's parts that corners have reached.
     pub coverage: f64,
-    /// How many views are tilted.
+    /// Number of tilted views.
     pub tilted_views: usize,
     /// The largest angle between two boards, degrees.
     pub widest_angle_deg: f64,
 }
 
 impl Judgement {
-    /// The verdict in one sentence.
+    /// Returns the verdict in one sentence.
     pub fn sentence(&self) -> String {
-        // What speaks for a good one is said in two clauses; what speaks against the others, in full.
+        // A good verdict is supported by two clauses; others list all their reasons.
         let most = if self.verdict == Verdict::Good { 2 } else { usize::MAX };
         let because = self.findings.iter().filter(|f| f.weight == self.verdict).take(most);
         let because: Vec<&str> = because.map(|f| f.text.as_str()).collect();
         format!("{}, because {}", self.verdict, because.join("; "))
     }
 
-    /// The findings as plain clauses, heaviest first, and what else was remarked.
+    /// Returns the findings as plain clauses, heaviest first, followed by the remarks.
     pub fn reasons(&self) -> Vec<String> {
         self.findings.iter().map(|f| &f.text).chain(&self.remarks).cloned().collect()
     }
 }
 
-/// 3 sigma of the focal length, as a share, up to which it is good and usable: distances err by the same
-/// share. Chosen, and set for uncertainties that count errors which neighbouring corners share. Raised,
-/// sets of front-on views pass; lowered, ordinary good sets do not.
+/// Maximum 3 sigma of the focal length, as a fraction of it, to be good and to be usable: distances
+/// err by the same fraction. Chosen for uncertainties that include errors shared by neighbouring
+/// corners. Raised, sets of front-on views pass; lowered, ordinary good sets do not.
 const FOCAL_SHARE: [f64; 2] = [0.008, 0.02];
-/// 3 sigma over most of the picture, in 640ths of the picture's width, up to which it is good and usable. Chosen as [`FOCAL_SHARE`]
-/// was. Raised, lenses pass that displace what is drawn; lowered, sets must reach further into the corners.
+/// Maximum 3 sigma over most of the picture, in 640ths of the picture's width, to be good and to be
+/// usable. Chosen like [`FOCAL_SHARE`]. Raised, lenses pass that displace what is drawn; lowered,
+/// sets must reach further into the corners.
 const MOST_PX: [f64; 2] = [2.0, 6.0];
-/// 3 sigma at the worst place, in 640ths of the picture's width, up to which it is good: several times [`MOST_PX`], for corners of
-/// the picture hardly ever have board corners. Raised, a distortion that runs off there goes unmentioned.
+/// Maximum 3 sigma at the worst place, in 640ths of the picture's width, to be good: several times
+/// [`MOST_PX`], since the picture's corners rarely show board corners. Raised, distortion that
+/// diverges there goes unmentioned.
 const WORST_PX: f64 = 15.0;
-/// Halves that differ by more than this many joint sigma are no chance even where the corners' errors are not independent: twice what
-/// agreement asks for. Raised, contradicting halves stay usable; lowered, sets are refused for errors that sigma does not count.
+/// Difference between the halves, in joint sigma, above which it is no chance even if the corners'
+/// errors are not independent: twice the limit for agreement. Raised, contradicting halves stay
+/// usable; lowered, sets are refused for errors that sigma does not include.
 const CONTRADICTION_SIGMAS: f64 = 6.0;
-/// Reprojection error, in 640ths of the picture's width, up to which it is good and usable; OpenCV's sample pictures of 640 pixels reach
-/// 0.16. Chosen, not tuned. Raised, bent boards and lenses that the model does not fit pass; lowered, blurred pictures do not.
+/// Maximum reprojection error, in 640ths of the picture's width, to be good and to be usable;
+/// OpenCV's sample pictures of 640 pixels reach 0.16. Chosen, not tuned. Raised, bent boards and
+/// lenses that the model does not fit pass; lowered, blurred pictures do not.
 const RMS_PX: [f64; 2] = [0.6, 1.5];
-/// Coverage, as a share of the parts, below which a set is only usable, and not to be used. Chosen, not tuned: below a quarter the
-/// distortion is a guess nearly everywhere. Raised, sets with good corners in most parts are marked down.
+/// Minimum coverage, as a fraction of the parts, to be good and to be usable. Chosen, not tuned:
+/// below a quarter the distortion is a guess nearly everywhere. Raised, sets with good corners in
+/// most parts are marked down.
 const COVERAGE: [f64; 2] = [0.6, 0.25];
-/// A plane must be seen from directions this far apart, degrees, for Zhang's equations to tell focal length from distance; below it the set
-/// is not to be used. Chosen, not tuned. Raised, sets of small tilts are refused though their uncertainty may say enough.
+/// Minimum angle between the directions from which the board is seen, degrees, for Zhang's
+/// equations to separate focal length from distance; below it the set must not be used. Chosen, not
+/// tuned. Raised, sets of small tilts are refused although their uncertainty may be acceptable.
 const LEAST_ANGLE_DEG: f64 = 8.0;
 
-/// Judges an estimate; `observations` are those of the used views, in the estimate's order. `repeated` says how many pictures showed
-/// another one's view again, and of how many.
+/// Judges an estimate; `observations` are those of the used views, in the estimate's order.
+/// `repeated` holds the number of pictures that repeat another one's view, and the number of all
+/// pictures.
 pub(crate) fn judge(
     observations: &[Vec<Observation>],
     estimate: &Estimate,
@@ -159,7 +167,7 @@ pub(crate) fn judge(
     judgement
 }
 
-/// Free numbers whose 3 sigma is not below their value.
+/// Returns the names of free distortion parameters that are not larger than their 3 sigma.
 fn insignificant(estimate: &Estimate) -> Vec<&'static str> {
     let three_sigma = estimate.lens_uncertainty();
     let weak = |k: &usize| three_sigma[*k] > 0.0 && three_sigma[*k] >= estimate.bundle.lens.0[*k].abs();
@@ -171,7 +179,7 @@ impl Judgement {
         self.findings.push(Finding { weight, text });
     }
 
-    /// A finding where a value lies beyond what is good; `text` says it.
+    /// Adds a finding with `text` if a value exceeds the limits.
     fn graded(&mut self, value: f64, [good, usable]: [f64; 2], text: impl Fn() -> String) {
         if value.is_nan() || value > usable {
             self.find(Verdict::DoNotUse, text());
@@ -180,7 +188,7 @@ impl Judgement {
         }
     }
 
-    /// What the views could have shown at all.
+    /// Judges what the views can determine at all.
     fn weigh_geometry(&mut self, estimate: &Estimate, set: &ViewSet) {
         let (views, angle) = (set.len(), self.widest_angle_deg);
         if angle < LEAST_ANGLE_DEG {
@@ -206,7 +214,7 @@ impl Judgement {
         self.graded(1.0 - coverage, COVERAGE.map(|c| 1.0 - c), || format!("corners reach only {percent:.0} % of the picture"));
     }
 
-    /// What a real lens cannot be.
+    /// Judges whether a real lens can have these parameters.
     fn weigh_lens(&mut self, estimate: &Estimate, (width, height): (u32, u32), options: &SolveOptions) {
         let n = &estimate.bundle.lens.0;
         let covariance = &estimate.lens_covariance;
@@ -239,7 +247,8 @@ impl Judgement {
         }
     }
 
-    /// Whether the model can be that of this lens; what a file's reader refuses is not to be used. True where the lens is too wide for it.
+    /// Judges whether the model can describe this lens; a model that would be refused when its file
+    /// is read must not be used. Returns true if the lens is too wide for the model.
     fn weigh_model(&mut self, observations: &[Vec<Observation>], estimate: &Estimate, (width, height): (u32, u32)) -> bool {
         let refusal = estimate.bundle.lens.model(width, height).and_then(|model| plausible::judge(&model).map(|_| ())).err();
         if let Some(reason) = &refusal {
@@ -262,7 +271,7 @@ impl Judgement {
         is_too_wide
     }
 
-    /// What the errors come to.
+    /// Judges the errors.
     fn weigh_errors(&mut self, estimate: &Estimate, pixel: f64) {
         let rms = estimate.rms_px;
         self.graded(rms / pixel, RMS_PX, || format!("the corners fit to {rms:.2} px only"));
@@ -316,7 +325,8 @@ impl Judgement {
     }
 }
 
-/// 3 sigma of the focal length as a share of it, the worse axis; 0 where it is held.
+/// Returns 3 sigma of the focal length as a fraction of it, for the worse axis; 0 if it is held
+/// fixed.
 fn focal_share(estimate: &Estimate) -> f64 {
     let three_sigma = estimate.lens_uncertainty();
     let n = &estimate.bundle.lens.0;

@@ -1,33 +1,39 @@
-//! Lenses that are too wide for Brown's model: fisheyes.
+//! Detects lenses that are too wide for Brown's model: fisheyes.
 //!
-//! Brown's polynomial in the tangent of the angle from the axis runs away where that tangent does. Fitted to a fisheye it leaves rings of
-//! residuals that point outwards and inwards in turn, or folds over in the corners.
+//! Brown's polynomial in the tangent of the angle from the axis diverges where that tangent does.
+//! Fitted to a fisheye it leaves rings of residuals that point alternately outwards and inwards, or
+//! folds over in the corners.
 
 use super::super::solve::Estimate;
 use super::super::solve::adjust::Observation;
 
-/// How far the boards reach, and how much of the residuals is a pattern of rings.
+/// How far the boards reach, and how much of the residuals forms rings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Reach {
     /// The angle from the axis that one corner in fifty exceeds, degrees.
     pub angle_deg: f64,
-    /// Share of the squared residuals that their mean in each ring explains, 0 to 1.
+    /// Fraction of the squared residuals explained by the mean radial residual of each ring, 0 to
+    /// 1.
     pub ringed: f64,
 }
 
-/// Rings of equal numbers of corners. Raised, noise explains more; lowered, a pattern of several turns averages out.
+/// Number of rings with equal numbers of corners. Raised, noise explains more; lowered, a pattern
+/// of several periods averages out.
 const RINGS: usize = 10;
-/// Corners a ring, from which on its mean says something. Raised, small sets are not asked.
+/// Minimum number of corners per ring for its mean to be significant. Raised, small sets are not
+/// checked.
 const LEAST_A_RING: usize = 12;
-/// From this angle from the axis on, degrees, a lens is very wide: 90 degrees across. Raised, fisheyes go unnamed of which only the middle
-/// shows the board; lowered, ordinary wide lenses are suspected.
+/// Angle from the axis, degrees, above which a lens is very wide: 90 degrees in total. Raised,
+/// fisheyes with the board only in the middle are not reported; lowered, ordinary wide lenses are
+/// suspected.
 pub(super) const WIDE_DEG: f64 = 45.0;
-/// Share of the squared residuals in rings from which on the model does not fit. Noise of as many corners explains a hundredth. Raised,
-/// fisheyes pass; lowered, bent boards are taken for them.
+/// Fraction of the squared residuals in rings above which the model does not fit. Noise of as many
+/// corners explains a hundredth. Raised, fisheyes pass; lowered, bent boards are taken for them.
 pub(super) const RINGED: f64 = 0.1;
 
-/// Asks the residuals of all corners; `None` with too few of them. One that was left out counts as far off as the farthest that is
-/// used: beyond a fold of the polynomial residuals are as large as the picture and lie anyhow, and would drown the pattern.
+/// Measures the residuals of all corners; `None` if there are too few. Residuals are capped at the
+/// largest of the used corners: beyond a fold of the polynomial they are as large as the picture
+/// and in arbitrary directions, and would hide the pattern.
 pub(super) fn reach(observations: &[Vec<Observation>], estimate: &Estimate) -> Option<Reach> {
     let bundle = &estimate.bundle;
     let centre = bundle.lens.0.fixed_rows::<2>(2).into_owned();

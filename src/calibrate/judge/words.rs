@@ -1,4 +1,4 @@
-//! Sentences for sets of pictures that make no calibration.
+//! Sentences about sets of pictures that cannot be calibrated from.
 
 use super::super::board::Board;
 use super::super::finder::FoundBoard;
@@ -7,15 +7,17 @@ use super::super::picture::Inspected;
 use super::super::solve::{Estimate, LEAST_VIEWS};
 use crate::geometry::robust_kernel::median;
 
-/// The size of board that most pictures show instead, and in how many. A board at the picture's rim may be larger than it
-/// seems, so it only counts where others show that size in full.
+/// Returns the size of board that most pictures show instead, and in how many. A board at the
+/// picture's rim may be larger than it seems, so it only counts if other pictures show that size in
+/// full.
 fn usual_other_size(pictures: &[Inspected]) -> Option<((u32, u32), usize)> {
     let whole = pictures.iter().filter_map(|p| p.other_size.filter(|(_, cut)| !cut)).map(|(size, _)| size);
     let count = |size: (u32, u32)| pictures.iter().filter(|p| p.other_size.is_some_and(|(other, _)| other == size)).count();
     whole.map(|size| (size, count(size))).max_by_key(|(size, count)| (*count, *size))
 }
 
-/// Where more pictures show another board than the one that was asked for, which will be something in the background.
+/// Returns a sentence if more pictures show another board than the requested one, which is then
+/// probably something in the background.
 pub(crate) fn another_board(pictures: &[Inspected], board: &Board) -> Option<String> {
     let found = pictures.iter().filter(|p| p.board.is_ok()).count();
     let all = pictures.len();
@@ -26,7 +28,7 @@ pub(crate) fn another_board(pictures: &[Inspected], board: &Board) -> Option<Str
     ))
 }
 
-/// What most pictures show in place of a chessboard.
+/// Describes the target that most pictures show instead of a chessboard.
 fn other_target(pictures: &[Inspected]) -> Option<String> {
     let count = |target: Target| pictures.iter().filter(|p| p.other_target == Some(target)).count();
     let (target, count) = Target::ALL.into_iter().map(|target| (target, count(target))).max_by_key(|(_, count)| *count)?;
@@ -34,7 +36,7 @@ fn other_target(pictures: &[Inspected]) -> Option<String> {
         .then(|| format!("{count} show {}; print a plain chessboard (`stagepose board`) and take the pictures of that", target.words()))
 }
 
-/// No picture shows the board.
+/// Describes the case that no picture shows the board.
 pub(crate) fn nothing_found(pictures: &[Inspected], board: &Board) -> String {
     let head = format!("none of the {} pictures shows the whole board of {board} inner corners", pictures.len());
     let unreadable = pictures.iter().filter(|p| p.size.is_none()).count();
@@ -43,7 +45,7 @@ pub(crate) fn nothing_found(pictures: &[Inspected], board: &Board) -> String {
     }
     if let Some(((columns, rows), count)) = usual_other_size(pictures) {
         let says = format!("{head}: {count} show one of {columns}x{rows} inner corners");
-        // What a few show may be anything: part of the board, a window, tiles.
+        // What only a few pictures show may be anything: part of the board, a window, tiles.
         return match 2 * count >= pictures.len() {
             true => format!("{says}; give --board {columns}x{rows}"),
             false => format!("{says}, the others none; count the board's INNER corners, and let all of it be in every picture"),
@@ -58,7 +60,7 @@ pub(crate) fn nothing_found(pictures: &[Inspected], board: &Board) -> String {
     format!("{head}{seen}; --board counts the corners where four squares meet, and all of them must be in the picture")
 }
 
-/// What to do where too few pictures can be used.
+/// Advises what to do if too few pictures can be used.
 pub(crate) fn mend_for_few(pictures: &[Inspected], board: &Board) -> String {
     let same = "take at least 10, with the board tilted to every side and in every part of the picture";
     if let Some(((columns, rows), count)) = usual_other_size(pictures).filter(|(_, count)| 2 * count >= pictures.len()) {
@@ -72,14 +74,14 @@ pub(crate) fn mend_for_few(pictures: &[Inspected], board: &Board) -> String {
     }
 }
 
-/// The views do not tell the lens.
+/// Describes views that do not determine the lens.
 pub(crate) fn one_direction() -> String {
     "the pictures do not determine the camera: they show the board from one direction only; take some with each side of the board in turn 20 to 45 \
      degrees away from the camera"
         .to_owned()
 }
 
-/// What to do about pictures of two sizes; begins with the joint to the sentence before.
+/// Advises what to do about pictures of two sizes; continues the previous sentence.
 pub(crate) fn mend_for_sizes(pictures: &[Inspected], first: (u32, u32), other: (u32, u32)) -> String {
     if first == (other.1, other.0) {
         return " (some were taken with the camera upright; hold it the same way for all)".to_owned();
@@ -90,17 +92,19 @@ pub(crate) fn mend_for_sizes(pictures: &[Inspected], first: (u32, u32), other: (
     format!(" ({fewer} of {} are not {} x {}; leave them out)", shown().count(), size.0, size.1)
 }
 
-/// Standard deviation of blur, pixels, from which on a picture may be called blurred: that
-/// of sharp ones is 0.5 to 1. Raised, shaken pictures go unnamed …
+/// Standard deviation of blur, pixels, above which a picture may be called blurred; sharp ones have
+/// 0.5 to 1. Raised, shaken pictures go unmentioned …
 const BLURRED_PX: f64 = 1.5;
-/// … and it is when it is this many times as blurred as the median picture. Raised, only bad ones are named;
-/// lowered, so are those a little out of focus at the edge of the depth of field.
+/// … if it is also this many times as blurred as the median picture. Raised, only bad ones are
+/// mentioned; lowered, so are those slightly out of focus at the edge of the depth of field.
 const BLURRED_TIMES: f64 = 1.8;
-/// Blur of the median picture from which on all are called blurred, in 1920ths of the picture's width for larger ones: large sensors show
-/// the lens' own blur. Chosen, not tuned: over twice that of sharp pictures. Raised, an unfocused lens goes unmentioned.
+/// Blur of the median picture, pixels, above which all are called blurred; for pictures wider than
+/// 1920 pixels it scales with the width, since large sensors show the lens's own blur. Chosen, not
+/// tuned: over twice that of sharp pictures. Raised, an unfocused lens goes unmentioned.
 const ALL_BLURRED_PX: f64 = 2.2;
 
-/// A picture that is more blurred than the others; it is used all the same, for its blur is measured with its corners.
+/// Describes a picture that is more blurred than the others. It is used all the same, since its
+/// blur is measured together with its corners.
 pub(crate) fn blurred(found: &FoundBoard, blurs: &[f64]) -> Option<String> {
     let median = median(&mut blurs.to_vec())?;
     (found.blur_px > BLURRED_PX.max(BLURRED_TIMES * median)).then(|| {
@@ -111,7 +115,7 @@ pub(crate) fn blurred(found: &FoundBoard, blurs: &[f64]) -> Option<String> {
     })
 }
 
-/// Pictures that are all blurred.
+/// Describes a set of blurred pictures.
 pub(crate) fn all_blurred(blurs: &[f64], (width, height): (u32, u32)) -> Option<String> {
     let median = median(&mut blurs.to_vec())?;
     let limit = ALL_BLURRED_PX * (f64::from(width.max(height)) / 1920.0).max(1.0);
@@ -122,11 +126,13 @@ pub(crate) fn all_blurred(blurs: &[f64], (width, height): (u32, u32)) -> Option<
     })
 }
 
-/// Boards are held between these distances from the camera, metres: nearer no lens is sharp, farther no board is large enough. Beyond them
-/// the size of the squares is doubted. Wider, squares in centimetres go unnoticed; narrower, large halls give a false remark.
+/// Plausible distances of boards from the camera, metres: nearer, no lens is sharp; farther, no
+/// board is large enough. Outside of them the size of the squares is questioned. Wider, squares in
+/// centimetres go unnoticed; narrower, large halls cause a false remark.
 const PLAUSIBLE_M: [f64; 2] = [0.08, 30.0];
 
-/// Squares whose size puts the boards where nobody holds one. The lens comes out the same; the distances do not.
+/// Describes a size of squares that puts the boards at implausible distances. The lens does not
+/// depend on it; the distances do.
 pub(crate) fn implausible_squares(estimate: &Estimate, board: &Board) -> Option<String> {
     let mut distances: Vec<f64> = estimate.bundle.poses.iter().map(|pose| pose.translation.norm()).collect();
     let metres = median(&mut distances)?;
@@ -144,7 +150,7 @@ pub(crate) fn implausible_squares(estimate: &Estimate, board: &Board) -> Option<
     })
 }
 
-/// A number without the dust of its arithmetic.
+/// Removes rounding noise from a number.
 pub(crate) fn rounded(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }
@@ -182,7 +188,7 @@ mod tests {
         let pictures = [found(), another((9, 6), false), another((9, 6), true), another((7, 5), true)];
         let sentence = another_board(&pictures, &board).unwrap();
         assert!(sentence.contains("1 of 4 pictures") && sentence.contains("2 one of 9x6; give --board 9x6"), "{sentence}");
-        // As many of each may be two boards, and boards at the rim alone tell no size.
+        // Equal counts may mean two boards, and boards at the rim alone do not determine a size.
         assert_eq!(another_board(&[found(), another((9, 6), false)], &board), None);
         assert_eq!(another_board(&[found(), another((9, 6), true), another((9, 6), true)], &board), None);
     }

@@ -1,5 +1,5 @@
-//! The figures of a report: where the board has been, the pictures with their corners, the corners' errors, the boards in space, what the lens bends, and maps of
-//! pixels over the picture.
+//! The figures of a report: coverage, the pictures with their corners, the corners' errors, the
+//! boards in space, the lens distortion, and maps over the picture.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -14,7 +14,7 @@ use crate::calibrate::solve::adjust::{Observation, observations_of};
 use crate::camera::CameraModel;
 use crate::html_page::svg::{Drawing, data_uri, hue};
 
-/// The corners of all pictures used, coloured by how far each lies from where the calibration expects it.
+/// Draws the corners of all used pictures, coloured by their residuals.
 pub(super) fn coverage(made: &CameraCalibration) -> String {
     let (w, h) = (f64::from(made.size.0), f64::from(made.size.1));
     let width = 480.0;
@@ -35,7 +35,7 @@ pub(super) fn coverage(made: &CameraCalibration) -> String {
     drawing.finish("Where in the picture the board has been")
 }
 
-/// Every corner used: where it is seen, and how far that is from where it is expected.
+/// Returns position and residual of every used corner.
 fn residuals(made: &CameraCalibration) -> impl Iterator<Item = (Vector2<f64>, Vector2<f64>)> + '_ {
     let used = made.views.iter().filter_map(|view| Some((view, view.index?, view.corners.as_ref()?)));
     used.flat_map(move |(view, index, corners)| {
@@ -47,7 +47,7 @@ fn residuals(made: &CameraCalibration) -> impl Iterator<Item = (Vector2<f64>, Ve
     })
 }
 
-/// What the views' own shapes say of each picture, in the order of the views.
+/// Returns the shape of a view with the estimated lens.
 pub(super) fn shape(made: &CameraCalibration, corners: &[Option<Vector2<f64>>]) -> Option<ViewShape> {
     ViewShape::new(&observations_of(corners, &made.board), made.size, Some(&made.estimate.bundle.lens))
 }
@@ -59,7 +59,8 @@ fn missing_parts(made: &CameraCalibration) -> Vec<(usize, usize)> {
     set.missing().parts
 }
 
-/// A picture with the corners found, the board's outline, its first corner and the directions of its sides.
+/// Draws a picture with the corners found, the board's outline, its first corner and the directions
+/// of its sides.
 pub(super) fn picture(view: &CalibrationView, size: (u32, u32), board: &Board) -> Option<String> {
     let small = view.thumbnail.as_ref()?;
     let (w, h) = (f64::from(small.width()), f64::from(small.height()));
@@ -87,7 +88,7 @@ pub(super) fn picture(view: &CalibrationView, size: (u32, u32), board: &Board) -
     Some(drawing.finish(&format!("Corners found in {}", view.file.display())))
 }
 
-/// How far every corner lies from where it is expected, all pictures in one.
+/// Draws the residuals of all corners of all pictures in one plot.
 pub(super) fn errors(made: &CameraCalibration) -> String {
     let side = 480.0;
     let reach = (4.0 * made.estimate.sigma_px).max(1e-3);
@@ -107,7 +108,7 @@ pub(super) fn errors(made: &CameraCalibration) -> String {
     drawing.finish("How far corners lie from where they are expected")
 }
 
-/// The largest of 1, 2 and 5 times a power of ten that goes into a length at least twice.
+/// Returns the largest of 1, 2 and 5 times a power of ten that fits at least twice into a length.
 fn round_step(reach: f64) -> f64 {
     let power = 10_f64.powf((reach / 2.0).log10().floor());
     [5.0, 2.0, 1.0].map(|k| k * power).into_iter().find(|step| 2.0 * step <= reach).unwrap_or(power)
@@ -116,14 +117,14 @@ fn round_step(reach: f64) -> f64 {
 /// Width and height of the figure of the boards in space, in the figure's units.
 const SPACE: [f64; 2] = [480.0, 360.0];
 
-/// Looks at the boards and the camera from the side and above, from so far away that parallels stay parallel.
+/// A parallel projection of boards and camera, seen from the side and from above.
 struct Oblique {
     scale: f64,
     middle: [f64; 2],
 }
 
 impl Oblique {
-    /// All points within the figure, with room for what is written beside them.
+    /// Chooses the scale so that all points fit, with room for the labels beside them.
     fn of(points: &[Vector3<f64>]) -> Self {
         let seen: Vec<[f64; 2]> = points.iter().map(|p| Self::turned(*p)).collect();
         let end = |k: usize, f: fn(f64, f64) -> f64, start: f64| seen.iter().fold(start, |a, p| f(a, p[k]));
@@ -133,7 +134,7 @@ impl Oblique {
         Self { scale: fits(0).min(fits(1)), middle: [0, 1].map(|k| 0.5 * (low[k] + high[k])) }
     }
 
-    /// Turned about the vertical by 55 degrees, looked down on by 25.
+    /// Rotates by 55 degrees about the vertical and looks down by 25 degrees.
     fn turned(p: Vector3<f64>) -> [f64; 2] {
         let (s, c) = 55.0_f64.to_radians().sin_cos();
         let (right, depth) = (c * p.x + s * p.z, -s * p.x + c * p.z);
@@ -147,7 +148,7 @@ impl Oblique {
     }
 }
 
-/// The camera and every board in space; `number` is what a picture is called in the report.
+/// Draws the camera and every board in space; `number` returns a picture's number in the report.
 pub(super) fn space(made: &CameraCalibration, number: impl Fn(usize) -> usize) -> String {
     let rim = |view: &CalibrationView| {
         let pose = made.estimate.bundle.poses[view.index?];
@@ -182,7 +183,7 @@ pub(super) fn space(made: &CameraCalibration, number: impl Fn(usize) -> usize) -
     drawing.finish("The camera and the boards in space")
 }
 
-/// How far the lens moves the points of a grid.
+/// Draws how far the lens distortion moves the points of a grid.
 pub(super) fn distortion(model: &CameraModel) -> String {
     let (w, h) = (f64::from(model.width()), f64::from(model.height()));
     let scale = 480.0 / w;
@@ -210,7 +211,7 @@ pub(super) fn distortion(model: &CameraModel) -> String {
     drawing.finish("Where the lens moves points to")
 }
 
-/// A map of pixels over the picture as coloured tiles with numbers.
+/// Draws a map of pixel values over the picture as coloured tiles with numbers.
 pub(super) fn map(map: &PixelMap, size: (u32, u32), title: &str) -> String {
     let (w, h) = (f64::from(size.0), f64::from(size.1));
     let height = 480.0 * h / w;
@@ -221,10 +222,10 @@ pub(super) fn map(map: &PixelMap, size: (u32, u32), title: &str) -> String {
         let colour = value.map_or(PALE, scale::colour);
         drawing.rect([c as f64 * tile_w, r as f64 * tile_h], [tile_w + 0.3, tile_h + 0.3], "none", colour);
     }
-    // Numbers are wider than tiles. So every second tile of every second row has one.
+    // Numbers are wider than tiles, so only every second tile of every second row has one.
     for ((c, r), value) in tiles().filter(|((c, r), _)| c % 2 == 0 && r % 2 == 0) {
         let label = value.map_or("-".to_owned(), |v| if v < 10.0 { format!("{v:.2}") } else { format!("{v:.0}") });
-        // The outermost ones would be cut at the rim.
+        // Centred ones would be cut at the rim.
         let anchor = if c == 0 {
             ("start", 2.0)
         } else if c + 1 == MAP_COLUMNS {
@@ -239,12 +240,12 @@ pub(super) fn map(map: &PixelMap, size: (u32, u32), title: &str) -> String {
     drawing.finish(title)
 }
 
-/// Differences as arrows, enlarged so that a long one is as long as a tile.
+/// Draws differences as arrows, enlarged so that a long one is as long as a tile.
 pub(super) fn arrows(field: &[Option<Vector2<f64>>], size: (u32, u32)) -> String {
     let scale = 480.0 / f64::from(size.0);
     let mut drawing = Drawing::new(480.0, f64::from(size.1) * scale);
     drawing.rect([0.0, 0.0], [480.0, f64::from(size.1) * scale], PALE, "none");
-    // A wild rim would make all other arrows vanish.
+    // Extreme values at the rim would make all other arrows vanish.
     let long = map::lengths(field).quantile(0.9).max(1e-9);
     for (place, difference) in places(size).zip(field) {
         let from = [(place.x + 0.5) * scale, (place.y + 0.5) * scale];

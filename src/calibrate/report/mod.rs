@@ -1,7 +1,8 @@
-//! The report: one HTML file that needs nothing else, for those who took the pictures.
+//! The report: one self-contained HTML file for whoever took the pictures.
 //!
-//! It says in their words what the calibration is worth and what to do next, shows where the board has been and what the lens does, and
-//! keeps the numbers that calibration programs use folded away at the end of their part. It follows the reader's light or dark scheme.
+//! It states in plain words what the calibration is worth and what to do next, and shows where the
+//! board has been and what the lens does. The parameters as calibration programs use them are
+//! folded away at the end of their part. It follows the reader's light or dark scheme.
 
 mod figures;
 mod numbers;
@@ -19,25 +20,25 @@ use crate::html_page::{figure, page};
 const INK: &str = "var(--ink)";
 const PALE: &str = "var(--faint)";
 
-/// How far another calibration puts the same points apart; see [`super::judge::map::difference`].
+/// The difference to another calibration; see [`super::judge::map::difference`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Comparison {
     /// The other calibration's name.
     pub name: String,
     /// Width and height of the picture, pixels.
     pub size: (u32, u32),
-    /// From here to there, pixels, over the places of the map.
+    /// Displacement from this calibration to the other, pixels, at the places of the map.
     pub field: Vec<Option<Vector2<f64>>>,
 }
 
 impl Comparison {
-    /// The differences' lengths.
+    /// Returns the lengths of the differences.
     pub fn lengths(&self) -> PixelMap {
         lengths(&self.field)
     }
 }
 
-/// The report of a calibration; `date` is when it was made.
+/// Returns the report of a calibration; `date` is when it was made.
 pub fn html(made: &CameraCalibration, comparison: Option<&Comparison>, date: &str) -> String {
     let views = by_name(&made.views);
     let number = |index: usize| 1 + views.iter().position(|view| view.index == Some(index)).unwrap_or(index);
@@ -79,19 +80,19 @@ pub fn html(made: &CameraCalibration, comparison: Option<&Comparison>, date: &st
     page("Camera calibration", date, &body)
 }
 
-/// The report of two calibration files; `date` is when it was made.
+/// Returns the report of a comparison of two calibration files; `date` is when it was made.
 pub fn comparison_html(own: &str, comparison: &Comparison, date: &str) -> String {
     page(&format!("{own} and {}", comparison.name), date, &comparison_part(comparison))
 }
 
-/// The views in the order in which people count: view2 before view10.
+/// Sorts the views in natural order: view2 before view10.
 fn by_name(views: &[CalibrationView]) -> Vec<&CalibrationView> {
     let mut sorted: Vec<&CalibrationView> = views.iter().collect();
     sorted.sort_by(|a, b| alphanumeric_sort::compare_path(&a.file, &b.file));
     sorted
 }
 
-/// What was calibrated, with what, and when.
+/// States what was calibrated, with what, and when.
 fn facts(made: &CameraCalibration, date: &str) -> String {
     let used = made.views.iter().filter(|view| view.used).count();
     let ((width, height), all, version) = (made.size, made.views.len(), env!("CARGO_PKG_VERSION"));
@@ -150,7 +151,7 @@ fn picture(number: usize, view: &CalibrationView, made: &CameraCalibration) -> S
     format!("<figure{class}>{drawn}<figcaption><b>{number}: {name}</b><br>{state}</figcaption></figure>\n")
 }
 
-/// The picture's file name, its whole path where the pointer rests on it.
+/// Returns the picture's file name, with the whole path as a tooltip.
 fn short_name(view: &CalibrationView) -> String {
     let name = view.file.file_name().map_or(view.file.as_os_str(), |name| name).to_string_lossy();
     format!("<span title=\"{}\">{}</span>", escaped(&view.file.display().to_string()), escaped(&name))

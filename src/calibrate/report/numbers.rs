@@ -1,4 +1,5 @@
-//! The numbers of a calibration: first as photographers speak of lenses, then as calibration programs write them.
+//! The parameters of a calibration, first in photographers' terms, then in those of calibration
+//! programs.
 
 use nalgebra::{Rotation3, Vector2, Vector3};
 
@@ -9,10 +10,10 @@ use crate::calibrate::session::{CalibrationView, CameraCalibration};
 use crate::calibrate::solve::lens::LENS_NAMES;
 use crate::camera::{CameraModel, Pixel};
 
-/// Width of a full-frame sensor, millimetres: what focal lengths of lenses are commonly held against.
+/// Width of a full-frame sensor, millimetres: the usual reference for focal lengths.
 const FULL_FRAME_MM: f64 = 36.0;
 
-/// Both tables.
+/// Returns both tables.
 pub(super) fn part(made: &CameraCalibration) -> String {
     let mut rows = String::new();
     for (name, value) in plain(made) {
@@ -25,7 +26,7 @@ pub(super) fn part(made: &CameraCalibration) -> String {
     )
 }
 
-/// Each number with its name, as text that may stand in HTML.
+/// Returns each value with its name, as HTML text.
 fn plain(made: &CameraCalibration) -> Vec<(&'static str, String)> {
     let n = &made.estimate.bundle.lens.0;
     let u = made.estimate.lens_uncertainty();
@@ -57,7 +58,7 @@ fn plain(made: &CameraCalibration) -> Vec<(&'static str, String)> {
     rows
 }
 
-/// Angles between the middles of opposite sides of the picture, degrees.
+/// Returns the angles between the middles of opposite sides of the picture, degrees.
 fn view_deg(model: &CameraModel) -> Option<[f64; 2]> {
     let (w, h) = (f64::from(model.width()), f64::from(model.height()));
     let i = model.intrinsics();
@@ -66,7 +67,7 @@ fn view_deg(model: &CameraModel) -> Option<[f64; 2]> {
     Some([angle(ray(-0.5, i.cy), ray(w - 0.5, i.cy))?, angle(ray(i.cx, -0.5), ray(i.cx, h - 0.5))?])
 }
 
-/// What the lens does to straight lines, from how far the picture's corners are moved.
+/// Describes how straight lines bend, from how far the picture's corners are moved.
 fn bending(model: &CameraModel) -> Option<String> {
     let (w, h) = (f64::from(model.width()), f64::from(model.height()));
     let i = model.intrinsics();
@@ -83,7 +84,7 @@ fn bending(model: &CameraModel) -> Option<String> {
     Some(if farthest.abs() < 0.5 { "next to none".to_owned() } else { moves })
 }
 
-/// The numbers as they stand in calibration files.
+/// Returns the parameters as in calibration files.
 fn programs(made: &CameraCalibration) -> String {
     let n = &made.estimate.bundle.lens.0;
     let u = made.estimate.lens_uncertainty();
@@ -100,7 +101,7 @@ fn programs(made: &CameraCalibration) -> String {
     )
 }
 
-/// Where each board was, as seen from the camera.
+/// Returns the table of the boards' positions relative to the camera.
 pub(super) fn poses(made: &CameraCalibration, views: &[&CalibrationView]) -> String {
     let mut rows = String::new();
     for (number, view) in (1..).zip(views) {

@@ -1,8 +1,9 @@
-//! Bundle adjustment: the lens and every board's pose together, by Levenberg and Marquardt's method.
+//! Bundle adjustment: estimates the lens and every board's pose together by the Levenberg-Marquardt
+//! method.
 //!
-//! The normal equations have the shape of an arrow: the views meet only in the lens. So each view's six unknowns are
-//! eliminated (Schur's complement), what is left has at most ten unknowns, and the covariance of everything follows from
-//! the same pieces.
+//! The normal equations have an arrow shape, since the views share only the lens. So each view's
+//! six unknowns are eliminated (Schur complement). At most ten unknowns remain, and the covariance
+//! of everything follows from the same parts.
 
 use nalgebra::{Matrix6, SMatrix, UnitQuaternion, Vector2, Vector3, Vector6};
 
@@ -15,42 +16,43 @@ use crate::geometry::{Camera, Pose};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BoardFrame {}
 
-/// One corner as one picture shows it.
+/// One corner in one picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
-    /// On the board, metres.
+    /// Position on the board, metres.
     pub board_m: Vector2<f64>,
     /// Raw pixel.
     pub pixel: Vector2<f64>,
 }
 
-/// The observations of corners in the board's order.
+/// Returns the observations of corners given in the board's order.
 pub fn observations_of(corners: &[Option<Vector2<f64>>], board: &Board) -> Vec<Observation> {
     let seen = corners.iter().enumerate().filter_map(|(k, c)| Some((k, (*c)?)));
     seen.map(|(k, pixel)| Observation { board_m: board.corner(k), pixel }).collect()
 }
 
-/// How far two views' corners lie apart on average, pixels; infinite where no corner is seen in both.
+/// Returns the mean distance between two views' corners, pixels; infinite if no corner is seen in
+/// both.
 pub fn mean_distance(a: &[Option<Vector2<f64>>], b: &[Option<Vector2<f64>>]) -> f64 {
     let distances: Vec<f64> = a.iter().zip(b).filter_map(|(a, b)| Some(((*a)? - (*b)?).norm())).collect();
     if distances.is_empty() { f64::INFINITY } else { distances.iter().sum::<f64>() / distances.len() as f64 }
 }
 
-/// A lens and one pose `T_camera_board` a view.
+/// A lens and one pose `T_camera_board` per view.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bundle {
     /// The lens.
     pub lens: Lens,
-    /// `T_camera_board`, metres, one a view.
+    /// `T_camera_board` of each view, metres.
     pub poses: Vec<Pose<Camera, BoardFrame>>,
 }
 
-/// How residuals count.
+/// The loss function of the residuals.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Loss {
-    /// Their squares.
+    /// Sum of squares.
     Squares,
-    /// Cauchy's: a residual of this many pixels has half the weight.
+    /// Cauchy's loss: a residual of this many pixels has half the weight.
     Cauchy(f64),
 }
 
@@ -68,14 +70,14 @@ impl Loss {
 
 type Coupling = SMatrix<f64, LENS_NUMBERS, 6>;
 
-/// One view's share of the normal equations.
+/// One view's part of the normal equations.
 struct ViewBlock {
     own: Matrix6<f64>,
     coupling: Coupling,
     gradient: Vector6<f64>,
 }
 
-/// The normal equations at one place.
+/// The normal equations, linearised at one state.
 struct Normal {
     lens: LensMatrix,
     gradient: LensVector,
@@ -85,29 +87,33 @@ struct Normal {
 /// Covariances for residuals of one pixel; see [`Bundle::covariance`].
 #[derive(Debug, Clone)]
 pub struct BundleCovariance {
-    /// Of the ten numbers; rows of numbers that are not estimated are zero.
+    /// Covariance of the ten parameters; rows and columns of parameters that are not estimated are
+    /// zero.
     pub lens: LensMatrix,
-    /// Of each view's [δθ, δt]: `R_true = Exp(δθ) R`, `t_true = t + δt`, camera axes, rad and m.
+    /// Covariance of each view's [δθ, δt]: `R_true = Exp(δθ) R`, `t_true = t + δt`, camera axes,
+    /// rad and m.
     pub views: Vec<Matrix6<f64>>,
 }
 
-/// What a corner behind the camera costs: pixels squared, larger than any picture, so that no step that
-/// puts one there is taken. Any value above a picture's diagonal squared would do.
+/// Cost of a corner behind the camera, pixels squared: larger than any picture, so that no step
+/// that puts one there is accepted. Any value above a picture's diagonal squared would do.
 const BEHIND: f64 = 1e9;
 
 impl Bundle {
-    /// The residual, seen minus predicted, pixels; `None` where the corner would lie behind the camera.
+    /// Returns the residual, observed minus predicted, pixels; `None` if the corner would lie
+    /// behind the camera.
     pub fn residual(&self, view: usize, o: &Observation) -> Option<Vector2<f64>> {
         let p = self.poses[view].rotation * o.board_m.push(0.0) + self.poses[view].translation;
         (p.z > 1e-9).then(|| o.pixel - self.lens.project(p.xy() / p.z))
     }
 
-    /// The residuals of all views' corners, one view after another.
+    /// Returns the residuals of all views' corners, view by view.
     pub fn residuals<'a>(&'a self, views: &'a [Vec<Observation>]) -> impl Iterator<Item = Option<Vector2<f64>>> + 'a {
         views.iter().enumerate().flat_map(move |(v, all)| all.iter().map(move |o| self.residual(v, o)))
     }
 
-    /// Minimises the loss over everything that is free, from here, in at most `iterations` steps; gives the cost reached.
+    /// Minimises the loss over all free unknowns, from the current state, in at most `iterations`
+    /// steps; returns the cost reached.
     pub fn adjust(&mut self, views: &[Vec<Observation>], free: &FreeNumbers, loss: Loss, iterations: usize) -> f64 {
         let options = Options { iterations, damping: Damping { now: 1e-4, least: 1e-12, most: 1e8 }, least_gain: 1e-12 };
         let (found, cost) = minimise(&mut Adjustment { views, free, loss }, self.clone(), &options);
@@ -115,12 +121,14 @@ impl Bundle {
         cost
     }
 
-    /// Covariances of everything for independent residuals of one pixel along each axis; times sigma squared they are the
-    /// estimate's. `None` where the views do not determine the unknowns.
+    /// Returns the covariances of all unknowns for independent residuals of one pixel along each
+    /// axis; multiply by sigma squared for the estimate's. `None` if the views do not determine the
+    /// unknowns.
     pub fn covariance(&self, views: &[Vec<Observation>], free: &FreeNumbers) -> Option<BundleCovariance> {
         let normal = Adjustment { views, free, loss: Loss::Squares }.linearised(self);
         let reduced = normal.reduced(0.0)?;
-        // Scaled to a unit diagonal, the smallest eigenvalue says how far the unknowns can be told apart.
+        // Scaled to a unit diagonal, the smallest eigenvalue tells whether the unknowns are
+        // determined.
         let scale = LensVector::from_fn(|k, _| 1.0 / reduced.matrix[(k, k)].max(f64::MIN_POSITIVE).sqrt());
         let scaled = LensMatrix::from_fn(|r, c| reduced.matrix[(r, c)] * scale[r] * scale[c]);
         let least = scaled.symmetric_eigenvalues().min();
@@ -145,14 +153,14 @@ impl Bundle {
     }
 }
 
-/// The lens' own equations after the views' unknowns are eliminated.
+/// The lens's equations after the views' unknowns are eliminated.
 struct Reduced {
     matrix: LensMatrix,
     gradient: LensVector,
     inverses: Vec<Matrix6<f64>>,
 }
 
-/// A bundle's loss over all views, by what is free.
+/// The loss of a bundle over all views, as a function of the free unknowns.
 struct Adjustment<'a> {
     views: &'a [Vec<Observation>],
     free: &'a FreeNumbers,

@@ -1,8 +1,10 @@
-//! The estimation: corners of many views in, lens and poses with their uncertainty out.
+//! The estimation: from the corners of many views to lens and poses with their uncertainty.
 //!
-//! A start in closed form ([`start`]), a robust adjustment that lets wild corners have little say, then the corners that
-//! do not belong are left out and the rest is adjusted by plain least squares ([`adjust`]), so that the covariance is the
-//! textbook's; what neighbouring corners' errors have in common is counted in. Uncertainties are 3 sigma, as in Bouguet's toolbox: `3 sqrt(diag((JᵀJ)⁻¹)) sigma`.
+//! It starts from a closed form ([`start`]) and makes a robust adjustment in which outliers have
+//! little weight. Then outliers are removed and the rest is adjusted by plain least squares
+//! ([`adjust`]), so that the textbook covariance applies, enlarged for errors shared by
+//! neighbouring corners. Uncertainties are 3 sigma, as in Bouguet's toolbox:
+//! `3 sqrt(diag((JᵀJ)⁻¹)) sigma`.
 
 pub mod adjust;
 pub mod lens;
@@ -17,15 +19,16 @@ use lens::{FreeNumbers, Held, LensMatrix, LensVector};
 /// What is estimated, and how.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct SolveOptions {
-    /// Which numbers are free.
+    /// Which parameters are free.
     pub free: FreeNumbers,
     /// Values for the others.
     pub held: Held,
-    /// As Bouguet's toolbox: every corner counts in full, none is left out, and sigma counts no degrees of freedom.
+    /// Work like Bouguet's toolbox: every corner has full weight, none is rejected, and sigma
+    /// ignores the degrees of freedom.
     pub bouguet: bool,
 }
 
-/// An estimate of everything.
+/// The complete estimate.
 #[derive(Debug, Clone)]
 pub struct Estimate {
     /// The lens and the poses.
@@ -36,23 +39,27 @@ pub struct Estimate {
     pub rms_px: f64,
     /// Bouguet's err: standard deviation along x and along y, pixels.
     pub axis_error_px: [f64; 2],
-    /// The noise of one coordinate, degrees of freedom counted, and errors that neighbouring corners share; pixels.
+    /// Noise of one coordinate, pixels, with the degrees of freedom and errors shared by
+    /// neighbouring corners taken into account.
     pub sigma_px: f64,
-    /// Covariance of the ten numbers; zero for those that were held.
+    /// Covariance of the ten parameters; zero for those held fixed.
     pub lens_covariance: LensMatrix,
     /// Covariance of each view's [δθ, δt], camera axes, rad and m: `R_true = Exp(δθ) R`.
     pub pose_covariances: Vec<Matrix6<f64>>,
 }
 
-/// Fewer views than this are not tried: Zhang's equations have two a view, and three views determine all five intrinsics.
+/// Minimum number of views: Zhang's method has two equations per view, and three views determine
+/// all five intrinsics.
 pub const LEAST_VIEWS: usize = 3;
-/// Corners farther off than this many sigma are left out: of good ones, one in 40 000 is (Rayleigh's distribution). Raised,
-/// wrong corners pull the lens; lowered, good ones are lost and sigma comes out too small.
+/// Residual, in sigma, above which corners are rejected: one good corner in 40 000 (Rayleigh
+/// distribution). Raised, wrong corners pull the lens; lowered, good ones are lost and sigma comes
+/// out too small.
 const OUTLIER_SIGMAS: f64 = 4.6;
 /// The median length of a 2-vector of unit noise: sqrt(2 ln 2).
 const MEDIAN_LENGTH: f64 = 1.1774;
 
-/// Estimates the lens and a pose for every view; `None` with fewer than `LEAST_VIEWS` views, or where they do not determine the unknowns.
+/// Estimates the lens and a pose for every view; `None` with fewer than `LEAST_VIEWS` views, or if
+/// they do not determine the unknowns.
 pub fn estimate(views: &[Vec<Observation>], size: (u32, u32), options: &SolveOptions) -> Option<Estimate> {
     if views.len() < LEAST_VIEWS {
         return None;
@@ -61,7 +68,7 @@ pub fn estimate(views: &[Vec<Observation>], size: (u32, u32), options: &SolveOpt
     refine(bundle, views, options)
 }
 
-/// As [`estimate`], from a start that is near already.
+/// Estimates like [`estimate`], from a start that is already near.
 pub fn refine(mut bundle: Bundle, views: &[Vec<Observation>], options: &SolveOptions) -> Option<Estimate> {
     let free = &options.free;
     let all: Vec<Vec<bool>> = views.iter().map(|view| vec![true; view.len()]).collect();
@@ -88,10 +95,10 @@ pub fn refine(mut bundle: Bundle, views: &[Vec<Observation>], options: &SolveOpt
     summed_up(bundle, views, used, options)
 }
 
-/// Sigma of one coordinate from the median residual: half of the corners may be wild.
+/// Returns sigma of one coordinate from the median residual, which tolerates up to half outliers.
 fn robust_sigma(bundle: &Bundle, views: &[Vec<Observation>]) -> f64 {
     let mut lengths: Vec<f64> = bundle.residuals(views).map(|r| r.map_or(f64::INFINITY, |r| r.norm())).collect();
-    // A floor keeps exact input from throwing out rounding errors.
+    // The floor keeps exact input from rejecting rounding errors.
     median(&mut lengths).map_or(1.0, |median| (median / MEDIAN_LENGTH).clamp(1e-6, 1e3))
 }
 
@@ -105,7 +112,7 @@ fn selected(views: &[Vec<Observation>], used: &[Vec<bool>]) -> Vec<Vec<Observati
     views.iter().zip(used).map(pick).collect()
 }
 
-/// Errors and covariances of an adjusted bundle.
+/// Computes errors and covariances of an adjusted bundle.
 fn summed_up(bundle: Bundle, views: &[Vec<Observation>], used: Vec<Vec<bool>>, options: &SolveOptions) -> Option<Estimate> {
     let free = &options.free;
     let kept = selected(views, &used);
@@ -132,9 +139,10 @@ fn summed_up(bundle: Bundle, views: &[Vec<Observation>], used: Vec<Vec<bool>>, o
     })
 }
 
-/// By how much more the unknowns vary than independent errors would make them. A board that is not flat, or a lens that the model
-/// does not reach, moves neighbouring corners alike: with four neighbours of correlation rho each, a sum's variance is 1 + 4 rho
-/// times as large. 1 for independent errors.
+/// Returns the factor by which the unknowns' variance exceeds that for independent errors. A board
+/// that is not flat, or a lens that the model does not fit, moves neighbouring corners alike: with
+/// four neighbours of correlation rho each, a sum's variance is 1 + 4 rho times as large. 1 for
+/// independent errors.
 fn shared_error(bundle: &Bundle, views: &[Vec<Observation>]) -> f64 {
     let (mut alike, mut power) = (0.0, 0.0);
     for (v, view) in views.iter().enumerate() {
@@ -151,12 +159,13 @@ fn shared_error(bundle: &Bundle, views: &[Vec<Observation>]) -> f64 {
 }
 
 impl Estimate {
-    /// 3 sigma of each of the ten numbers; 0 for those that were held.
+    /// Returns 3 sigma of each of the ten parameters; 0 for those held fixed.
     pub fn lens_uncertainty(&self) -> LensVector {
         self.lens_covariance.diagonal().map(|v| 3.0 * v.max(0.0).sqrt())
     }
 
-    /// Bouguet's extrinsics of a view: the rotation vector `omc` (rad) and `Tc` (m) of `T_camera_board`, and 3 sigma of both.
+    /// Returns Bouguet's extrinsics of a view: the rotation vector `omc` (rad) and `Tc` (m) of
+    /// `T_camera_board`, and 3 sigma of both.
     pub fn extrinsics(&self, view: usize) -> Extrinsics {
         let pose = &self.bundle.poses[view];
         let omc = pose.rotation.scaled_axis();
@@ -172,7 +181,7 @@ impl Estimate {
         }
     }
 
-    /// Per-point rms of one view's used corners, pixels.
+    /// Returns the rms per point of one view's used corners, pixels.
     pub fn view_rms_px(&self, view: usize, observations: &[Observation]) -> f64 {
         let kept = observations.iter().zip(&self.used[view]).filter(|(_, used)| **used);
         let squares: Vec<f64> = kept.filter_map(|(o, _)| Some(self.bundle.residual(view, o)?.norm_squared())).collect();
@@ -180,7 +189,7 @@ impl Estimate {
     }
 }
 
-/// One view's pose as Bouguet's toolbox writes it.
+/// One view's pose in the form of Bouguet's toolbox.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Extrinsics {
     /// omc: axis times angle, rad, of `T_camera_board`.
@@ -193,7 +202,7 @@ pub struct Extrinsics {
     pub translation_uncertainty_m: Vector3<f64>,
 }
 
-/// How a rotation vector changes when its rotation is turned a little from the left.
+/// Returns the derivative of a rotation vector by a small rotation applied from the left.
 fn inverse_left_jacobian(omega: &Vector3<f64>) -> Matrix3<f64> {
     let angle = omega.norm();
     let cross = omega.cross_matrix();

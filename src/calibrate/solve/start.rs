@@ -1,8 +1,10 @@
-//! Where the adjustment starts: Zhang's closed form for the focal lengths, a planar pose for every view.
+//! The start of the adjustment: Zhang's closed form for the focal lengths, and a planar pose for
+//! every view.
 //!
-//! Each view's homography constrains the image of the absolute conic (Zhang, "A flexible new technique for camera
-//! calibration", PAMI 2000). With the principal point taken at the picture's centre and no skew, two linear unknowns are
-//! left, 1/fx² and 1/fy². Where the views leave even that open, a ladder of focal lengths is tried.
+//! Each view's homography constrains the image of the absolute conic (Zhang, "A flexible new
+//! technique for camera calibration", PAMI 2000). With the principal point at the picture's centre
+//! and no skew, two linear unknowns remain, 1/fx² and 1/fy². If the views do not determine even
+//! those, a ladder of focal lengths is tried.
 
 use nalgebra::{Matrix2, Matrix3, Vector2};
 
@@ -12,11 +14,13 @@ use crate::geometry::homography::{Homography, PointPair};
 use crate::geometry::planar_pose::planar_poses;
 use crate::geometry::{Camera, Pose};
 
-/// Focal lengths, in picture widths, from a wide lens (80 degrees across) to a long one (10 degrees). Each is about 1.4 to 2 times the
-/// one before, near enough for the adjustment to find its way from one of them. More steps only take longer.
+/// Focal lengths tried, in picture widths, from a wide lens (80 degrees across) to a long one (10
+/// degrees). Each is about 1.4 to 2 times the previous one, near enough for the adjustment to
+/// converge from one of them. More steps only take longer.
 const LADDER: [f64; 6] = [0.6, 0.85, 1.2, 1.8, 3.0, 6.0];
 
-/// The best start for these views; `held` has the values of numbers that are not estimated. `None` where a view has no pose.
+/// Returns the best start for these views; `held` has the values of parameters that are not
+/// estimated. `None` if a view has no pose.
 pub fn start(views: &[Vec<Observation>], size: (u32, u32), free: &FreeNumbers, held: &Held) -> Option<Bundle> {
     let width = f64::from(size.0.max(size.1));
     let mut best: Option<(f64, Bundle)> = None;
@@ -34,7 +38,7 @@ pub fn start(views: &[Vec<Observation>], size: (u32, u32), free: &FreeNumbers, h
         if sound && best.as_ref().is_none_or(|(kept, _)| cost < *kept) {
             best = Some((cost, bundle));
         }
-        // Below a pixel a corner nothing else can be the right valley.
+        // Below a pixel per corner, this must be the right minimum.
         if best.as_ref().is_some_and(|(cost, _)| *cost < enough) {
             break;
         }
@@ -42,7 +46,8 @@ pub fn start(views: &[Vec<Observation>], size: (u32, u32), free: &FreeNumbers, h
     best.map(|(_, bundle)| bundle)
 }
 
-/// The starting lens: the focal lengths, the picture's centre, no distortion, and whatever is held.
+/// Returns the starting lens: the focal lengths, the picture's centre, no distortion, and any held
+/// values.
 fn lens_with(focal: [f64; 2], size: (u32, u32), free: &FreeNumbers, held: &Held) -> Lens {
     let mut lens = Lens::pinhole(focal, centre(size));
     if free.square_pixels && free.free[0] {
@@ -56,12 +61,13 @@ fn lens_with(focal: [f64; 2], size: (u32, u32), free: &FreeNumbers, held: &Held)
     lens
 }
 
-/// The middle of a picture, pixels.
+/// Returns the centre of a picture, pixels.
 pub fn centre((width, height): (u32, u32)) -> [f64; 2] {
     [0.5 * (f64::from(width) - 1.0), 0.5 * (f64::from(height) - 1.0)]
 }
 
-/// Zhang's focal lengths, with both free, then with one for both; whatever is plausible of them.
+/// Returns Zhang's focal lengths with two unknowns, then with one for both axes, as far as they are
+/// plausible.
 fn focal_lengths(views: &[Vec<Observation>], size: (u32, u32), held: &Held) -> Vec<[f64; 2]> {
     let middle = centre(size);
     let at = |k: usize| held[2 + k].unwrap_or(middle[k]);
@@ -71,7 +77,7 @@ fn focal_lengths(views: &[Vec<Observation>], size: (u32, u32), held: &Held) -> V
     for view in views {
         let pairs: Vec<PointPair> = view.iter().map(|o| PointPair { from: o.board_m, to: o.pixel }).collect();
         let Some(h) = Homography::from_pairs(&pairs, None).map(|h| shift * h.0) else { continue };
-        // The square's sides are at right angles in space, and so are its diagonals.
+        // The square's sides are perpendicular in space, and so are its diagonals.
         let scale = h.column(0).norm().max(h.column(1).norm());
         let (s, d) = ((h.column(0) + h.column(1)) / scale, (h.column(0) - h.column(1)) / scale);
         for (u, v) in [(h.column(0) / scale, h.column(1) / scale), (s, d)] {
@@ -91,19 +97,20 @@ fn focal_lengths(views: &[Vec<Observation>], size: (u32, u32), held: &Held) -> V
     both.into_iter().chain(plausible(single).then_some([single; 2])).collect()
 }
 
-/// A pose for every view under a lens: of the two that a plane allows, the one that explains the picture better.
+/// Finds a pose for every view with a given lens: of the two that a plane allows, the one that fits
+/// better.
 fn posed(views: &[Vec<Observation>], lens: Lens) -> Option<Bundle> {
     let poses = views.iter().map(|view| pose_of(view, &lens));
     Some(Bundle { lens, poses: poses.collect::<Option<Vec<_>>>()? })
 }
 
-/// The pose of one view under a known lens.
+/// Finds the pose of one view with a known lens.
 pub fn pose_of(view: &[Observation], lens: &Lens) -> Option<Pose<Camera, BoardFrame>> {
     let n = &lens.0;
     let model = lens.model(1, 1).ok()?;
     let normalised = |o: &Observation| {
         let ray = model.unproject(crate::camera::Pixel(o.pixel));
-        // Beyond the lens' rim the pinhole alone will do for a start.
+        // Outside the lens's valid range, the pinhole model alone is good enough for a start.
         ray.map_or_else(|| Vector2::new((o.pixel.x - n[2]) / n[0], (o.pixel.y - n[3]) / n[1]), |ray| ray.0)
     };
     let pairs: Vec<PointPair> = view.iter().map(|o| PointPair { from: o.board_m, to: normalised(o) }).collect();
@@ -111,7 +118,7 @@ pub fn pose_of(view: &[Observation], lens: &Lens) -> Option<Pose<Camera, BoardFr
     let held = FreeNumbers { free: [false; LENS_NUMBERS], square_pixels: false };
     let one_view = [view.to_vec()];
     let refined = planar_poses(&metric, &pairs).into_iter().map(|pose| {
-        // The board's plane is the surface's plane; only the names differ.
+        // The board's plane plays the role of the surface's plane; only the frame names differ.
         let mut bundle = Bundle { lens: *lens, poses: vec![pose.renamed()] };
         let cost = bundle.adjust(&one_view, &held, Loss::Squares, 15);
         (cost, bundle.poses[0])

@@ -1,4 +1,4 @@
-//! The estimation on simulated corners: the truth comes back, and the uncertainties are right.
+//! The estimation on simulated corners: it recovers the truth, and the uncertainties are correct.
 
 use nalgebra::UnitQuaternion;
 use rand::{Rng, SeedableRng};
@@ -84,8 +84,8 @@ fn what_is_held_stays_and_square_pixels_are_square() {
     assert!(u[0] > 0.0 && u[0] == u[1]);
 }
 
-/// 200 sets of noisy corners: 3 sigma holds in at least 97 %, and errors over sigma have an rms near 1, for the lens and for
-/// the poses.
+/// 200 sets of noisy corners: 3 sigma holds in at least 97 %, and errors over sigma have an rms
+/// near 1, for the lens and for the poses.
 #[test]
 fn uncertainties_are_right() {
     let mut random = Pcg64Mcg::seed_from_u64(6);
