@@ -1,4 +1,4 @@
-//! The board to print: the chessboard on a page, with a ruler.
+//! The printable board: the chessboard on a page, with a ruler.
 
 use thiserror::Error;
 
@@ -6,18 +6,20 @@ use super::page::{Item, Page, RULER_MM, Style, fitting_size, ruler};
 use super::paper::{MARGIN_MM, Paper};
 use crate::calibrate::board::Board;
 
-/// White around the board where no paper is named, millimetres; a finder needs some, and so does
-/// a printer, which reaches to 5 mm of the edge. Raised, the sheet grows.
+/// White around the board if no paper is named, millimetres. The finder needs some, and a printer
+/// only reaches to 5 mm of the edge. Raised, the sheet grows.
 const OWN_MARGIN_MM: f64 = 12.0;
-/// Room below the board and its margin where no paper is named, millimetres: the ruler, the label of 3 mm type, and 4 mm of white.
+/// Space below the board and its margin if no paper is named, millimetres: the ruler, the label of
+/// 3 mm type, and 4 mm of white.
 const OWN_FOOT_MM: f64 = 16.0;
-/// Room below the board on a paper, millimetres: a gap, the ruler, the label of 3 mm type. Raised, the largest square that fits shrinks.
+/// Space below the board on a named paper, millimetres: a gap, the ruler, the label of 3 mm type.
+/// Raised, the largest square that fits shrinks.
 const FOOT_MM: f64 = 4.0 + RULER_MM + 4.0;
-/// Slack in what fits, millimetres: far below what a printer resolves, far above the
-/// rounding of binary fractions. Anything between would do.
+/// Tolerance in what fits, millimetres: far below what a printer resolves, far above the rounding
+/// of binary fractions. Anything between would do.
 const ROUNDING_MM: f64 = 1e-6;
-/// Width of a letter of the label, ems: above Helvetica's mean of about 0.5, as no font is asked.
-/// Raised, the label is printed smaller; lowered, it may run beyond the margin.
+/// Width of a letter of the label, ems: above Helvetica's mean of about 0.5, since the font is not
+/// measured. Raised, the label is printed smaller; lowered, it may run beyond the margin.
 const LETTER_EM: f64 = 0.55;
 
 /// The board does not fit on the paper.
@@ -32,7 +34,7 @@ pub struct DoesNotFit {
     largest_mm: f64,
 }
 
-/// The board on a paper of just the size that it needs.
+/// Returns the board on a page of exactly the size that it needs.
 pub fn page(board: &Board) -> Page {
     let [across, down] = sides_mm(board);
     let size_mm = [across + 2.0 * OWN_MARGIN_MM, down + 2.0 * OWN_MARGIN_MM + OWN_FOOT_MM];
@@ -40,23 +42,25 @@ pub fn page(board: &Board) -> Page {
     drawn(board, size_mm, [OWN_MARGIN_MM; 2], [OWN_MARGIN_MM, ruler_top, size_mm[0] - 2.0 * OWN_MARGIN_MM])
 }
 
-/// The board on a paper, turned as it fits; everything, the ruler too, lies within the printable area.
+/// Returns the board on a paper in the orientation that fits; everything, including the ruler, lies
+/// within the printable area.
 ///
 /// # Errors
-/// When it fits neither way.
+/// When it fits in neither orientation.
 pub fn page_on(board: &Board, paper: Paper) -> Result<Page, DoesNotFit> {
     let [across, down] = sides_mm(board);
     let room = |paper: Paper| {
         let [width, height] = paper.printable_mm();
         [width, height - FOOT_MM]
     };
-    // Metres become millimetres with the rounding of binary fractions: a board that just fits must fit.
+    // Converting metres to millimetres rounds: a board that just fits must fit.
     let fits = |paper: &Paper| across <= room(*paper)[0] + ROUNDING_MM && down <= room(*paper)[1] + ROUNDING_MM;
     let ways = [paper, paper.turned()];
     let Some(paper) = ways.into_iter().find(fits) else {
         let largest = |paper: Paper| (room(paper)[0] / f64::from(board.columns() + 1)).min(room(paper)[1] / f64::from(board.rows() + 1));
         let largest_mm = ways.map(largest).into_iter().fold(0.0, f64::max);
-        // Down to half a millimetre, which can be typed and measured; on tiny squares to a tenth.
+        // Rounded down to half a millimetre, which can be typed and measured; for tiny squares to a
+        // tenth.
         let step = if largest_mm < 5.0 { 0.1 } else { 0.5 };
         let largest_mm = ((largest_mm / step + 1e-9).floor() * step * 10.0).round() / 10.0;
         return Err(DoesNotFit { columns: board.columns(), rows: board.rows(), square_mm: square_mm(board), largest_mm });
@@ -66,17 +70,18 @@ pub fn page_on(board: &Board, paper: Paper) -> Result<Page, DoesNotFit> {
     Ok(drawn(board, paper.size_mm, at, [MARGIN_MM, paper.size_mm[1] - MARGIN_MM - FOOT_MM + 4.0, width]))
 }
 
-/// Width and height of the board, millimetres.
+/// Returns width and height of the board, millimetres.
 fn sides_mm(board: &Board) -> [f64; 2] {
     [board.columns(), board.rows()].map(|corners| f64::from(corners + 1) * square_mm(board))
 }
 
-/// Side of a square, millimetres, as it was typed.
+/// Returns the side of a square, millimetres, as it was typed.
 fn square_mm(board: &Board) -> f64 {
     (board.square_m() * 1e9).round() / 1e6
 }
 
-/// The square beyond the origin (top left) is dark. The foot is the ruler's left end, its top, and the room along it.
+/// Draws the board; the square beyond the origin (top left) is dark. `foot_left` and `foot_top` are
+/// the ruler's top left end, `room` is the space along it.
 fn drawn(board: &Board, size_mm: [f64; 2], [left, top]: [f64; 2], [foot_left, foot_top, room]: [f64; 3]) -> Page {
     let side = square_mm(board);
     let dark = |row: u32| (0..=board.columns()).filter(move |column| (row + column).is_multiple_of(2)).map(move |column| (row, column));
@@ -104,7 +109,7 @@ mod tests {
         assert!(text.contains("width=\"274mm\"") && text.contains("height=\"215mm\"") && text.contains(">200</text>"));
     }
 
-    /// The least and the greatest x and y that is printed, but for the text's width.
+    /// Returns the minimum and maximum x and y of what is printed, except for the width of text.
     fn extent(page: &Page) -> [f64; 4] {
         let mut points = Vec::new();
         for item in &page.items {
@@ -125,7 +130,7 @@ mod tests {
             let paper = Paper::parse(name).unwrap();
             for (columns, rows) in [(9, 6), (6, 9), (8, 5), (14, 3), (30, 21)] {
                 let refusal = page_on(&Board::new(columns, rows, 0.2).unwrap(), paper).unwrap_err();
-                // The largest square is no empty promise, and half a millimetre more is too much.
+                // The largest square does fit, and half a millimetre more does not.
                 let page = page_on(&Board::new(columns, rows, refusal.largest_mm * 1e-3).unwrap(), paper).unwrap();
                 assert!(page_on(&Board::new(columns, rows, (refusal.largest_mm + 0.51) * 1e-3).unwrap(), paper).is_err());
                 let [left, top, right, bottom] = extent(&page);

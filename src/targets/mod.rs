@@ -1,7 +1,8 @@
-//! Things to print: the poster that a camera tracks, and the chessboard that calibrates it.
+//! Printable targets: the poster that a camera tracks, and the chessboard that calibrates it.
 //!
-//! [`poster`] paints the picture; [`poster_sheet`] and [`board_sheet`] lay out a [`page::Page`] in millimetres on a [`paper::Paper`], with a
-//! ruler that shows whether the printer kept the scale; [`svg`] and [`pdf`] write it.
+//! [`poster`] paints the picture. [`poster_sheet`] and [`board_sheet`] lay out a [`page::Page`] in
+//! millimetres on a [`paper::Paper`], with a ruler to check the printer's scale. [`svg`] and
+//! [`pdf`] write it.
 
 pub mod board_sheet;
 pub mod page;

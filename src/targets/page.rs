@@ -1,37 +1,38 @@
-//! A page to print: black rectangles, lines, text and one picture, placed in millimetres.
+//! A printable page: black squares, lines, text and one picture, placed in millimetres.
 //!
-//! x goes right and y down from the paper's top left corner. What a page holds is the same in every file form.
+//! x points right and y down from the paper's top left corner. The content is the same in every
+//! file format.
 
 /// A page.
 #[derive(Debug, Clone)]
 pub struct Page {
     /// Width and height of the paper, millimetres.
     pub size_mm: [f64; 2],
-    /// What is on it.
+    /// The items on it.
     pub items: Vec<Item>,
 }
 
-/// One thing on a page; lengths in millimetres.
+/// One item on a page; lengths in millimetres.
 #[derive(Debug, Clone)]
 pub enum Item {
-    /// Black squares: their top left corners and their side.
+    /// Black squares of one size.
     Squares {
         /// Top left corners.
         at: Vec<[f64; 2]>,
-        /// Side of each.
+        /// Side of each square.
         side: f64,
     },
     /// Thin black lines from (x, y) to (x, y).
     Lines(Vec<[f64; 4]>),
     /// A line of text.
     Text {
-        /// Where its base line starts, or the middle of its base line.
+        /// The start of its base line, or the middle if centred.
         at: [f64; 2],
-        /// Size of the type.
+        /// Type size.
         size: f64,
-        /// What it says: ASCII.
+        /// The text, ASCII.
         text: String,
-        /// How it is set.
+        /// Typeface and alignment.
         style: Style,
     },
     /// The picture.
@@ -43,26 +44,27 @@ pub enum Item {
     },
 }
 
-/// How a text is set.
+/// Typeface and alignment of a text.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Style {
-    /// Sans serif, from its start.
+    /// Sans serif, left-aligned.
     Plain,
-    /// Sans serif digits, centred.
+    /// Sans serif, centred; digits only.
     Centred,
-    /// All letters of one width, from its start.
+    /// Monospaced, left-aligned.
     Typewriter,
 }
 
-/// Thickness of a line, millimetres: as thin as every printer prints it. Raised, the ruler's ticks of a millimetre are less exact to read.
+/// Thickness of a line, millimetres: as thin as every printer can print. Raised, the ruler's
+/// millimetre ticks are read less exactly.
 pub const LINE_MM: f64 = 0.15;
 /// Height of a ruler with its numbers, millimetres: what [`ruler`] draws, and 1 mm of white.
 pub const RULER_MM: f64 = 8.0;
-/// Longest ruler, millimetres: the length of a desk ruler, which it is held against.
-/// Shorter, an error of the printer's scale is less exact to read.
+/// Maximum length of a ruler, millimetres: that of a desk ruler, to compare with. Lowered, an error
+/// of the printer's scale is read less exactly.
 const LONGEST_RULER_MM: f64 = 200.0;
 
-/// A ruler in whole centimetres, at most `room` long, with a tick a millimetre.
+/// Draws a ruler in whole centimetres, at most `room` long, with a tick per millimetre.
 pub fn ruler([left, top]: [f64; 2], room: f64) -> Vec<Item> {
     let length = ((room.min(LONGEST_RULER_MM) / 10.0).floor().max(1.0) * 10.0) as u32;
     let x = |mm: u32| left + f64::from(mm);
@@ -81,7 +83,7 @@ pub fn ruler([left, top]: [f64; 2], room: f64) -> Vec<Item> {
     std::iter::once(Item::Lines(lines)).chain((0..=length).step_by(10).map(number)).collect()
 }
 
-/// The size of type, at most `largest`, at which a text is no wider than `room`.
+/// Returns the type size, at most `largest`, at which a text is no wider than `room`.
 pub fn fitting_size(text: &str, room: f64, largest: f64, em_a_letter: f64) -> f64 {
     (room / (text.len().max(1) as f64 * em_a_letter)).min(largest)
 }

@@ -1,11 +1,11 @@
-//! Paper: its names and sizes.
+//! Paper: names and sizes.
 
 use thiserror::Error;
 
-/// White that is left around everything, millimetres. Most printers reach to 5 mm of the edge; below
-/// 5 mm the ruler may be cut off. Raised, boards and posters are smaller.
+/// White margin around everything, millimetres. Most printers reach to 5 mm of the edge; below 5 mm
+/// the ruler may be cut off. Raised, boards and posters are smaller.
 pub const MARGIN_MM: f64 = 10.0;
-/// Names and sizes, millimetres, upright: ISO 216, and ANSI's Letter, Legal and Tabloid.
+/// Names and sizes, millimetres, portrait: ISO 216, and ANSI's Letter, Legal and Tabloid.
 const NAMED: [(&str, [f64; 2]); 9] = [
     ("a0", [841.0, 1189.0]),
     ("a1", [594.0, 841.0]),
@@ -17,9 +17,11 @@ const NAMED: [(&str, [f64; 2]); 9] = [
     ("legal", [215.9, 355.6]),
     ("tabloid", [279.4, 431.8]),
 ];
-/// Sides that are taken for paper, millimetres: smaller leaves no room for a ruler, larger is a mistyped unit. The message names them.
+/// Minimum and maximum side of a paper, millimetres: smaller leaves no room for a ruler, larger is
+/// probably a mistyped unit. The error message states them.
 const SIDES_MM: [f64; 2] = [100.0, 5000.0];
-/// Longest side over the shortest: a longer strip holds a camera badly across it. Chosen, not tuned. The message names it.
+/// Maximum ratio of the longer to the shorter side: a longer strip constrains a camera poorly
+/// across it. Chosen, not tuned. The error message states it.
 const LONGEST_RATIO: f64 = 4.0;
 
 /// A sheet of paper.
@@ -29,22 +31,22 @@ pub struct Paper {
     pub size_mm: [f64; 2],
 }
 
-/// Why a text is no paper.
+/// Why a text does not name a paper.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum PaperError {
-    /// Neither a name nor a size.
+    /// Neither a known name nor a size.
     #[error("--paper is \"{0}\"; give a0 to a5, letter, legal, tabloid, or a size in millimetres such as \"500x700 mm\"")]
     Unknown(String),
-    /// A size that no sheet has.
+    /// The size is out of range.
     #[error("--paper is {}x{} mm; both sides must be from 100 to 5000 mm, the longer at most four times the shorter", .0[0], .0[1])]
     Size([f64; 2]),
 }
 
 impl Paper {
-    /// Reads "a3", "Letter" or "500x700 mm".
+    /// Parses "a3", "Letter" or "500x700 mm".
     ///
     /// # Errors
-    /// When it is neither a known name nor a size that a sheet can have.
+    /// When the text is neither a known name nor a size within the limits.
     pub fn parse(text: &str) -> Result<Self, PaperError> {
         let plain = text.trim().to_ascii_lowercase();
         if let Some((_, size_mm)) = NAMED.iter().find(|(name, _)| *name == plain) {
@@ -60,12 +62,12 @@ impl Paper {
         Ok(Self { size_mm })
     }
 
-    /// The same sheet, turned.
+    /// Returns the same sheet in the other orientation.
     pub fn turned(self) -> Self {
         Self { size_mm: [self.size_mm[1], self.size_mm[0]] }
     }
 
-    /// Width and height within the margins, millimetres.
+    /// Returns width and height within the margins, millimetres.
     pub fn printable_mm(self) -> [f64; 2] {
         self.size_mm.map(|side| side - 2.0 * MARGIN_MM)
     }

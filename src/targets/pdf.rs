@@ -1,23 +1,23 @@
-//! A page as PDF: vectors, the picture in grey, and the two typefaces that every reader has.
+//! Writes a page as PDF: vectors, the picture in grey, and the two typefaces that every reader has.
 
 use image::GrayImage;
 use pdf_writer::{Content, Filter, Finish, Name, Pdf, Rect, Ref, Str};
 
 use super::page::{Item, LINE_MM, Page, Style};
 
-/// PDF's unit: 72 points an inch.
+/// Points per millimetre; PDF's unit is 72 points per inch.
 const POINTS_PER_MM: f64 = 72.0 / 25.4;
-/// Width of a digit in Helvetica, ems, by Adobe's font metrics: numbers are centred by it.
+/// Width of a Helvetica digit, ems, from Adobe's font metrics; used to centre numbers.
 const DIGIT_EM: f64 = 0.556;
-/// How hard the picture is compressed, 0 to 10: deflate's usual level. Raised, writing
-/// takes longer and saves little of a picture that is mostly edges.
+/// Compression level of the picture, 0 to 10: deflate's default. Raised, writing takes longer and
+/// saves little on a picture that is mostly edges.
 const COMPRESSION: u8 = 6;
-/// The names by which the page's content calls its resources: two typefaces and the picture. Any names would do.
+/// Resource names in the page's content: two typefaces and the picture. Any names would do.
 const SANS: Name = Name(b"Sans");
 const TYPEWRITER: Name = Name(b"Typewriter");
 const PICTURE: Name = Name(b"Picture");
 
-/// The page as the bytes of a file.
+/// Returns the page as the bytes of a PDF file.
 pub fn write(page: &Page, picture: Option<&GrayImage>) -> Vec<u8> {
     let [catalog, pages, sheet, contents, sans, typewriter, image] = [1, 2, 3, 4, 5, 6, 7].map(Ref::new);
     let [width, height] = page.size_mm.map(points);
@@ -55,7 +55,7 @@ fn points(mm: f64) -> f32 {
 
 fn drawing(page: &Page) -> Content {
     let mut content = Content::new();
-    // PDF counts y from the foot of the page.
+    // In PDF, y points up from the foot of the page.
     let up = |y: f64| points(page.size_mm[1] - y);
     content.set_line_width(points(LINE_MM));
     for item in &page.items {

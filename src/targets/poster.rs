@@ -1,45 +1,54 @@
-//! The poster's picture: black and white noise with edges of every size, from a seed.
+//! Paints the poster's picture: black and white noise with edges of every size, generated from a
+//! seed.
 //!
-//! What picture tells a camera the most about where it is? One pixel tells as much as its squared gradient over its noise (the
-//! Cramer-Rao bound), after lens and pixel have blurred the picture to the pixel's own size. So only detail of a few pixels counts,
-//! and which detail that is depends on the distance. A camera that may stand anywhere wants contrast in every octave of sizes that
-//! one of its places shows as a few pixels; and of all pictures with such a spectrum, the one that is only black and white has the
-//! most contrast. Hence:
+//! Which picture constrains a camera's pose best? A pixel contributes its squared gradient over its
+//! noise variance (the Cramer-Rao bound), after lens and pixel have blurred the picture to the
+//! pixel's own size. So only detail of a few pixels counts, and which detail that is depends on the
+//! distance. For a camera at any distance, the picture needs contrast in every octave of sizes that
+//! appears as a few pixels from somewhere; and of all pictures with such a spectrum, a purely black
+//! and white one has the most contrast. Hence:
 //!
-//! 1. one layer of smooth noise for every octave of sizes, each on a lattice of its own that is turned against the others, so that
-//!    nothing is aligned and nothing repeats;
-//! 2. their sum, the finer ones slightly weaker, because a camera far away sees only the coarse ones;
-//! 3. black where the sum is below its median and white above, so that half of the picture is black: its mean is mid-grey wherever
-//!    the exposure comes from;
-//! 4. edges as soft as two pixels, so that the file itself has no steps.
+//! 1. One layer of smooth noise per octave of sizes, each on its own lattice, rotated against the
+//!    others, so that nothing is aligned and nothing repeats.
+//! 2. Their sum, with the finer ones slightly weaker, because a distant camera sees only the coarse
+//!    ones.
+//! 3. Black where the sum is below its median, white above: half of the picture is black, so its
+//!    mean is mid-grey however the exposure is metered.
+//! 4. Edges two pixels wide, so that the file itself has no steps.
 
 use image::GrayImage;
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 
-/// Cells of the coarsest layer's lattice across the picture's width. A cell is about a quarter of a wavelength: the coarsest forms are a quarter
-/// of the width. A camera at 10 widths, at half its resolution, sees the picture 27 pixels wide, and these forms are 7 of its pixels. Fewer
-/// cells, and most of those pixels lie within a form and tell nothing: with 4, sigma at 10 widths is a sixth larger. More, and a camera farther
-/// away sees grey.
+/// Number of cells of the coarsest layer's lattice across the picture's shorter side. A cell is
+/// about a quarter of a wavelength, so the coarsest shapes are a quarter of the side. A camera at
+/// 10 widths, at half its resolution, sees the picture 27 pixels wide, and these shapes as 7 of its
+/// pixels. Lowered, most of those pixels lie inside a shape and contribute nothing: with 4, sigma
+/// at 10 widths is a sixth larger. Raised, a camera farther away sees grey.
 const COARSEST_CELLS: f64 = 16.0;
-/// Layers, each with cells half the size of the one before: the last has 1024 across the picture's width, so that its marks are
-/// about 1/500 of the width. More would be finer than a printer prints; fewer leave a camera at 0.3 widths without detail.
+/// Number of layers, each with cells half the size of the previous one: the last has 1024 across
+/// the shorter side, so that its marks are about 1/500 of it. Raised, marks are finer than a
+/// printer prints; lowered, a camera at 0.3 widths lacks detail.
 const LAYERS: u32 = 7;
-/// Strength of a layer over that of the one before. 1 is the same contrast in every octave. A camera far away sees the coarse layers alone, and
-/// what black and white give to the fine ones is lost to it: with 0.6, sigma at 10 widths is a tenth smaller than with 0.8, and at 0.3 widths,
-/// where it is smallest by far, twice as large.
+/// Strength of a layer relative to the previous, coarser one; 1 gives the same contrast in every
+/// octave. A distant camera sees only the coarse layers and loses the contrast spent on fine ones:
+/// with 0.6, sigma at 10 widths is a tenth smaller than with 0.8, but at 0.3 widths, where it is
+/// smallest by far, twice as large.
 const FINER_BY_COARSER: f64 = 0.75;
-/// Grey levels of black and white: paper is not 255 and ink not 0, and a camera in bright light shall not clip. Wider, the
-/// tracker's reference has more contrast than the print; narrower, the print has less than it could.
+/// Grey levels of black and white: paper is not 255 and ink not 0, and a camera in bright light
+/// should not clip. Wider, the tracker's reference has more contrast than the print; narrower, the
+/// print has less than it could.
 const LEVELS: [f32; 2] = [20.0, 235.0];
-/// Width of an edge in the file, pixels: two keep edges smooth where they run aslant. Raised,
-/// the finest marks, three pixels, fade; lowered, edges are stairs.
+/// Width of an edge in the file, pixels: two keep slanted edges smooth. Raised, the finest marks,
+/// three pixels, fade; lowered, edges are staircases.
 const EDGE_PX: f32 = 2.0;
-/// The lattices are turned against each other by the golden angle: (cosine, sine). No two of nine come near to parallel.
+/// Rotation from one lattice to the next as (cosine, sine): the golden angle, so that no two
+/// lattices are parallel.
 const TURN: [f64; 2] = [-0.737_368_878_078_32, 0.675_490_294_261_524];
 
-/// Paints the poster of `seed`, `width` x `height` pixels: the same on every machine. Sizes of marks go with the width of the shorter side.
+/// Paints the poster of `seed`, `width` x `height` pixels: identical on every machine. The marks
+/// scale with the shorter side.
 pub fn paint(width: u32, height: u32, seed: u64) -> GrayImage {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let layers = layers(width, height, &mut random);
@@ -57,7 +66,7 @@ pub fn paint(width: u32, height: u32, seed: u64) -> GrayImage {
     picture
 }
 
-/// How white a pixel is, 0 to 1: how far it lies from the nearest edge, in widths of an edge.
+/// Returns how white a pixel is, 0 to 1, from its distance to the nearest edge in edge widths.
 fn white_share(field: &[f32], columns: usize, x: usize, y: usize, median: f32) -> f32 {
     let rows = field.len() / columns;
     let at = |x: usize, y: usize| field[y * columns + x];
@@ -73,14 +82,14 @@ fn median(field: &[f32]) -> f32 {
     *sorted.select_nth_unstable_by(middle, f32::total_cmp).1
 }
 
-/// Smooth noise: random numbers on a turned lattice, joined by cubic B-splines.
+/// Smooth noise: random numbers on a rotated lattice, interpolated by cubic B-splines.
 struct Layer {
-    /// The numbers, row-major, `side` x `side`.
+    /// The random numbers, row-major, `side` x `side`.
     numbers: Vec<f32>,
     side: usize,
-    /// Lattice cells a pixel, along the lattice's own axes: (cosine, sine) times the scale.
+    /// Lattice cells per pixel, along the lattice's own axes: (cosine, sine) times the scale.
     step: [f64; 2],
-    /// Where the picture's middle lies in the lattice, and the picture's middle.
+    /// The picture's centre in lattice coordinates, and in pixels.
     middle: [f64; 2],
     picture_middle: [f64; 2],
 }
@@ -92,7 +101,8 @@ fn layers(width: u32, height: u32, random: &mut Pcg64Mcg) -> Vec<Layer> {
     (0..LAYERS)
         .map(|_| {
             turn = [turn[0] * TURN[0] - turn[1] * TURN[1], turn[0] * TURN[1] + turn[1] * TURN[0]];
-            // Room for the picture however it is turned, for the spline's reach and for the random shift.
+            // Room for the picture at any rotation, for the spline's support and for the random
+            // shift.
             let side = (cells * diagonal / shorter).ceil() as usize + 6;
             let number = |random: &mut Pcg64Mcg| (strength * random.random_range(-1.0..1.0)) as f32;
             let numbers = (0..side * side).map(|_| number(random)).collect();
@@ -117,7 +127,8 @@ impl Layer {
     }
 
     fn at(&self, u: f64, v: f64) -> f32 {
-        // The lattice is larger than the picture by more than the spline's reach, so the floors are from 1 to side - 3.
+        // The lattice exceeds the picture by more than the spline's support, so the floors are from
+        // 1 to side - 3.
         let (i, j) = (u.floor(), v.floor());
         let (across, down) = (spline(u - i), spline(v - j));
         let (i, j) = ((i as usize).clamp(1, self.side - 3), (j as usize).clamp(1, self.side - 3));
@@ -130,7 +141,7 @@ impl Layer {
     }
 }
 
-/// The cubic B-spline's four weights at `t` of the way between two numbers.
+/// Returns the cubic B-spline's four weights at fraction `t` between two lattice points.
 fn spline(t: f64) -> [f32; 4] {
     let (t, s) = (t as f32, 1.0 - t as f32);
     [s * s * s / 6.0, (3.0 * t * t * t - 6.0 * t * t + 4.0) / 6.0, (3.0 * s * s * s - 6.0 * s * s + 4.0) / 6.0, t * t * t / 6.0]
@@ -155,7 +166,8 @@ mod tests {
     #[test]
     fn it_keeps_its_contrast_when_seen_from_afar() {
         let mut picture = paint(1700, 1200, 9);
-        // Grey steps between neighbours, RMS, at every halving: natural pictures have 5 to 15.
+        // RMS grey step between neighbouring pixels at every halving: natural pictures have 5 to
+        // 15.
         while picture.width() > 30 {
             let rows = picture.as_raw().chunks_exact(picture.width() as usize);
             let steps: Vec<f64> = rows.flat_map(|row| row.windows(2).map(|p| f64::from(p[0].abs_diff(p[1])).powi(2))).collect();

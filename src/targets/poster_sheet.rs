@@ -1,37 +1,42 @@
-//! The poster on its page: the picture as large as the paper allows, below it a ruler, its size in words and what to write in the config.
+//! The poster on its page: the picture as large as the paper allows; below it a ruler, the size in
+//! words, and the config snippet.
 
 use super::page::{Item, Page, RULER_MM, Style, fitting_size, ruler};
 use super::paper::{MARGIN_MM, Paper};
 
-/// Pixels of the picture's shorter side. Its finest marks are 1/500 of that side, so three
-/// pixels; more would only make the file larger, fewer would lose those marks.
+/// Pixels of the picture's shorter side. Its finest marks are 1/500 of that side, so about three
+/// pixels. Raised, the file is only larger; lowered, those marks are lost.
 const SHORTER_SIDE_PX: f64 = 1700.0;
 /// White between the picture and the ruler, millimetres. Raised, the picture is smaller.
 const GAP_MM: f64 = 4.0;
-/// Height of a line of words, millimetres: the largest type and a third more. Raised, the picture is smaller.
+/// Height of a line of text, millimetres: the largest type and a third more. Raised, the picture is
+/// smaller.
 const LINE_MM: f64 = 4.0;
-/// Largest type, millimetres: read at arm's length. Longer lines are set smaller. Raised, it needs a larger [`LINE_MM`].
+/// Maximum type size, millimetres: readable at arm's length. Longer lines are set smaller. Raised,
+/// it needs a larger [`LINE_MM`].
 const TYPE_MM: f64 = 3.0;
-/// Lines below the ruler: two of words, three of the config's snippet. The picture leaves room for as many.
+/// Number of lines below the ruler: two of text, three of the config's snippet. The picture leaves
+/// room for them.
 const LINES: usize = 5;
-/// Width of a letter, ems: sans serif above its mean, typewriter (Courier) exactly.
-/// Raised, type is smaller; lowered, lines may run beyond the margin.
+/// Width of a letter, ems: above the mean for sans serif, exact for typewriter (Courier). Raised,
+/// type is smaller; lowered, lines may run beyond the margin.
 const LETTER_EM: [f64; 2] = [0.55, 0.6];
 
-/// How large the picture is printed on a paper, in whole millimetres, which can be read off a ruler.
+/// Returns the size of the printed picture on a paper, in whole millimetres, which can be checked
+/// with a ruler.
 pub fn picture_mm(paper: Paper) -> [f64; 2] {
     let [width, height] = paper.printable_mm();
     [width, height - GAP_MM - RULER_MM - LINES as f64 * LINE_MM].map(f64::floor)
 }
 
-/// Pixels of the picture.
+/// Returns the picture's size in pixels.
 pub fn picture_px(paper: Paper) -> [u32; 2] {
     let size = picture_mm(paper);
     let shorter = size[0].min(size[1]);
     size.map(|side| (side / shorter * SHORTER_SIDE_PX).round() as u32)
 }
 
-/// What to write in the config; `image` is the picture's file, as seen from the config's folder.
+/// Returns the config snippet; `image` is the picture's file, relative to the config's folder.
 pub fn snippet(paper: Paper, image: &str) -> String {
     let [width, height] = picture_mm(paper).map(|mm| mm * 1e-3);
     // A TOML string quotes itself; the sizes are whole millimetres.
@@ -39,7 +44,7 @@ pub fn snippet(paper: Paper, image: &str) -> String {
     format!("[[stage.surface]]\nimage = {image}\nsize_m = [{width:.3}, {height:.3}]\n")
 }
 
-/// The page.
+/// Lays out the page.
 pub fn page(paper: Paper, seed: u64, image: &str) -> Page {
     let [width, height] = picture_mm(paper);
     let left = 0.5 * (paper.size_mm[0] - width);
@@ -55,7 +60,7 @@ pub fn page(paper: Paper, seed: u64, image: &str) -> Page {
             .to_owned(),
     ];
     let snippet = snippet(paper, image);
-    // Printed text is ASCII; what is not stays readable in the snippet that the command prints.
+    // Printed text is ASCII; other characters stay readable in the snippet that the command prints.
     let ascii = |line: &str| line.chars().map(|c| if c.is_ascii_graphic() || c == ' ' { c } else { '?' }).collect();
     let lines = words.iter().map(|w| (w.as_str(), Style::Plain, LETTER_EM[0]));
     let lines = lines.chain(snippet.lines().map(|l| (l, Style::Typewriter, LETTER_EM[1])));

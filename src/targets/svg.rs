@@ -1,10 +1,10 @@
-//! A page as SVG, in millimetres.
+//! Writes a page as SVG, in millimetres.
 
 use std::fmt::Write;
 
 use super::page::{Item, LINE_MM, Page, Style};
 
-/// The page; `picture` is the file that holds its picture, beside the SVG.
+/// Returns the page as SVG; `picture` is the file with its picture, next to the SVG.
 pub fn write(page: &Page, picture: &str) -> String {
     let [width, height] = page.size_mm;
     let mut text = format!(
