@@ -1,4 +1,4 @@
-//! What the result is worth, and which view would better it most.
+//! Judges the result, and finds the view that would improve it most.
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
@@ -9,32 +9,36 @@ use super::views::{Stages, View, ViewPair};
 use crate::calibrate::judge::Verdict;
 use crate::geometry::{Pose, Stage};
 
-/// One sigma in the worst direction that a renderer does not show: of the shift, metres, and of the rotation, radians.
-/// Chosen: with 60 degrees across 1920 pixels they are 0.8 pixels at two metres, and 1.5 at any distance. Raised,
-/// mounts that show are good; lowered, views are asked for that change nothing.
+/// One sigma in the worst direction that is invisible to a renderer: of the shift, metres, and of
+/// the rotation, radians. Chosen: with 60 degrees across 1920 pixels they amount to 0.8 pixels at
+/// two metres, and 1.5 at any distance. Raised, mounts with visible errors are good; lowered, views
+/// are requested that change nothing.
 const GOOD_M: f64 = 1e-3;
 const GOOD_RAD: f64 = 0.05 * std::f64::consts::PI / 180.0;
-/// The same beyond which a mount is no use to anyone: a tape measure and an eye do better. Raised, worse mounts pass as usable.
+/// The same for a useless mount: a tape measure and an eye do better. Raised, worse mounts pass as
+/// usable.
 const USELESS_M: f64 = 0.05;
 const USELESS_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
-/// Pairs that check one another: of two that disagree, nobody knows which is wrong. Raised, more views are asked for.
+/// Minimum number of pairs for a good mount: if two disagree, it is unknown which is wrong. Raised,
+/// more views are requested.
 const ENOUGH_PAIRS: usize = 3;
-/// Scatter over what the covariances say, as a ratio of sigmas, beyond which something is not as assumed:
-/// the rig moved, or the stage is not as its config says. Chosen, not tuned. Raised, such slips go
-/// unmentioned; lowered, covariances that are a little small raise the alarm.
+/// Scatter relative to the covariances, as a ratio of sigmas, above which some assumption fails:
+/// the rig moved, or the stage differs from its config. Chosen, not tuned. Raised, such mistakes go
+/// unmentioned; lowered, slightly small covariances raise the alarm.
 const ODD_EXCESS: f64 = 2.5;
 
-/// One sigma of shift (metres) and rotation (radians), each in its worst direction.
+/// Returns one sigma of shift (metres) and of rotation (radians), each in its worst direction.
 pub fn worst_sigmas(covariance: &Matrix6<f64>) -> [f64; 2] {
     [0, 3].map(|at| covariance.fixed_view::<3, 3>(at, at).into_owned().symmetric_eigenvalues().max().max(0.0).sqrt())
 }
 
-/// Whether more of the doubt comes from the lenses than from the views.
+/// Whether the lenses contribute more uncertainty than the views.
 pub fn is_doubt_of_lenses(solution: &Solution, by_lenses: &Matrix6<f64>) -> bool {
     worst_sigmas(by_lenses)[0] > worst_sigmas(&solution.covariance)[0]
 }
 
-/// The verdict with its reasons, one sentence each. `by_lenses`: covariance of the mount by what the lenses are in doubt about.
+/// Returns the verdict with its reasons, one sentence each. `by_lenses` is the mount's covariance
+/// caused by the lenses' uncertainty.
 pub fn judge(solution: &Solution, by_lenses: &Matrix6<f64>) -> (Verdict, Vec<String>) {
     let [shift, turn] = worst_sigmas(&(solution.covariance + by_lenses));
     let used = solution.views.iter().filter(|view| view.is_used).count();
@@ -68,17 +72,19 @@ pub fn judge(solution: &Solution, by_lenses: &Matrix6<f64>) -> (Verdict, Vec<Str
     (verdict, reasons)
 }
 
-/// The view that would better the mount most.
+/// The view that would improve the mount most.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NextView {
     /// What to do with the rig.
     pub words: String,
-    /// One sigma that is then to be expected in the worst direction: shift, metres, and rotation, radians; none where nothing tells.
+    /// Expected one sigma afterwards in the worst direction: shift, metres, and rotation, radians;
+    /// `None` if it cannot be predicted.
     pub sigmas: Option<[f64; 2]>,
 }
 
-/// Moves that are tried as advice: the rig goes round the stage's middle by (turn, tilt) degrees, to a multiple of its distance, and
-/// what to say. About as far as a rig in a house can go; larger ones tell more and can less often be done.
+/// Moves that are tried as advice: rotate the rig around the stage's middle by (turn, tilt)
+/// degrees, and scale its distance; with the words to say. They are about as far as a rig in a
+/// house can go; larger ones would constrain more but are rarely possible.
 const MOVES: [([f64; 2], f64, &str); 8] = [
     ([-35.0, 0.0], 1.0, "from about 35 degrees further to the house's left"),
     ([35.0, 0.0], 1.0, "from about 35 degrees further to the house's right"),
@@ -90,7 +96,8 @@ const MOVES: [([f64; 2], f64, &str); 8] = [
     ([25.0, 0.0], 0.7, "from two thirds of the distance and about 25 degrees further to the house's right"),
 ];
 
-/// Which view to take next, for cameras that see as these `models` do: the tracking one, then the filming one.
+/// Returns the view to take next. `models` are the cameras' observation models: the tracking one,
+/// then the filming one.
 pub fn next_view(models: [ObservationModel<'_>; 2], pairs: &[ViewPair], solution: &Solution, stages: Stages) -> Option<NextView> {
     if stages == Stages::Apart {
         return least_turned(pairs).map(|words| NextView { words, sigmas: None });
@@ -111,18 +118,19 @@ pub fn next_view(models: [ObservationModel<'_>; 2], pairs: &[ViewPair], solution
         let sigmas = worst_sigmas(&(known + more).cholesky()?.inverse());
         Some((sigmas, words))
     };
-    // From every view that there is, for the rig may not get further than it was.
+    // From every existing view, since the rig may not be able to go further.
     let all = pairs.iter().flat_map(|pair| MOVES.iter().filter_map(move |step| candidate(pair, *step)));
     let rated = all.min_by(|(a, _), (b, _)| worth(a).total_cmp(&worth(b)));
     rated.map(|(sigmas, words)| NextView { words: format!("take a pair of views {words}"), sigmas: Some(sigmas) })
 }
 
-/// How far from good; less is better.
+/// Returns the distance from good; smaller is better.
 fn worth([shift, turn]: &[f64; 2]) -> f64 {
     (shift / GOOD_M).hypot(turn / GOOD_RAD)
 }
 
-/// The pose after going round a point: about the vertical, then about the line to the house's right.
+/// Rotates a pose around a point: about the x axis (the house's right), then about the vertical,
+/// and scales the distance.
 fn gone_round(
     pose: &Pose<Stage, crate::geometry::Camera>,
     middle: &Vector3<f64>,
@@ -135,7 +143,7 @@ fn gone_round(
     Pose::new(turned * pose.rotation, middle + turned * (pose.translation - middle) * share)
 }
 
-/// About which of its own axes the rig turned least.
+/// Advises to rotate the rig about the one of its axes about which it rotated least.
 fn least_turned(pairs: &[ViewPair]) -> Option<String> {
     let first = pairs.first()?.tracking.pose.rotation;
     let turns: Vec<Vector3<f64>> = pairs.iter().map(|pair| (first.inverse() * pair.tracking.pose.rotation).scaled_axis()).collect();

@@ -1,12 +1,16 @@
-//! Where the filming camera sits on the rig: `T_tracking_filming`, measured from views that both cameras took at once.
+//! The pose of the filming camera on the rig, `T_tracking_filming`, measured from views that both
+//! cameras took at the same time.
 //!
-//! The tracking camera tells where it is; the picture that goes on air comes from another one, bolted to the same rig. Where both see
-//! the same stage, each pair of views gives the mount directly: T_tracking_filming = T_stage_tracking⁻¹ T_stage_filming. Where each has
-//! a board of its own, two things are unknown, the mount and how the boards stand to one another, and only the rig's motion between the
-//! views tells them apart (robotics' AX = YB): a rig that turned about one axis only leaves the shift along that axis open.
+//! The tracking camera measures its own pose, but the picture on air comes from another camera,
+//! bolted to the same rig. If both see the same stage, each pair of views gives the mount directly:
+//! T_tracking_filming = T_stage_tracking⁻¹ T_stage_filming. If each has a board of its own, two
+//! poses are unknown, the mount and the relation of the boards, and only the rig's motion between
+//! the views separates them (AX = YB in robotics): if the rig rotates about one axis only, the
+//! shift along that axis is undetermined.
 //!
-//! [`still_pairs`] finds the views in two clips, [`solve`] weighs them by their covariances and leaves out those that contradict the others,
-//! [`judge`] says how far to trust the result, and [`next_view`] what would better it.
+//! [`still_pairs`] finds the views in two clips. [`solve`] weights them by their covariances and
+//! rejects those that contradict the others. [`judge`] states how far to trust the result, and
+//! [`next_view`] what would improve it.
 
 mod advice;
 mod residual;

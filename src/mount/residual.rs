@@ -1,7 +1,9 @@
-//! How far a mount is from what a pair of views measured.
+//! The residual of a mount for a pair of views.
 //!
-//! Of a pair of views, the mount X and the stages' relation Y predict the filming camera's pose, Y⁻¹ A X, and what was measured is B.
-//! The residual is B's error in the record's terms, [δp, δθ] in the axes of B's stage; both measurements' covariances are carried to it.
+//! Given the tracking camera's pose A, the mount X and the stages' relation Y predict the filming
+//! camera's pose Y⁻¹ A X; the measured one is B. The residual is the difference of B from the
+//! prediction, [δp, δθ] in the axes of B's stage. Both measurements' covariances are propagated to
+//! it.
 
 use nalgebra::{Matrix6, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
 
@@ -10,7 +12,7 @@ use crate::geometry::{Camera, FilmingCamera, Pose, Stage, skew};
 
 type Jacobian = SMatrix<f64, 6, 12>;
 
-/// What is sought: the mount, and how the filming camera's stage stands in the tracking camera's.
+/// The unknowns: the mount, and the pose of the filming camera's stage in the tracking camera's.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Unknowns {
     pub mount: Pose<Camera, FilmingCamera>,
@@ -23,12 +25,13 @@ impl Unknowns {
         self.between = moved(&self.between, step.fixed_rows::<6>(6).into_owned());
     }
 
-    /// Where the filming camera should be, in its own stage.
+    /// Returns the predicted pose of the filming camera in its own stage.
     fn predicted(&self, pair: &ViewPair) -> Pose<Stage, FilmingCamera> {
         self.between.inverse() * pair.tracking.pose * self.mount
     }
 
-    /// Measured less predicted, and how the prediction moves with [δt, δφ] of the mount and of the stages' relation.
+    /// Returns measured minus predicted, and the derivative of the prediction by [δt, δφ] of the
+    /// mount and of the stages' relation.
     pub(super) fn residual(&self, pair: &ViewPair) -> (Vector6<f64>, Jacobian) {
         let predicted = self.predicted(pair);
         let shift = pair.filming.pose.translation - predicted.translation;
@@ -45,7 +48,8 @@ impl Unknowns {
         (Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z), jacobian)
     }
 
-    /// The covariance of a pair's residual: the filming camera's own, and the tracking camera's at the end of the mount's arm.
+    /// Returns the covariance of a pair's residual: the filming camera's own, and the tracking
+    /// camera's at the end of the mount's lever arm.
     pub(super) fn covariance(&self, pair: &ViewPair) -> Matrix6<f64> {
         let back = self.between.rotation_matrix().transpose();
         let arm = pair.tracking.pose.rotation * self.mount.translation;
@@ -56,7 +60,8 @@ impl Unknowns {
         by * pair.tracking.covariance * by.transpose() + pair.filming.covariance
     }
 
-    /// Squared distance of every pair; `None` where a covariance is none.
+    /// Returns the squared Mahalanobis distance of every pair; `None` if a covariance is not
+    /// positive definite.
     pub(super) fn distances(&self, pairs: &[ViewPair]) -> Option<Vec<f64>> {
         let distance = |pair: &ViewPair| {
             let (residual, _) = self.residual(pair);
@@ -68,7 +73,8 @@ impl Unknowns {
 }
 
 impl ViewPair {
-    /// Covariance of the mount that this pair alone gives where the stages' relation is known: of [δt, δφ] in the tracking camera's axes.
+    /// Returns the covariance of the mount from this pair alone, given the stages' relation: of
+    /// [δt, δφ] in the tracking camera's axes.
     pub fn mount_covariance(&self, mount: &Pose<Camera, FilmingCamera>, between: &Pose<Stage, Stage>) -> Matrix6<f64> {
         let back = self.tracking.pose.rotation_matrix().transpose() * between.rotation_matrix();
         let mut both = Matrix6::zeros();
@@ -78,7 +84,7 @@ impl ViewPair {
     }
 }
 
-/// The pose after [δt, δφ] in the axes that it leads to.
+/// Applies [δt, δφ], in the axes of the target frame, to a pose.
 fn moved<To, From>(pose: &Pose<To, From>, step: Vector6<f64>) -> Pose<To, From> {
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
     Pose::new(turn * pose.rotation, pose.translation + Vector3::new(step[0], step[1], step[2]))

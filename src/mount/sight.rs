@@ -1,6 +1,8 @@
-//! What a camera sees of its stage from a place: how sure it would be of its pose there, and how far its lens may lead it astray.
+//! What a camera sees of its stage from a given pose: how accurate its pose would be there, and how
+//! much its lens may distort it.
 //!
-//! A grid of points on every surface stands for the picture; how much a point tells is found by comparing with what was measured.
+//! A grid of points on every surface stands for the picture; the information per point is scaled to
+//! match the measured covariances.
 
 use nalgebra::{Matrix2, Matrix6, Point3, Vector2};
 
@@ -12,26 +14,29 @@ use crate::geometry::robust_kernel::median;
 use crate::geometry::{Body, Camera, Pose, Stage};
 use crate::track::{BodySpec, covariance_by_lens};
 
-/// Points across and down a surface: enough that one more row changes little. Raised, advice takes longer.
+/// Points across and down a surface: enough that one more row changes little. Raised, advice takes
+/// longer.
 const GRID: [u32; 2] = [11, 9];
-/// Points below which a view is too poor to be advised: a third of a surface. Raised, views from near and
-/// from the side are not advised; lowered, views are advised that the tracker may not find.
+/// Minimum number of visible points for a view to be advised: a third of a surface. Raised, views
+/// from near and from the side are not advised; lowered, views are advised that the tracker may not
+/// find.
 const FEWEST_POINTS: usize = 30;
-/// What is nearer than this is not looked at, metres: no stage is, and below it the
-/// projection loses its meaning. Any small length would do.
+/// Minimum depth of a visible point, metres: no stage is nearer, and the projection degenerates.
+/// Any small length would do.
 const NEAREST_M: f64 = 0.05;
 
-/// A camera and the stage that it measures in.
+/// A camera and the stage in which it measures.
 #[derive(Debug, Clone, Copy)]
 pub struct ObservationModel<'a> {
     /// Its lens.
     pub camera: &'a CameraModel,
-    /// What it looks at.
+    /// The stage.
     pub stage: &'a BodySpec,
 }
 
 impl ObservationModel<'_> {
-    /// Covariance that a pose would have if every point were seen to a pixel; none where too little is in the picture.
+    /// Returns the covariance of a pose if every point were measured to a pixel; `None` if too few
+    /// points are visible.
     pub(super) fn covariance(&self, pose: &Pose<Stage, Camera>) -> Option<Matrix6<f64>> {
         // The stage's body frame is the stage frame.
         let seen: Pose<Camera, Body> = pose.inverse().renamed();
@@ -45,21 +50,21 @@ impl ObservationModel<'_> {
         Some(covariance_of_inverse(&seen, &normal.cholesky()?.inverse()))
     }
 
-    /// What the doubt about the lens adds to the covariance of a pose; nothing where there is none.
+    /// Returns the covariance of a pose caused by the lens's uncertainty; zero if there is none.
     pub fn doubt(&self, pose: &Pose<Stage, Camera>) -> Matrix6<f64> {
         let seen: Pose<Camera, Body> = pose.inverse().renamed();
         let by_lens = covariance_by_lens(&pose.renamed(), self.camera, self.observations(&seen).iter());
         by_lens.unwrap_or_else(Matrix6::zeros)
     }
 
-    /// How many times larger the measured covariances are than those of the grid: half of them more, half less.
+    /// Returns the median ratio of the measured covariances to those of the grid.
     pub(super) fn scale<'v>(&self, views: impl Iterator<Item = &'v View>) -> Option<f64> {
         let ratio = |view: &View| Some(view.covariance.trace() / self.covariance(&view.pose)?.trace());
         let mut ratios: Vec<f64> = views.filter_map(ratio).filter(|ratio| ratio.is_finite()).collect();
         median(&mut ratios)
     }
 
-    /// The points in the picture.
+    /// Returns the visible points.
     fn observations(&self, seen: &Pose<Camera, Body>) -> Vec<Observation> {
         let from = seen.inverse().translation;
         let mut observations = Vec::new();
@@ -84,7 +89,7 @@ impl ObservationModel<'_> {
         observations
     }
 
-    /// Where a point in camera axes appears, if in the picture.
+    /// Returns the pixel of a point in camera axes, if it is in the picture.
     fn pixel(&self, at: &Point3<f64>) -> Option<Vector2<f64>> {
         if at.z < NEAREST_M {
             return None;

@@ -1,4 +1,5 @@
-//! The least-squares mount: every view weighed by its covariance, the doubtful ones by how far they agree with the others.
+//! The least-squares mount: weights every view by its covariance, and rejects views that contradict
+//! the others.
 
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3};
 use thiserror::Error;
@@ -8,12 +9,13 @@ use super::start;
 use super::views::{Stages, ViewPair};
 use crate::geometry::{Camera, FilmingCamera, Pose, Stage};
 
-/// What becomes of a pair of views.
+/// The result for a pair of views.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Used {
-    /// Squared error of the pair over its covariance; 6 on average where the covariances are right.
+    /// Squared error of the pair relative to its covariance; 6 on average if the covariances are
+    /// correct.
     pub squared_distance: f64,
-    /// False where it contradicts the others and was left out.
+    /// False if it contradicts the others and was rejected.
     pub is_used: bool,
 }
 
@@ -24,62 +26,66 @@ pub struct Solution {
     pub mount: Pose<Camera, FilmingCamera>,
     /// Covariance of [δt, δφ] in the tracking camera's axes: t_true = t + δt, R_true = Exp(δφ) R.
     pub covariance: Matrix6<f64>,
-    /// How the filming camera's stage stands in the tracking camera's; the identity where they share one.
+    /// The pose of the filming camera's stage in the tracking camera's; the identity if they share
+    /// one.
     pub between: Pose<Stage, Stage>,
-    /// How much more the views scatter than their covariances say, as a factor on sigma; at least 1, and counted in `covariance`.
+    /// How much more the views scatter than their covariances predict, as a factor on sigma; at
+    /// least 1, and already applied to `covariance`.
     pub excess: f64,
-    /// What became of each pair, in the order given.
+    /// The result for each pair, in the order given.
     pub views: Vec<Used>,
 }
 
-/// Why views do not tell the mount.
+/// Why views do not determine the mount.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum Unsolvable {
     /// Too few pairs.
     #[error("{found} pairs of views were measured, {wanted} are needed")]
     TooFew {
-        /// How many there are.
+        /// Number of pairs.
         found: usize,
-        /// How many it takes.
+        /// Number of pairs needed.
         wanted: usize,
     },
-    /// The rig did not turn between the views.
+    /// The rig did not rotate between the views.
     #[error("the rig turned by {turned_deg:.1} degrees at most between the views")]
     NotTurned {
-        /// The largest turn between two of them.
+        /// The largest rotation between two of them, degrees.
         turned_deg: f64,
     },
-    /// All turns had the same axis.
+    /// All rotations had the same axis.
     #[error("the rig turned about one axis only")]
     OneAxis {
         /// That axis in the tracking camera's frame: x right, y down, z forward.
         axis: Vector3<f64>,
-        /// How far it turned about any other, degrees (RMS).
+        /// Rotation about any other axis, degrees (RMS).
         across_deg: f64,
     },
-    /// The numbers have no solution.
+    /// The equations have no solution.
     #[error("the views contradict one another")]
     NoSolution,
 }
 
-/// Turns about a second axis below which boards apart tell nothing of the shift along the first one, degrees (RMS over all pairs of
-/// views). Lowered, the noise of the poses passes for turns; raised, careful sets of small turns are refused.
+/// Minimum rotation about a second axis, degrees (RMS over all pairs of views), for separate boards
+/// to determine the shift along the first one. Lowered, the noise of the poses passes for rotation;
+/// raised, careful sets of small rotations are refused.
 const LEAST_ACROSS_DEG: f64 = 3.0;
-/// Squared distance of six degrees of freedom that a good pair exceeds once in 10^5 (chi-squared): it is then
-/// left out. Raised, wrong pairs pull the mount; lowered, good ones are lost.
+/// Squared distance of six degrees of freedom that a good pair exceeds once in 10^5 (chi-squared);
+/// above it a pair is rejected. Raised, wrong pairs pull the mount; lowered, good ones are lost.
 const OUTLIER: f64 = 33.1;
-/// Median of chi-squared of six degrees of freedom: what the squared distances' median is
-/// held against, so that half of the pairs may be wrong.
+/// Median of chi-squared with six degrees of freedom, to which the median of the squared distances
+/// is compared, so that half of the pairs may be wrong.
 const MEDIAN: f64 = 5.35;
-/// Steps of the solver at most; it converges in three to six. Raised, sets that do not converge take longer.
+/// Maximum number of solver steps; it converges in three to six. Raised, sets that do not converge
+/// take longer.
 const STEPS: usize = 30;
 
 type Normal = SMatrix<f64, 12, 12>;
 
-/// The mount from pairs of views: one at least where the stage is shared, three where it is not.
+/// Solves for the mount from pairs of views: at least one if the stage is shared, three if not.
 ///
 /// # Errors
-/// Where the views do not tell it, with what is missing.
+/// When the views do not determine it, with what is missing.
 pub fn solve(pairs: &[ViewPair], stages: Stages) -> Result<Solution, Unsolvable> {
     let wanted = if stages == Stages::Shared { 1 } else { 3 };
     if pairs.len() < wanted {
@@ -89,12 +95,12 @@ pub fn solve(pairs: &[ViewPair], stages: Stages) -> Result<Solution, Unsolvable>
         turns_suffice(pairs)?;
     }
     let mut state = start::start(pairs, stages).ok_or(Unsolvable::NoSolution)?;
-    // Robust first: whoever contradicts weighs less and less.
+    // First robustly: contradicting pairs lose weight.
     state.refine(pairs, stages, |squared, spread| 1.0 / (1.0 + squared / (spread * OUTLIER)))?;
     let distances = state.distances(pairs).ok_or(Unsolvable::NoSolution)?;
     let spread = robust_spread(&distances);
     let mut kept: Vec<bool> = distances.iter().map(|d| *d <= OUTLIER * spread).collect();
-    // A majority that is left out is no outlier: then all count, and the scatter says so.
+    // A rejected majority is not an outlier: then all count, and the scatter shows in `excess`.
     if 2 * kept.iter().filter(|k| **k).count() <= pairs.len() || pairs.len() < wanted + 2 {
         kept.fill(true);
     }
@@ -116,7 +122,7 @@ pub fn solve(pairs: &[ViewPair], stages: Stages) -> Result<Solution, Unsolvable>
     Ok(Solution { mount: state.mount, covariance, between: state.between, excess: excess.sqrt(), views })
 }
 
-/// Whether the turns between the views have more than one axis.
+/// Checks that the rotations between the views have more than one axis.
 fn turns_suffice(pairs: &[ViewPair]) -> Result<(), Unsolvable> {
     let turn = |a: &ViewPair, b: &ViewPair| (a.tracking.pose.rotation.inverse() * b.tracking.pose.rotation).scaled_axis();
     let turns: Vec<Vector3<f64>> = pairs.iter().enumerate().flat_map(|(k, a)| pairs[k + 1..].iter().map(move |b| turn(a, b))).collect();
@@ -134,7 +140,8 @@ fn turns_suffice(pairs: &[ViewPair]) -> Result<(), Unsolvable> {
     Ok(())
 }
 
-/// How many times larger than told the squared distances are; at least 1. Half of the pairs may be wrong.
+/// Returns how many times larger the squared distances are than their covariances predict; at
+/// least 1. Half of the pairs may be wrong.
 fn robust_spread(distances: &[f64]) -> f64 {
     let mut sorted = distances.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -142,7 +149,8 @@ fn robust_spread(distances: &[f64]) -> f64 {
 }
 
 impl Unknowns {
-    /// Gauss-Newton with weights of the squared distances and their spread; gives the normal matrix of the end.
+    /// Runs Gauss-Newton; `weight` takes a squared distance and the robust spread. Returns the
+    /// final normal matrix.
     fn refine(&mut self, pairs: &[ViewPair], stages: Stages, weight: impl Fn(f64, f64) -> f64) -> Result<Normal, Unsolvable> {
         let mut normal = Normal::identity();
         for _ in 0..STEPS {
@@ -158,7 +166,7 @@ impl Unknowns {
                 right += weighted * residual;
             }
             if stages == Stages::Shared {
-                // One stage: the relation is known, and nothing moves it.
+                // Shared stage: the relation is known and held fixed.
                 normal.fixed_view_mut::<6, 12>(6, 0).fill(0.0);
                 normal.fixed_view_mut::<12, 6>(0, 6).fill(0.0);
                 normal.fixed_view_mut::<6, 6>(6, 6).fill_with_identity();

@@ -1,4 +1,4 @@
-//! The mount's solver on data with known truth: exact, noisy, spoilt, and too poor to tell.
+//! The mount's solver on data with known truth: exact, noisy, with outliers, and insufficient.
 
 use nalgebra::{Matrix6, SVector, UnitQuaternion, Vector3, Vector6};
 use rand::{Rng, SeedableRng};
@@ -17,13 +17,14 @@ fn random_pose<A, B>(random: &mut Pcg64Mcg, shift: f64, turn: f64) -> Pose<A, B>
     Pose::new(UnitQuaternion::from_scaled_axis(random_vector(random, turn)), random_vector(random, shift))
 }
 
-/// 0.4 m and 25 degrees apart, as on a usual rig.
+/// 0.4 m and 25 degrees apart, as on a typical rig.
 fn mount(random: &mut Pcg64Mcg) -> Pose<Camera, FilmingCamera> {
     let along = |random: &mut Pcg64Mcg| random_vector(random, 1.0).normalize();
     Pose::new(UnitQuaternion::from_scaled_axis(along(random) * 25.0_f64.to_radians()), along(random) * 0.4)
 }
 
-/// Position millimetres and angles tenths of a degree, the two in step as in front of a flat picture: a step aside looks like a turn.
+/// Millimetres in position and tenths of a degree in angle, correlated as in front of a flat
+/// picture, where a sideways step looks like a rotation.
 fn covariance(random: &mut Pcg64Mcg) -> Matrix6<f64> {
     let root = Matrix6::from_fn(|row, column| {
         let unit = if row < 3 { 2e-3 } else { 8e-4 };
@@ -33,14 +34,15 @@ fn covariance(random: &mut Pcg64Mcg) -> Matrix6<f64> {
 }
 
 fn noisy(truth: &Pose<Stage, Camera>, covariance: Matrix6<f64>, random: &mut Pcg64Mcg) -> View {
-    // Twelve uniform numbers make a normal one, near enough.
+    // The sum of twelve uniform numbers is normal to good approximation.
     let normal = Vector6::from_fn(|_, _| (0..12).map(|_| random.random_range(-0.5..0.5)).sum::<f64>());
     let step = covariance.cholesky().expect("positive definite").l() * normal;
     let turn = UnitQuaternion::from_scaled_axis(-Vector3::new(step[3], step[4], step[5]));
     View { pose: Pose::new(turn * truth.rotation, truth.translation - Vector3::new(step[0], step[1], step[2])), covariance }
 }
 
-/// Views of a rig that turns by up to `turn` about all axes; the filming camera's stage is `between` away.
+/// Views of a rig that rotates by up to `turn` about all axes; the filming camera's stage is
+/// `between` away.
 fn views(
     n: usize,
     mount: &Pose<Camera, FilmingCamera>,
@@ -106,13 +108,13 @@ fn the_jacobian_is_that_of_differences() {
             moved.step(&step);
             moved.residual(&pair).0
         };
-        // The prediction moves one way, the residual the other.
+        // The residual moves opposite to the prediction.
         let by_difference = (residual(-1e-5) - residual(1e-5)) / 2e-5;
         assert!((by_difference - jacobian.column(k)).norm() < 1e-8, "{k}: {by_difference} {}", jacobian.column(k));
     }
 }
 
-/// Mean NEES over six degrees of freedom: 1 where the covariance is right.
+/// Returns the mean NEES over six degrees of freedom: 1 if the covariance is correct.
 fn nees(n: usize, stages: Stages, trials: u64) -> f64 {
     let mut sum = 0.0;
     for trial in 0..trials {
@@ -128,7 +130,8 @@ fn nees(n: usize, stages: Stages, trials: u64) -> f64 {
 
 #[test]
 fn the_covariance_says_how_far_off_it_is() {
-    // Of 300 trials with 6 degrees of freedom each the mean scatters by 0.033; the excess, which is never below 1, is on the careful side.
+    // The mean of 300 trials with 6 degrees of freedom each scatters by 0.033; the excess, which is
+    // never below 1, is conservative.
     for (n, stages) in [(1, Stages::Shared), (2, Stages::Shared), (6, Stages::Shared), (4, Stages::Apart), (8, Stages::Apart)] {
         let nees = nees(n, stages, 300);
         assert!((0.7..1.2).contains(&nees), "{n} views, {stages:?}: {nees}");
@@ -187,7 +190,7 @@ fn boards_apart_need_turns_about_two_axes() {
         }
         let still = views(8, &truth, &between, noise, Vector3::zeros(), &mut random);
         assert!(matches!(solve(&still, Stages::Apart), Err(Unsolvable::NotTurned { .. })));
-        // Where both see one stage, one view is enough.
+        // With a shared stage, one view is enough.
         assert!(solve(&views(1, &truth, &Pose::identity(), noise, Vector3::zeros(), &mut random), Stages::Shared).is_ok());
     }
     let two = views(2, &truth, &between, 0.0, ALL_WAYS, &mut random);

@@ -1,4 +1,4 @@
-//! Where the solver starts: closed forms from few views, the one that most views agree with.
+//! The solver's start: closed forms from few views, choosing the one that most views agree with.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
@@ -6,11 +6,13 @@ use super::residual::Unknowns;
 use super::views::{Stages, ViewPair, mean};
 use crate::geometry::{Camera, FilmingCamera, Pose, Stage, quaternion};
 
-/// Triples of views that are tried where the stages are apart: all that twelve views have; of more views' as many, evenly spread, so that no
-/// view is in most of them. Raised, the start takes longer; lowered, fewer of them are free of wrong views.
+/// Maximum number of triples of views tried for separate stages: all triples of twelve views. With
+/// more views as many, evenly spread, so that no view is in most of them. Raised, the start takes
+/// longer; lowered, fewer triples are free of wrong views.
 const MOST_TRIPLES: usize = 220;
 
-/// The start that the views agree with best, by the sum of their distances, which one wrong view cannot spoil.
+/// Returns the candidate with the smallest sum of distances (not squared, so that one wrong view
+/// cannot spoil it).
 pub(super) fn start(pairs: &[ViewPair], stages: Stages) -> Option<Unknowns> {
     let candidates: Vec<Unknowns> = match stages {
         Stages::Shared => pairs.iter().map(|pair| Unknowns { mount: direct(pair), between: Pose::identity() }).collect(),
@@ -21,7 +23,7 @@ pub(super) fn start(pairs: &[ViewPair], stages: Stages) -> Option<Unknowns> {
     rated.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, unknowns)| unknowns)
 }
 
-/// T_tracking_filming = T_stage_tracking⁻¹ T_stage_filming.
+/// Returns T_tracking_filming = T_stage_tracking⁻¹ T_stage_filming.
 fn direct(pair: &ViewPair) -> Pose<Camera, FilmingCamera> {
     pair.tracking.pose.inverse() * pair.filming.pose.renamed()
 }
@@ -33,8 +35,9 @@ fn triples(pairs: &[ViewPair]) -> Vec<[ViewPair; 3]> {
     all.step_by(count.div_ceil(MOST_TRIPLES).max(1)).collect()
 }
 
-/// Motions of the tracking camera are motions of the filming one, seen through the mount: A_ij X = X B_ij. The rotation is the one that
-/// carries the turns' axes onto one another, then the shift is linear (Tsai and Lenz 1989; Park and Martin 1994).
+/// Solves the hand-eye problem: the tracking camera's motions are the filming camera's, seen
+/// through the mount: A_ij X = X B_ij. First the rotation that aligns the rotation axes, then the
+/// shift by linear least squares (Tsai and Lenz 1989; Park and Martin 1994).
 fn hand_eye(pairs: &[ViewPair]) -> Option<Unknowns> {
     let n = pairs.len();
     let indices = (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j)));
@@ -47,7 +50,7 @@ fn hand_eye(pairs: &[ViewPair]) -> Option<Unknowns> {
         .collect();
     let cross: Matrix3<f64> = motions.iter().map(|(a, b)| a.rotation.scaled_axis() * b.rotation.scaled_axis().transpose()).sum();
     let svd = cross.svd(true, true);
-    // A second axis that is missing leaves the rotation open.
+    // Without a second axis the rotation is undetermined.
     if svd.singular_values[1] <= 1e-6 * svd.singular_values[0] || svd.singular_values[0] <= 0.0 {
         return None;
     }
@@ -62,7 +65,7 @@ fn hand_eye(pairs: &[ViewPair]) -> Option<Unknowns> {
     }
     let shift = left.svd(true, true).solve(&right, 1e-9).ok()?;
     let mount = Pose::new(rotation, Vector3::new(shift[0], shift[1], shift[2]));
-    // How the boards stand to one another, by each pair.
+    // The relation of the boards, from each pair.
     let between = |pair: &ViewPair| pair.tracking.pose * mount * pair.filming.pose.renamed::<Stage, FilmingCamera>().inverse();
     Some(Unknowns { mount, between: mean(&pairs.iter().map(between).collect::<Vec<_>>())? })
 }

@@ -1,39 +1,43 @@
-//! Still views: which rows of two clips were taken while the rig stood still, and which row of the one belongs to which of the other.
+//! Still views: finds the rows of two clips that were taken while the rig stood still, and pairs
+//! them.
 //!
-//! Clips with as many rows as one another were taken together: row k of the one is row k of the other. Others are cut into the times
-//! that the rig stood still, which are then counted off. Poses of one standstill make one view: what they have in common does not shrink
-//! with their number, so neither does the covariance.
+//! Clips with equal numbers of rows were taken together: row k of one belongs to row k of the
+//! other. Other clips are cut into standstills of the rig, which are then paired in order. The
+//! poses of one standstill make one view: their common error does not shrink with their number, so
+//! neither does the covariance.
 
 use nalgebra::Matrix6;
 
 use super::views::{View, mean};
 
-/// Rows of a standstill at least, in clips where there are standstills: less is a slow moment of a movement. Chosen, not tuned.
-/// Raised, short halts are passed over; lowered, clips are cut at moments that are none, and do not pair.
+/// Minimum number of rows in a standstill, in clips that have standstills: fewer are a slow moment
+/// of a movement. Chosen, not tuned. Raised, short halts are skipped; lowered, clips are cut at
+/// false standstills and do not pair.
 const LEAST_ROWS: usize = 5;
-/// Largest motion between rows that counts as standing still: sigmas, and besides metres and radians, for covariances do not count all that
-/// a still pose wanders by. Chosen, not tuned. Raised, slow movements are merged into one view; lowered, a standstill falls into pieces.
+/// Maximum motion between rows that counts as standing still: in sigmas, plus metres and radians,
+/// since covariances do not include all the drift of a still pose. Chosen, not tuned. Raised, slow
+/// movements are merged into one view; lowered, a standstill falls into pieces.
 const SIGMAS: f64 = 4.0;
 const SLACK_M: f64 = 5e-4;
 const SLACK_RAD: f64 = 4e-4;
 
-/// A view of each clip that belong together.
+/// Two matching views, one from each clip.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StillPair {
-    /// The first row of each, from 0.
+    /// The first row in each clip, from 0.
     pub rows: [usize; 2],
-    /// What was measured there; none where the stage was not found.
+    /// The measured views; `None` if the stage was not found.
     pub views: [Option<View>; 2],
 }
 
-/// The clips do not go together: how often the rig stood still in each.
+/// The clips cannot be paired; holds the number of standstills in each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Unpaired(pub [usize; 2]);
 
-/// The still views of two clips, given what was measured in each of their rows.
+/// Returns the still views of two clips, given the measurement for each of their rows.
 ///
 /// # Errors
-/// Where the clips have other numbers of rows and of standstills.
+/// When neither the numbers of rows nor those of standstills agree.
 pub fn still_pairs(a: &[Option<View>], b: &[Option<View>]) -> Result<Vec<StillPair>, Unpaired> {
     if a.len() == b.len() {
         return Ok(together(a, b));
@@ -49,9 +53,10 @@ pub fn still_pairs(a: &[Option<View>], b: &[Option<View>]) -> Result<Vec<StillPa
     Ok(runs_a.iter().zip(&runs_b).map(pair).collect())
 }
 
-/// Clips whose rows belong together.
+/// Pairs clips whose rows belong together.
 fn together(a: &[Option<View>], b: &[Option<View>]) -> Vec<StillPair> {
-    // Where neither camera found anything nobody knows whether the rig moved: each such row is told for itself.
+    // If neither camera found anything, it is unknown whether the rig moved: each such row stays
+    // separate.
     let both_still = |k: usize| (a[k].is_some() || b[k].is_some()) && is_still(&a[k - 1], &a[k]) && is_still(&b[k - 1], &b[k]);
     let runs = cut(a.len(), both_still);
     let has_standstills = runs.iter().any(|run| run.len() >= LEAST_ROWS);
@@ -59,13 +64,13 @@ fn together(a: &[Option<View>], b: &[Option<View>]) -> Vec<StillPair> {
     kept.map(|run| StillPair { rows: [run.start; 2], views: [merged(&a[run.clone()]), merged(&b[run])] }).collect()
 }
 
-/// The times that the camera stood still and was found.
+/// Returns the runs of rows in which the camera stood still and was found.
 fn standstills(rows: &[Option<View>]) -> Vec<std::ops::Range<usize>> {
     let runs = cut(rows.len(), |k| is_still(&rows[k - 1], &rows[k]));
     runs.into_iter().filter(|run| run.len() >= LEAST_ROWS && rows[run.start].is_some()).collect()
 }
 
-/// Runs of rows, each joined to the one before it.
+/// Cuts the rows into runs, in which each row is joined to the one before.
 fn cut(rows: usize, is_joined: impl Fn(usize) -> bool) -> Vec<std::ops::Range<usize>> {
     let starts: Vec<usize> = (0..rows).filter(|k| *k == 0 || !is_joined(*k)).collect();
     let ends = starts.iter().skip(1).copied().chain([rows]);
@@ -79,7 +84,7 @@ fn is_still(before: &Option<View>, after: &Option<View>) -> bool {
     shift <= SIGMAS * variance(0).sqrt() + SLACK_M && before.pose.angle_to(&after.pose) <= SIGMAS * variance(3).sqrt() + SLACK_RAD
 }
 
-/// One view of all; the covariance is their mean.
+/// Merges rows into one view; its covariance is their mean.
 fn merged(rows: &[Option<View>]) -> Option<View> {
     let poses: Vec<_> = rows.iter().flatten().map(|view| view.pose).collect();
     let covariance = rows.iter().flatten().map(|view| view.covariance).sum::<Matrix6<f64>>() / poses.len() as f64;
