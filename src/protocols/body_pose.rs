@@ -1,14 +1,17 @@
-//! From the tracker's frames to those that receivers speak of: the body's own axes, and pan, tilt and roll.
+//! Converts from the tracker's frames to those that receivers use: body axes, and pan, tilt and
+//! roll.
 //!
-//! The tracker gives the optical camera frame (x right, y down, z forward). FreeD, OpenTrackIO, PSN and OSC mean the camera's
-//! BODY (x right, y forward, z up), in a stage whose y leads away from the viewer: this stage frame itself. A level camera that
-//! looks upstage has pan = tilt = roll = 0. An object's own frame already is such a body.
+//! The tracker reports the optical camera frame (x right, y down, z forward). FreeD, OpenTrackIO,
+//! PSN and OSC use the camera's BODY (x right, y forward, z up), in a stage whose y points away
+//! from the viewer, which is this project's stage frame. A level camera that looks upstage has pan
+//! = tilt = roll = 0. An object's own frame is already such a body frame.
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::geometry::{Body, Camera, Pose, Stage};
 
-/// Pan, tilt and roll in degrees as OpenTrackIO means them: intrinsic rotations about z, then x, then y.
+/// Pan, tilt and roll in degrees as defined by OpenTrackIO: intrinsic rotations about z, then x,
+/// then y.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PanTiltRoll {
     /// About the vertical, + to the left (anticlockwise seen from above), -180 to 180.
@@ -19,14 +22,16 @@ pub struct PanTiltRoll {
     pub roll_deg: f64,
 }
 
-/// cos(tilt) below which pan and roll turn about the same line: about 0.00006 degrees from straight up. Chosen: far above a float's
-/// rounding. Raised, roll stands still around the zenith; lowered, both are noise there.
+/// cos(tilt) below which pan and roll rotate about the same line: about 0.00006 degrees from
+/// straight up. Chosen: far above a float's rounding. Raised, roll is frozen around the zenith;
+/// lowered, both are noise there.
 const GIMBAL: f64 = 1e-6;
 
 impl PanTiltRoll {
-    /// The angles of R = Rz(pan) Rx(tilt) Ry(roll).
+    /// Returns the angles of R = Rz(pan) Rx(tilt) Ry(roll).
     ///
-    /// Straight up or down only the sum or difference of pan and roll is seen: there `last_roll_deg` is kept.
+    /// Straight up or down, only the sum or difference of pan and roll is determined: there roll
+    /// stays at `last_roll_deg`.
     pub fn of_rotation(rotation: &UnitQuaternion<f64>, last_roll_deg: f64) -> Self {
         let r: Matrix3<f64> = rotation.to_rotation_matrix().into_inner();
         let cos_tilt = r[(0, 1)].hypot(r[(1, 1)]);
@@ -49,25 +54,26 @@ impl PanTiltRoll {
         Self { pan_deg, tilt_deg, roll_deg }
     }
 
-    /// R = Rz(pan) Rx(tilt) Ry(roll).
+    /// Returns R = Rz(pan) Rx(tilt) Ry(roll).
     pub fn rotation(&self) -> UnitQuaternion<f64> {
         let about = |axis, degrees: f64| UnitQuaternion::from_axis_angle(&axis, degrees.to_radians());
         about(Vector3::z_axis(), self.pan_deg) * about(Vector3::x_axis(), self.tilt_deg) * about(Vector3::y_axis(), self.roll_deg)
     }
 }
 
-/// Body axes in the optical frame: x right = x, y forward = z, z up = -y, a quarter turn about x.
+/// Returns the body axes in the optical frame: x right = x, y forward = z, z up = -y, a quarter
+/// turn about x.
 fn r_camera_body() -> UnitQuaternion<f64> {
     let quarter = Rotation3::from_matrix_unchecked(Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0));
     UnitQuaternion::from_rotation_matrix(&quarter)
 }
 
-/// The pose of the camera's body, from that of its optical frame.
+/// Converts the pose of the camera's optical frame to that of its body.
 pub fn to_body_axes(t_stage_camera: &Pose<Stage, Camera>) -> Pose<Stage, Body> {
     Pose::new(t_stage_camera.rotation * r_camera_body(), t_stage_camera.translation)
 }
 
-/// The pose of the camera's optical frame, from that of its body.
+/// Converts the pose of the camera's body to that of its optical frame.
 pub fn to_camera_axes(t_stage_body: &Pose<Stage, Body>) -> Pose<Stage, Camera> {
     Pose::new(t_stage_body.rotation * r_camera_body().inverse(), t_stage_body.translation)
 }
@@ -93,9 +99,9 @@ mod tests {
     #[test]
     fn signs_are_those_of_the_standard() {
         let turned = |pan_deg, tilt_deg, roll_deg| PanTiltRoll { pan_deg, tilt_deg, roll_deg }.rotation();
-        // Pan to the left: forward (y) leads to -x.
+        // Pan to the left: forward (y) becomes -x.
         assert!((turned(90.0, 0.0, 0.0) * Vector3::y() + Vector3::x()).norm() < 1e-12);
-        // Tilt up: forward leads to +z.
+        // Tilt up: forward becomes +z.
         assert!((turned(0.0, 90.0, 0.0) * Vector3::y() - Vector3::z()).norm() < 1e-12);
         // Roll clockwise seen from behind: the top leans to the right.
         assert!((turned(0.0, 0.0, 90.0) * Vector3::z() - Vector3::x()).norm() < 1e-12);

@@ -1,18 +1,19 @@
-//! FreeD D1: 29 bytes a frame that nearly every studio renderer reads.
+//! FreeD D1: 29 bytes per frame, read by nearly every studio renderer.
 //!
-//! Layout and signs from the Vinten Radamec free-d manual (A.3.2, appendix B): big-endian, angles in 1/32768 degree, positions in
-//! 1/64 mm, pan positive to the RIGHT (the opposite of OpenTrackIO), tilt up, roll clockwise from behind. It has no time stamp and
-//! no validity; Mo-Sys puts a quality into the spare bytes, Sony a frame number.
+//! Layout and signs follow the Vinten Radamec free-d manual (A.3.2, appendix B): big-endian, angles
+//! in 1/32768 degree, positions in 1/64 mm, pan positive to the RIGHT (the opposite of
+//! OpenTrackIO), tilt up, roll clockwise from behind. It has no time stamp and no validity; Mo-Sys
+//! puts a quality into the spare bytes, Sony a frame number.
 
 use thiserror::Error;
 
 use super::body_pose::PanTiltRoll;
 use crate::geometry::{Body, Pose, Stage};
 
-/// Bytes of a D1 packet, by the Free-D protocol.
+/// Bytes of a D1 packet in the Free-D protocol.
 pub const LENGTH: usize = 29;
-/// Free-D's numbers: a D1 packet's first byte, units a degree (15 bits of fraction) and a millimetre (6 bits), the largest of 24 bits with
-/// a sign.
+/// Free-D's constants: a D1 packet's first byte, units per degree (15 fractional bits) and per
+/// millimetre (6 bits), the maximum of a signed 24-bit number.
 const TYPE: u8 = 0xD1;
 const PER_DEGREE: f64 = 32768.0;
 const PER_MM: f64 = 64.0;
@@ -31,25 +32,25 @@ pub struct FreedPacket {
     pub roll_deg: f64,
     /// Right, forward, up: millimetres.
     pub position_mm: [f64; 3],
-    /// 24 bits, the receiver's own scale.
+    /// 24 bits, in the receiver's own scale.
     pub zoom: u32,
-    /// 24 bits, the receiver's own scale.
+    /// 24 bits, in the receiver's own scale.
     pub focus: u32,
     /// 16 bits.
     pub spare: u16,
 }
 
-/// Why bytes are no D1 packet.
+/// Why bytes are not a D1 packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum FreedError {
-    /// Another length.
+    /// The length is not 29.
     #[error("{0} bytes are no FreeD D1 packet; it has 29")]
     Length(usize),
     /// Another message of the protocol, or another protocol.
     #[error("the first byte is {0:#04x}, not 0xd1; set the sender to FreeD D1")]
     Type(u8),
-    /// Damaged.
+    /// The checksum does not match.
     #[error("the checksum is {found:#04x}, not {wanted:#04x}; the packet is damaged")]
     Checksum {
         /// As received.
@@ -60,7 +61,8 @@ pub enum FreedError {
 }
 
 impl FreedPacket {
-    /// The packet of a body's pose, and the roll that its angles have (for the next gimbal case).
+    /// Creates the packet of a body's pose. Pass the packet's roll as `last_roll_deg` of the next
+    /// one, for gimbal lock.
     pub fn of_pose(camera_id: u8, pose: &Pose<Stage, Body>, last_roll_deg: f64) -> Self {
         let angles = PanTiltRoll::of_rotation(&pose.rotation, last_roll_deg);
         let p = pose.translation * 1e3;
@@ -68,7 +70,8 @@ impl FreedPacket {
         Self { camera_id, pan_deg, tilt_deg: angles.tilt_deg, roll_deg: angles.roll_deg, position_mm, zoom: 0, focus: 0, spare: 0 }
     }
 
-    /// The bytes, and whether a number had to be cut to what 24 bits hold (±256 degrees, ±131.07 m).
+    /// Returns the bytes, and whether a number was clamped to what 24 bits hold (±256 degrees,
+    /// ±131.07 m).
     pub fn encode(&self) -> ([u8; LENGTH], bool) {
         let mut bytes = [0; LENGTH];
         (bytes[0], bytes[1]) = (TYPE, self.camera_id);
@@ -78,7 +81,7 @@ impl FreedPacket {
         for (index, value) in angles.into_iter().chain(positions).enumerate() {
             let units = value.round();
             is_cut |= !(-GREATEST_24 - 1.0..=GREATEST_24).contains(&units);
-            // A float beyond the range saturates in the cast, NaN becomes 0.
+            // The cast turns NaN into 0.
             let units = units.clamp(-GREATEST_24 - 1.0, GREATEST_24) as i32;
             bytes[2 + 3 * index..5 + 3 * index].copy_from_slice(&units.to_be_bytes()[1..]);
         }
@@ -89,7 +92,7 @@ impl FreedPacket {
         (bytes, is_cut)
     }
 
-    /// Reads the bytes of a packet.
+    /// Decodes the bytes of a packet.
     ///
     /// # Errors
     /// Another length or type, or a wrong checksum.
@@ -103,7 +106,7 @@ impl FreedPacket {
             return Err(FreedError::Checksum { found: bytes[28], wanted });
         }
         let unsigned = |at: usize| u32::from_be_bytes([0, bytes[at], bytes[at + 1], bytes[at + 2]]);
-        // Shifted up and down again, the sign of bit 23 is carried.
+        // Shifting left and back right extends the sign of bit 23.
         let signed = |at: usize| f64::from((unsigned(at) << 8) as i32 >> 8);
         Ok(Self {
             camera_id: bytes[1],
@@ -118,7 +121,7 @@ impl FreedPacket {
     }
 }
 
-/// 0x40 minus the sum of the bytes, modulo 256.
+/// Returns 0x40 minus the sum of the bytes, modulo 256.
 fn checksum(bytes: &[u8]) -> u8 {
     bytes.iter().fold(0x40, |sum, b| sum.wrapping_sub(*b))
 }

@@ -1,10 +1,11 @@
-//! The golden pose, and packets written as hexadecimal digits: what the tests of all codecs share.
+//! The golden pose, and packets as hexadecimal digits, shared by the tests of all codecs.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::geometry::{Camera, Pose, Stage};
 
-/// DESIGN section 2: level, 4 m in front of the origin, looking upstage; all zeros but for the distance.
+/// DESIGN section 2: level, 4 m in front of the origin, looking upstage; everything but the
+/// distance is zero.
 pub(crate) fn golden_camera() -> Pose<Stage, Camera> {
     let s = std::f64::consts::FRAC_1_SQRT_2;
     Pose::new(UnitQuaternion::from_quaternion(Quaternion::new(s, -s, 0.0, 0.0)), Vector3::new(0.0, -4.0, 0.0))

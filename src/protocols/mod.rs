@@ -1,8 +1,11 @@
-//! What stage machines speak: FreeD D1, OpenTrackIO 1.0.1 and PosiStageNet 2.03, encoded and decoded.
+//! The protocols of stage equipment: FreeD D1, OpenTrackIO 1.0.1 and PosiStageNet 2.03, encoded and
+//! decoded.
 //!
-//! Bytes in, numbers out, and back: no sockets, no clocks, no state. [`freed`], [`psn`] and [`opentrackio`] hold a protocol each;
-//! [`PanTiltRoll`] is the angles that the first and the last share, [`opentrackio_lens`] a lens in OpenTrackIO's terms. Decoders refuse what is
-//! damaged, with an error that says why, and never panic. What an output sends when is decided in `publish`.
+//! This module only converts between bytes and numbers: no sockets, no clocks, no state. [`freed`],
+//! [`psn`] and [`opentrackio`] hold one protocol each; [`PanTiltRoll`] has the angles that the
+//! first and the last share, and [`opentrackio_lens`] expresses a lens in OpenTrackIO's terms.
+//! Decoders refuse damaged data with an error that states why, and never panic. `publish` decides
+//! what an output sends and when.
 
 mod body_pose;
 pub mod freed;

@@ -1,23 +1,25 @@
-//! OpenTrackIO 1.0.1: pose, lens, timing and status in one datagram, as JSON or CBOR behind a 16-byte header.
+//! OpenTrackIO 1.0.1: pose, lens, timing and status in one datagram, as JSON or CBOR after a
+//! 16-byte header.
 //!
-//! Fields and frames from SMPTE's ris-osvp-metadata-camdkit; angles are intrinsic z, x, y with pan positive to the left. A sample is
-//! never split: the reference receiver and Unreal disagree on how parts are numbered. The `static` part comes with the first sample and
-//! every two seconds.
+//! Fields and frames follow SMPTE's ris-osvp-metadata-camdkit; angles are intrinsic z, x, y with
+//! pan positive to the left. A sample is never split: the reference receiver and Unreal disagree on
+//! how parts are numbered. The `static` part comes with the first sample and every two seconds.
 
 use serde_json::Value;
 use thiserror::Error;
 
 /// Bytes of OpenTrackIO's header before the payload.
 pub const HEADER: usize = 16;
-/// A datagram up to here crosses an Ethernet in one piece, bytes: 1500, less 20 for IPv4 and 8 for UDP.
+/// Maximum bytes of a datagram that crosses an Ethernet in one piece: 1500, less 20 for IPv4 and 8
+/// for UDP.
 pub const ONE_FRAME: usize = 1472;
-/// Bytes of a payload at most: OpenTrackIO's length field has 15 bits.
+/// Maximum bytes of a payload: OpenTrackIO's length field has 15 bits.
 const LONGEST_PAYLOAD: usize = 0x7FFF;
 
-/// How a payload is written.
+/// Encoding of a payload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Encoding {
-    /// Text, read by every receiver.
+    /// Text, supported by every receiver.
     Json,
     /// The same, in binary.
     Cbor,
@@ -32,11 +34,11 @@ impl Encoding {
     }
 }
 
-/// Why a datagram is no OpenTrackIO sample.
+/// Why a datagram is not an OpenTrackIO sample.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum OpenTrackIoError {
-    /// Too short, or other first bytes.
+    /// Too short, or wrong first bytes.
     #[error("it does not begin with OTrk; set the sender to OpenTrackIO 1.0.1")]
     Identifier,
     /// A vendor's own encoding.
@@ -45,7 +47,7 @@ pub enum OpenTrackIoError {
     /// A part of a sample.
     #[error("it is one part of a longer sample; set the sender to one datagram a sample")]
     Segment,
-    /// Another length than announced.
+    /// The length differs from the announced one.
     #[error("the payload has {found} bytes, the header says {announced}")]
     Length {
         /// As received.
@@ -53,7 +55,7 @@ pub enum OpenTrackIoError {
         /// As announced.
         announced: usize,
     },
-    /// Damaged.
+    /// The checksum does not match.
     #[error("the checksum is {found:#06x}, not {wanted:#06x}; the datagram is damaged, or of version 1.0.0")]
     Checksum {
         /// As received.
@@ -61,12 +63,12 @@ pub enum OpenTrackIoError {
         /// As computed.
         wanted: u16,
     },
-    /// The payload is not what its encoding says.
+    /// The payload is not valid in its encoding.
     #[error("the payload cannot be read ({0})")]
     Payload(String),
 }
 
-/// Fletcher's checksum with sums modulo 256, over several pieces.
+/// Computes Fletcher's checksum with sums modulo 256, over several pieces.
 fn fletcher_16(pieces: &[&[u8]]) -> u16 {
     let (mut first, mut second) = (0_u8, 0_u8);
     for byte in pieces.iter().copied().flatten() {
@@ -76,7 +78,7 @@ fn fletcher_16(pieces: &[&[u8]]) -> u16 {
     u16::from_be_bytes([second, first])
 }
 
-/// The datagram of a payload; `None` where it is longer than a datagram can say.
+/// Returns the datagram of a payload; `None` if it is too long for a datagram.
 pub fn datagram(encoding: Encoding, sequence: u16, payload: &[u8]) -> Option<Vec<u8>> {
     let length = u16::try_from(payload.len()).ok().filter(|_| payload.len() <= LONGEST_PAYLOAD)?;
     let mut bytes = Vec::with_capacity(HEADER + payload.len());
@@ -84,7 +86,7 @@ pub fn datagram(encoding: Encoding, sequence: u16, payload: &[u8]) -> Option<Vec
     bytes.extend_from_slice(&[0, encoding.code()]);
     bytes.extend_from_slice(&sequence.to_be_bytes());
     bytes.extend_from_slice(&0_u32.to_be_bytes());
-    // The upper bit: this is the last part.
+    // The upper bit marks the last part.
     bytes.extend_from_slice(&(length | 0x8000).to_be_bytes());
     let sum = fletcher_16(&[&bytes, payload]);
     bytes.extend_from_slice(&sum.to_be_bytes());
@@ -92,7 +94,7 @@ pub fn datagram(encoding: Encoding, sequence: u16, payload: &[u8]) -> Option<Vec
     Some(bytes)
 }
 
-/// Reads a datagram: its sequence number and the sample.
+/// Decodes a datagram into its sequence number and the sample.
 ///
 /// # Errors
 /// Anything but one whole, undamaged sample in JSON or CBOR.

@@ -1,30 +1,31 @@
-//! The calibration in OpenTrackIO's terms: millimetres on a sensor instead of pixels.
+//! Expresses the calibration in OpenTrackIO's terms: millimetres on a sensor instead of pixels.
 //!
-//! A webcam's sensor size is rarely known, and only ratios matter to a renderer: a width is assumed, and the height follows from it so
-//! that both focal lengths hold. With F the focal length in mm and OpenCV's k and p: radial l1..l6 = k1/F², k4/F², k2/F⁴, k5/F⁴, k3/F⁶,
-//! k6/F⁶, tangential q = p/F (the published p/F² contradicts the model's own equations), model "Brown-Conrady U-D".
+//! A webcam's sensor size is rarely known, and only ratios matter to a renderer: a width is
+//! assumed, and the height follows so that both focal lengths hold. With F the focal length in mm
+//! and OpenCV's k and p: radial l1..l6 = k1/F², k4/F², k2/F⁴, k5/F⁴, k3/F⁶, k6/F⁶, tangential q =
+//! p/F (the published p/F² contradicts the model's own equations), model "Brown-Conrady U-D".
 
 use serde_json::{Value, json};
 
 use crate::camera::CameraModel;
 
-/// Where the principal point goes.
+/// Which field holds the principal point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PrincipalPoint {
-    /// `projectionOffset`, as the standard has it.
+    /// `projectionOffset`, as in the standard.
     Projection,
-    /// `distortionOffset` too, which is the one that Unreal reads.
+    /// Also `distortionOffset`, which is the one that Unreal reads.
     Both,
 }
 
-/// Width and height of the assumed sensor in mm, and the focal length in mm.
+/// Returns width and height of the assumed sensor in mm, and the focal length in mm.
 fn on_sensor(camera: &CameraModel, width_mm: f64) -> ([f64; 2], f64) {
     let i = camera.intrinsics();
     let focal_mm = i.fx * width_mm / f64::from(i.width);
     ([width_mm, focal_mm * f64::from(i.height) / i.fy], focal_mm)
 }
 
-/// `static.camera`: the sensor's size.
+/// Returns `static.camera`: the sensor's size.
 pub fn sensor(camera: &CameraModel, width_mm: f64) -> Value {
     let ([width, height], _) = on_sensor(camera, width_mm);
     json!({
@@ -33,11 +34,11 @@ pub fn sensor(camera: &CameraModel, width_mm: f64) -> Value {
     })
 }
 
-/// `lens`
+/// Returns `lens`.
 pub fn lens(camera: &CameraModel, width_mm: f64, principal_point: PrincipalPoint) -> Value {
     let i = camera.intrinsics();
     let ([width, height], focal_mm) = on_sensor(camera, width_mm);
-    // From the picture's middle, where pixel centres are at integers.
+    // Relative to the picture's middle; pixel centres are at integers.
     let (pixels_wide, pixels_high) = (f64::from(i.width), f64::from(i.height));
     let (x, y) = ((i.cx + 0.5 - pixels_wide / 2.0) * width / pixels_wide, (i.cy + 0.5 - pixels_high / 2.0) * height / pixels_high);
     let offset = json!({"x": x, "y": y});
@@ -46,7 +47,7 @@ pub fn lens(camera: &CameraModel, width_mm: f64, principal_point: PrincipalPoint
     let mut lens = json!({
         "pinholeFocalLength": focal_mm,
         "projectionOffset": offset,
-        // Unreal reads radial terms only where there are six, tangential ones only where there are two.
+        // Unreal reads radial terms only if there are six, tangential ones only if there are two.
         "distortion": [{
             "model": "Brown-Conrady U-D",
             "radial": [k1 / f2, 0.0, k2 / f4, 0.0, k3 / f6, 0.0],
@@ -65,7 +66,8 @@ mod tests {
     use crate::camera::{CameraModel, Intrinsics, Normalized};
     use nalgebra::Vector2;
 
-    /// A receiver that knows only the sample: millimetres on the sensor by the standard's own equations.
+    /// A receiver that knows only the sample: millimetres on the sensor by the standard's own
+    /// equations.
     fn as_a_receiver(lens: &Value, sensor: &Value, x: f64, y: f64) -> [f64; 2] {
         let number = |v: &Value| v.as_f64().unwrap();
         let (f, model) = (number(&lens["pinholeFocalLength"]), &lens["distortion"][0]);

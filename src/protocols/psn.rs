@@ -1,33 +1,36 @@
-//! PosiStageNet 2.03: positions of any number of trackers for lighting desks and scenery automation.
+//! PosiStageNet 2.03: positions of any number of trackers, for lighting desks and scenery
+//! automation.
 //!
-//! Little-endian chunks (u32: bits 0-15 id, 16-30 length, 31 holds chunks), data packets with every frame, info packets with the names
-//! once a second. PSN's axes are left-handed (x right, y up, z depth): position (x, z, y) of the stage, orientation as a rotation vector
-//! whose components are the negated (x, z, y) of the stage's. Only known fields are sent: position, orientation, validity, time.
+//! Packets consist of little-endian chunks (u32 header: bits 0-15 id, 16-30 length, 31 holds
+//! chunks). Data packets come with every frame, info packets with the names once a second. PSN's
+//! axes are left-handed (x right, y up, z depth): position is (x, z, y) of the stage, orientation
+//! is a rotation vector whose components are the negated (x, z, y) of the stage's. Only known
+//! fields are sent: position, orientation, validity, time.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
 
 use crate::geometry::{Body, Pose, Stage};
 
-/// PosiStageNet's numbers of the packets with poses and with names.
+/// PosiStageNet's ids of the packets with poses and with names.
 const DATA: u16 = 0x6755;
 const INFO: u16 = 0x6756;
-/// Bytes of one packet, so that it crosses an Ethernet in one piece (1500, less 20 for IPv4 and 8 for UDP); the standard's own limit is
-/// 1500.
+/// Maximum bytes of one packet that crosses an Ethernet in one piece (1500, less 20 for IPv4 and 8
+/// for UDP); the standard's own limit is 1500.
 pub const LONGEST_PACKET: usize = 1472;
 
-/// What both kinds of packet begin with.
+/// The header of both kinds of packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct PsnHeader {
     /// Microseconds since the sender started.
     pub timestamp_us: u64,
-    /// Wraps; the same in all packets of a frame.
+    /// Frame number, which wraps; the same in all packets of a frame.
     pub frame_id: u8,
-    /// Packets of this frame.
+    /// Number of packets in this frame.
     pub packets: u8,
 }
 
-/// A tracker in a data packet, in PSN's axes; only what is known.
+/// A tracker in a data packet, in PSN's axes, with its known fields only.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct PsnTracker {
     /// Tracker number.
@@ -38,13 +41,13 @@ pub struct PsnTracker {
     pub speed_m_s: Option<[f32; 3]>,
     /// Rotation vector, radians.
     pub orientation_rad: Option<[f32; 3]>,
-    /// 1 = measured, 0 = not to be relied on.
+    /// 1 = measured, 0 = not reliable.
     pub validity: Option<f32>,
     /// Metres per second squared.
     pub acceleration_m_s2: Option<[f32; 3]>,
-    /// Where it is going, metres.
+    /// Target position, metres.
     pub target_m: Option<[f32; 3]>,
-    /// When it was there, microseconds since the sender started.
+    /// Time of the position, microseconds since the sender started.
     pub timestamp_us: Option<u64>,
 }
 
@@ -58,35 +61,35 @@ pub enum PsnPacket {
     Info(PsnHeader, String, Vec<(u16, String)>),
 }
 
-/// Why bytes are no PSN packet.
+/// Why bytes are not a PSN packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum PsnError {
     /// Another protocol.
     #[error("it is neither a data nor an info packet of PosiStageNet 2; set the sender to PSN 2")]
     Kind,
-    /// More than the 15 bits of a chunk's length can say.
+    /// Longer than a chunk's 15-bit length field can express.
     #[error("the packet is longer than 32767 bytes; split it")]
     TooLong,
-    /// A chunk that is longer than what holds it, or too short for what it says.
+    /// A chunk is longer than what contains it, or too short for its content.
     #[error("a chunk does not fit into its packet; the packet is damaged")]
     Length,
 }
 
-/// Position and rotation vector in PSN's axes.
+/// Converts a pose to position and rotation vector in PSN's axes.
 pub fn to_psn(pose: &Pose<Stage, Body>) -> ([f32; 3], [f32; 3]) {
     let (p, w) = (pose.translation, pose.rotation.scaled_axis());
     // `+ 0.0` turns -0 into 0.
     ([p.x, p.z, p.y].map(|v| v as f32), [-w.x, -w.z, -w.y].map(|v| (v + 0.0) as f32))
 }
 
-/// The pose of PSN's position and rotation vector.
+/// Converts PSN's position and rotation vector to a pose.
 pub fn from_psn(position_m: [f32; 3], orientation_rad: [f32; 3]) -> Pose<Stage, Body> {
     let ([x, y, z], [a, b, c]) = (position_m.map(f64::from), orientation_rad.map(f64::from));
     Pose::new(UnitQuaternion::from_scaled_axis(Vector3::new(-a, -c, -b)), Vector3::new(x, z, y))
 }
 
-/// What a chunk can hold, bytes: PosiStageNet's length field has 15 bits.
+/// Maximum bytes in a chunk: PosiStageNet's length field has 15 bits.
 const LONGEST_CHUNK: usize = 0x7FFF;
 
 fn chunk(id: u16, holds_chunks: bool, content: &[u8]) -> Vec<u8> {
@@ -121,7 +124,7 @@ impl PsnTracker {
 }
 
 impl PsnPacket {
-    /// The bytes.
+    /// Encodes the packet.
     ///
     /// # Errors
     /// Trackers or names that do not fit into one packet.
@@ -137,14 +140,14 @@ impl PsnPacket {
                 (INFO, [header.encode(), chunk(1, false, system.as_bytes()), chunk(2, true, &names)].concat())
             }
         };
-        // What holds all others is the longest.
+        // The outermost chunk is the longest.
         if content.len() > LONGEST_CHUNK { Err(PsnError::TooLong) } else { Ok(chunk(kind, true, &content)) }
     }
 
-    /// Reads the bytes of a packet; chunks that are not known are passed over.
+    /// Decodes the bytes of a packet; ignores unknown chunks.
     ///
     /// # Errors
-    /// Another protocol, or chunks that do not fit into one another.
+    /// Another protocol, or chunks that do not fit into each other.
     pub fn decode(bytes: &[u8]) -> Result<Self, PsnError> {
         let chunks = chunks(bytes).map_err(|_| PsnError::Kind)?;
         let Some((kind, content)) = chunks.first().copied().filter(|(id, _)| [DATA, INFO].contains(id)) else {
@@ -164,7 +167,7 @@ impl PsnPacket {
     }
 }
 
-/// The chunks that follow one another: id and content.
+/// Returns consecutive chunks: id and content.
 fn chunks(mut bytes: &[u8]) -> Result<Vec<(u16, &[u8])>, PsnError> {
     let mut found = Vec::new();
     while !bytes.is_empty() {

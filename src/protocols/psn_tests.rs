@@ -41,7 +41,8 @@ fn what_no_length_can_say_is_refused() {
 
 #[test]
 fn the_rotation_vector_is_the_mirrored_rotation() {
-    // A receiver in PSN's axes that uses Rodrigues' formula must turn PSN vectors as the stage turns its own.
+    // A receiver in PSN's axes that uses Rodrigues' formula must rotate PSN vectors as the stage
+    // rotates its own.
     let pose = Pose::<Stage, Body>::new(PanTiltRoll { pan_deg: 30.0, tilt_deg: 20.0, roll_deg: -10.0 }.rotation(), Vector3::zeros());
     let (_, w) = to_psn(&pose);
     let by_receiver = UnitQuaternion::from_scaled_axis(Vector3::from(w.map(f64::from))).to_rotation_matrix().into_inner();
