@@ -1,4 +1,5 @@
-//! One body on one output: from the tracker's pose to the pose that is sent, through rate, safety and placement.
+//! One body on one output: turns the tracker's pose into the pose that is sent, through rate,
+//! safety and placement.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,25 +18,25 @@ use crate::geometry::{Body, Pose, Stage};
 use crate::protocols::to_body_axes;
 use crate::record::{PoseSample, State};
 
-/// The safety limits began to hold a body's pose back.
+/// Event: the safety limits began to withhold a body's pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseWithheld {
-    /// The output.
+    /// The output's name.
     pub output: String,
-    /// The body.
+    /// The body's name.
     pub body: String,
-    /// Why.
+    /// The reason.
     pub reason: Withheld,
 }
 
-/// What belongs to one body between samples.
+/// The state of one body on one output.
 pub(super) struct BodyChannel {
     name: Arc<str>,
     choice: BodyChoice,
     mount: Option<Mount>,
     limiter: Limiter,
     resampler: Resampler,
-    /// The last pose sent, and when it was so.
+    /// The last pose sent, and its instant.
     sent: Option<(Timestamp, Pose<Stage, Body>)>,
     placement: Placement,
     on_loss: OnLoss,
@@ -46,7 +47,8 @@ pub(super) struct BodyChannel {
 }
 
 impl BodyChannel {
-    /// A body of an output; it tells `events` when its limits begin to hold the pose back.
+    /// Creates the channel of a body on an output; it reports to `events` when its limits begin to
+    /// withhold the pose.
     pub fn new(
         (name, choice): (Arc<str>, BodyChoice),
         mount: Option<Mount>,
@@ -74,7 +76,7 @@ impl BodyChannel {
         }
     }
 
-    /// What a sample says of this body.
+    /// Returns what a sample states about this body.
     pub fn known(&self, sample: &PoseSample) -> Known {
         match (self.choice, self.mount) {
             (BodyChoice::Mount, Some(mount)) => {
@@ -85,17 +87,17 @@ impl BodyChannel {
         }
     }
 
-    /// Keeps what a sample said for the ticks to come.
+    /// Keeps what a sample stated for later ticks.
     pub fn keep(&mut self, at: Timestamp, known: Known) {
         self.resampler.push(at, known);
     }
 
-    /// What is known at a tick, where frames are `interval` apart.
+    /// Returns what is known at a tick, with frames `interval` apart.
     pub fn at(&self, at: Timestamp, interval: Duration) -> Known {
         self.resampler.at(at, interval)
     }
 
-    /// What is sent of it. `holds` says whether the protocol has room for a pose.
+    /// Returns the report to send. `holds` tells whether the protocol can represent a pose.
     pub fn report(&mut self, at: Timestamp, known: Known, holds: &dyn Fn(&Pose<Stage, Body>) -> bool) -> BodyReport {
         let mut report = BodyReport {
             name: self.name.clone(),
@@ -141,13 +143,13 @@ impl BodyChannel {
         self.complaints
             .say(|| format!("event: the pose of {} is withheld, {}; check [safety] and the tracking", self.name, reason.words()));
         if !self.is_withheld {
-            // Nobody may be listening, or too late: the log has it too.
+            // The receiver may be gone or full; the log has the event too.
             let _ = self.events.try_send(PoseWithheld { output: self.output.clone(), body: self.name.to_string(), reason });
         }
     }
 }
 
-/// What a sample says of a body that is tracked itself.
+/// Returns what a sample states about a body that is tracked itself.
 fn known_of(choice: BodyChoice, sample: &PoseSample) -> Known {
     let (state, pose) = match choice {
         BodyChoice::Camera => (sample.state, sample.pose.as_ref().map(to_body_axes)),
@@ -155,7 +157,7 @@ fn known_of(choice: BodyChoice, sample: &PoseSample) -> Known {
             Some(object) => (object.state, object.pose),
             None => return Known::nothing(State::Searching),
         },
-        // Nothing carries it.
+        // No mount is configured.
         BodyChoice::Mount => return Known::nothing(State::Searching),
     };
     Known { state, pose, is_predicted: false }

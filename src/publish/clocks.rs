@@ -1,4 +1,4 @@
-//! What time it is, on the three clocks of a machine. They are handed in, so that tests can step them.
+//! Access to the machine's three clocks, injected so that tests can step them.
 
 use std::fmt;
 
@@ -9,17 +9,17 @@ use crate::frame::Timestamp;
 /// The three clocks at one instant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reading {
-    /// `CLOCK_MONOTONIC`: what cameras stamp with. It stands still in a suspend.
+    /// `CLOCK_MONOTONIC`: the clock of camera stamps. It stops during a suspend.
     pub monotonic: Timestamp,
-    /// `CLOCK_BOOTTIME`: the same, suspends included.
+    /// `CLOCK_BOOTTIME`: the same, but it continues during a suspend.
     pub boot: Timestamp,
     /// `CLOCK_REALTIME`: the time of day, which may be stepped.
     pub unix: Timestamp,
 }
 
-/// Where the time comes from.
+/// A source of time.
 pub trait Clocks: Send + Sync + fmt::Debug {
-    /// Now, on all three clocks.
+    /// Reads all three clocks.
     fn read(&self) -> Reading;
 }
 
@@ -27,11 +27,13 @@ pub trait Clocks: Send + Sync + fmt::Debug {
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SystemClocks;
 
-/// Three clocks that are read within this time are of one instant. A program that is stopped between two of them would see a suspend that
-/// there was not; longer than a few microseconds happens only then. Raised, a frame may count as that much too young.
+/// Maximum duration, nanoseconds, of reading the three clocks for the readings to count as one
+/// instant. A process stopped between two readings would see a suspend that never happened; only
+/// then do they take longer than a few microseconds. Raised, a frame's age may be too small by that
+/// much.
 pub(super) const ONE_INSTANT_NS: i64 = 100_000;
-/// Tries to read them so, of which the shortest is taken. Chosen: a busy machine rarely interrupts two in a row. Raised, a frame waits
-/// longer where it does.
+/// Maximum number of attempts to do so, of which the shortest is used (chosen: a busy machine
+/// rarely interrupts two in a row). Raised, a frame waits longer where it does.
 const TRIES: usize = 20;
 
 impl Clocks for SystemClocks {
@@ -55,7 +57,7 @@ impl Clocks for SystemClocks {
 }
 
 fn read(clock: ClockId) -> Timestamp {
-    // Linux has these clocks always; where one fails, 0 is a stamp like any other.
+    // Linux always has these clocks; if one failed, 0 would be a stamp like any other.
     clock_gettime(clock).map(|t| Timestamp::from_ns(t.tv_sec() * 1_000_000_000 + t.tv_nsec())).unwrap_or_default()
 }
 
@@ -85,19 +87,19 @@ pub(crate) mod stepped {
             by(&mut self.0.lock().unwrap());
         }
 
-        /// Time passes.
+        /// Lets time pass.
         pub(crate) fn advance_ms(&self, ms: i64) {
             let ns = ms * 1_000_000;
             self.change(|r| (r.monotonic, r.boot, r.unix) = (r.monotonic.after_ns(ns), r.boot.after_ns(ns), r.unix.after_ns(ns)));
         }
 
-        /// The machine sleeps.
+        /// Suspends the machine.
         pub(crate) fn suspend_ms(&self, ms: i64) {
             let ns = ms * 1_000_000;
             self.change(|r| (r.boot, r.unix) = (r.boot.after_ns(ns), r.unix.after_ns(ns)));
         }
 
-        /// The time of day is set.
+        /// Sets the time of day.
         pub(crate) fn step_wall_ms(&self, ms: i64) {
             self.change(|r| r.unix = r.unix.after_ns(ms * 1_000_000));
         }

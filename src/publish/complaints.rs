@@ -1,11 +1,12 @@
-//! Warnings that would come with every packet, said once a minute instead.
+//! Rate limit for warnings: those that would come with every packet are logged once a minute.
 
 use std::time::{Duration, Instant};
 
-/// Between two warnings of one kind. Chosen: seldom enough not to fill a log. Raised, trouble that comes back is said later.
+/// Minimum interval between two warnings of one kind (chosen: rare enough not to fill a log).
+/// Raised, recurring trouble is logged later.
 const PAUSE: Duration = Duration::from_secs(60);
 
-/// One kind of trouble of one output.
+/// One kind of trouble on one output.
 #[derive(Debug)]
 pub(super) struct Complaints {
     output: String,
@@ -18,7 +19,8 @@ impl Complaints {
         Self { output: output.to_owned(), last: None, unsaid: 0 }
     }
 
-    /// Logs the sentence, unless one was logged within the last minute; says how many were not. True where it was logged.
+    /// Logs the sentence, unless one was logged within the last minute, with the number suppressed
+    /// since. Returns whether it was logged.
     pub fn say(&mut self, sentence: impl FnOnce() -> String) -> bool {
         if self.last.is_some_and(|last| last.elapsed() < PAUSE) {
             self.unsaid += 1;

@@ -1,8 +1,9 @@
-//! How long ago a frame was taken.
+//! Determines how long ago a frame was taken.
 //!
-//! Frames are stamped by the monotonic clock, which stands still while the machine is suspended: a frame from before a suspend would look
-//! fresh after it. Ages are therefore counted on the boot clock, which goes on, and never on the wall clock, which may be stepped. A
-//! [`FrameClock`] leads from stamps to that clock; it notices suspends by the two clocks drifting apart.
+//! Frames are stamped by the monotonic clock, which stops while the machine is suspended: a frame
+//! from before a suspend would look fresh afterwards. Ages are therefore measured on the boot
+//! clock, which continues, and never on the wall clock, which may be stepped. A [`FrameClock`]
+//! converts stamps to the boot clock; it detects suspends when the two clocks drift apart.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -12,27 +13,30 @@ use super::clocks::{Clocks, ONE_INSTANT_NS, Reading, SystemClocks};
 use super::stamps::Stamps;
 use crate::frame::Timestamp;
 
-/// The boot clock less the monotonic one changes by suspends alone; less than this is the reading's own scatter, nanoseconds. Chosen: 50
-/// times [`ONE_INSTANT_NS`], and no machine wakes so soon. Raised, short suspends are overlooked, by which later frames count as older.
+/// Minimum change of the difference between boot and monotonic clock, nanoseconds, that counts as a
+/// suspend; less is scatter of the readings. Chosen: 50 times [`ONE_INSTANT_NS`], and no machine
+/// wakes so soon. Raised, short suspends are missed, and later frames appear older by them.
 const SHORTEST_SUSPEND_NS: i64 = 5_000_000;
-/// Suspends remembered; frames are long too old before they are forgotten. Chosen, not tuned. Raised, only memory; lowered to one, frames
-/// from before the last suspend count as younger.
+/// Number of suspends remembered; frames are far too old before one is forgotten. Chosen, not
+/// tuned. Raised, it only takes memory; lowered to one, frames from before the last suspend appear
+/// younger.
 const SUSPENDS: usize = 8;
 
-/// How far the boot clock is ahead of the monotonic one, from which monotonic instant on.
+/// How far the boot clock is ahead of the monotonic one, and from which monotonic instant on.
 #[derive(Debug, Default)]
 struct Suspends(VecDeque<(Timestamp, i64)>);
 
 impl Suspends {
-    /// Takes note of a reading. A suspend is known from the first one after it on: what was stamped before that counts as from before
-    /// the suspend, which makes it older, never younger than it is.
+    /// Records a reading. A suspend is detected by the first reading after it, so stamps before
+    /// that reading count as from before the suspend: frames may appear older, never younger than
+    /// they are.
     fn note(&mut self, now: Reading) {
         let ahead_ns = now.boot.ns_since(now.monotonic);
         match self.0.back_mut() {
             None => self.0.push_back((Timestamp::MIN, ahead_ns)),
             Some((_, known)) if ahead_ns > known.saturating_add(SHORTEST_SUSPEND_NS) => self.0.push_back((now.monotonic, ahead_ns)),
-            // A reading that was torn apart after all is put right by the next one. Less is the scatter of readings: following it would
-            // shift stamps against each other.
+            // The next reading corrects one that was interrupted after all. Smaller differences are
+            // scatter of the readings: following them would shift stamps against each other.
             Some((_, known)) if ahead_ns < known.saturating_sub(ONE_INSTANT_NS) => *known = ahead_ns,
             Some(_) => {}
         }
@@ -47,7 +51,7 @@ impl Suspends {
     }
 }
 
-/// Leads from the stamps of frames to the boot clock. Everybody who judges ages of the same frames shares one.
+/// Converts frame stamps to the boot clock. All users of the same frames' ages share one.
 #[derive(Debug)]
 pub struct FrameClock {
     clocks: Arc<dyn Clocks>,
@@ -58,21 +62,22 @@ pub struct FrameClock {
 #[derive(Debug, Default)]
 struct Memory {
     suspends: Suspends,
-    /// Of a clip that nobody has said the beginning of: monotonic clock minus stamp, from its first sample.
+    /// For a clip without a stated start: monotonic clock minus stamp, from its first sample.
     clip_offset_ns: Option<i64>,
 }
 
-/// A live stamp may lie ahead by what is assumed of exposure and readout: half of each, 1 s at most (`Shutter::LONGEST_S`). Further
-/// ahead it is of another clock, nanoseconds. Raised, stamps of a wrong clock are believed.
+/// How far a live stamp may lie in the future, nanoseconds. It may lead by half of the configured
+/// exposure and readout, at most 1 s (`Shutter::LONGEST_S`); more means another clock. Raised,
+/// stamps of a wrong clock are accepted.
 const MOST_AHEAD_NS: i64 = 1_000_000_000;
 
 impl FrameClock {
-    /// With this machine's clocks.
+    /// Creates a clock on this machine's clocks.
     pub fn new(stamps: Stamps) -> Self {
         Self::with(Arc::new(SystemClocks), stamps)
     }
 
-    /// With clocks of the caller's.
+    /// Creates a clock on the given clocks.
     pub fn with(clocks: Arc<dyn Clocks>, stamps: Stamps) -> Self {
         let clock = Self { clocks, stamps, memory: Mutex::default() };
         clock.now();
@@ -83,17 +88,19 @@ impl FrameClock {
         self.memory.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Now. It is to be asked several times a second: that is how suspends are noticed.
+    /// Returns the current reading. Call it several times a second, since that is how suspends are
+    /// detected.
     pub fn now(&self) -> Reading {
-        // Read under the lock, so that notes are taken in their order.
+        // Read under the lock, so that readings are recorded in order.
         let mut memory = self.memory();
         let now = self.clocks.read();
         memory.suspends.note(now);
         now
     }
 
-    /// When the frame of a stamp was taken, on the boot clock. `work` is how long its sample has been worked on, which counts for the
-    /// first one of a clip whose beginning nobody has said. None where the stamp cannot be of this machine's clock.
+    /// Returns when the frame with this stamp was taken, on the boot clock. `work` is the
+    /// processing time of its sample so far; it is used for the first sample of a clip without a
+    /// stated start. `None` if the stamp cannot be on this machine's clock.
     pub fn taken(&self, stamp: Timestamp, work: Duration) -> Option<Timestamp> {
         let now = self.now();
         let mut memory = self.memory();
@@ -108,7 +115,7 @@ impl FrameClock {
         Some(memory.suspends.boot(stamp.after_ns(offset_ns)))
     }
 
-    /// The stamp as a clip has it, for formats that want both.
+    /// Returns the stamp on the clip's own clock, for formats that send both.
     pub fn recorded(&self, stamp: Timestamp) -> Option<Timestamp> {
         matches!(self.stamps, Stamps::Recorded(_)).then_some(stamp)
     }

@@ -1,4 +1,5 @@
-//! A FreeD output: every report of its one body becomes a D1 packet, and what is not known is marked in its spare bytes.
+//! A FreeD output: every report of its single body becomes a D1 packet, with the quality in its
+//! spare bytes.
 
 use super::encoder::Encoder;
 use super::report::{BodyReport, Report};
@@ -6,31 +7,32 @@ use crate::camera::CameraModel;
 use crate::geometry::{Body, Pose, Stage};
 use crate::protocols::freed::FreedPacket;
 
-/// What the two spare bytes say.
+/// The content of the two spare bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Spare {
     /// Mo-Sys: the low byte is 1 good, 2 caution, 3 bad.
     Quality,
-    /// The low 16 bits of the frame's number.
+    /// The low 16 bits of the frame number.
     Frame,
-    /// Sony: the frame's number in the upper 4 bits, the iris (unknown, 0) below.
+    /// Sony: the frame number in the upper 4 bits, the iris (unknown, 0) below.
     Sony,
     /// Always 0.
     Zero,
 }
 
-/// How an output speaks FreeD.
+/// Settings of a FreeD output.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FreedSettings {
     /// Camera number in the packets.
     pub camera_id: u8,
-    /// What the spare bytes say.
+    /// Content of the spare bytes.
     pub spare: Spare,
-    /// Zoom as sent, 24 bits; by default the calibrated focal length in micrometres on the assumed sensor.
+    /// Zoom to send, 24 bits; defaults to the calibrated focal length in micrometres on the assumed
+    /// sensor.
     pub zoom: Option<u32>,
-    /// Width of the sensor that the focal length refers to, millimetres.
+    /// Width of the assumed sensor, millimetres.
     pub sensor_width_mm: f64,
-    /// Focus as sent: 24 bits.
+    /// Focus to send, 24 bits.
     pub focus: u32,
 }
 
@@ -42,16 +44,16 @@ pub(super) struct FreedEncoder {
 }
 
 impl FreedEncoder {
-    /// Without a lens that is known the zoom is 0, unless the config gives one.
+    /// Creates an encoder. Without a known lens the zoom is 0, unless configured.
     pub fn new(settings: FreedSettings, camera: Option<&CameraModel>) -> Self {
         let focal_mm = |camera: &CameraModel| camera.intrinsics().fx * settings.sensor_width_mm / f64::from(camera.width());
-        // A float beyond the range saturates in the cast.
+        // The cast saturates.
         let zoom = settings.zoom.or(camera.map(|camera| (focal_mm(camera) * 1e3).round() as u32)).unwrap_or(0);
         Self { settings, zoom, last: None }
     }
 
     fn packet(&self, body: &BodyReport) -> Option<FreedPacket> {
-        // Nothing is known: the last pose again, marked as bad; never an invented one.
+        // No pose is known: repeat the last one, marked as bad; never invent one.
         let Some(pose) = &body.pose else { return self.last };
         let last_roll_deg = self.last.map_or(0.0, |p| p.roll_deg);
         Some(FreedPacket::of_pose(self.settings.camera_id, pose, last_roll_deg))
@@ -78,7 +80,7 @@ impl Encoder for FreedEncoder {
         let Some(mut packet) = self.packet(body) else { return };
         (packet.zoom, packet.focus) = (self.zoom, self.settings.focus);
         packet.spare = self.spare(report, body);
-        // A pose that does not fit never comes here.
+        // A pose that does not fit never gets here.
         let (bytes, _) = packet.encode();
         self.last = Some(packet);
         send(&bytes);

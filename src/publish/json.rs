@@ -1,10 +1,12 @@
 //! Lines of JSON: the pose record (contract C3) with ages and times, for scripts and bridges.
 //!
-//! A line has the record's fields and no bodies but those that the output speaks of; a camera that it does not speak of is null. `pose`
-//! is what this output sends: placed, limited, held. `state` speaks of that pose, and what was measured stands beside it only where it
-//! is the tracker's own of this frame, placed in the same way. After the record's fields come `age_ms` (from mid-exposure to the moment
-//! of sending), `unix_ns` (mid-exposure in Unix time), `times_ms`, and the marks that apply: of the camera in the line, of an object in
-//! its entry. A message that is no record begins with `"event"`: `{"event":"stale",…}` where no frame came for too long.
+//! A line has the record's fields, with only the output's bodies; the camera is null if the output
+//! does not include it. `pose` is the pose that this output sends: placed, limited, held. `state`
+//! refers to that pose. The measurement is included only if it is the tracker's own of this frame,
+//! placed in the same way. After the record's fields come `age_ms` (from mid-exposure to sending),
+//! `unix_ns` (mid-exposure in Unix time), `times_ms`, and the marks that apply: the camera's in the
+//! line, an object's in its entry. A message that is not a record begins with `"event"`:
+//! `{"event":"stale",…}` if no frame came for too long.
 
 use nalgebra::{Matrix3, Matrix6};
 use serde::Serialize;
@@ -19,10 +21,10 @@ use crate::geometry::{Body, Pose, Stage};
 use crate::protocols::{to_body_axes, to_camera_axes};
 use crate::record::{Measurement, PoseSample, StageTimes, State};
 
-/// How an output writes JSON.
+/// Settings of a JSON output.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct JsonSettings {
-    /// Where lines go besides UDP.
+    /// Destinations of lines besides UDP.
     pub stream: StreamSettings,
 }
 
@@ -33,12 +35,13 @@ pub(super) struct JsonEncoder {
 }
 
 impl JsonEncoder {
-    /// `placement` is what has been done to the poses: what is measured is placed in the same way.
+    /// Creates an encoder; `placement` has already been applied to the poses, and is applied to the
+    /// measurements here.
     pub fn new(placement: Placement, mount: Option<Mount>) -> Self {
         Self { placement, mount }
     }
 
-    /// One line, without its end.
+    /// Returns one line, without its newline.
     fn line(&self, report: &Report) -> String {
         let camera = report.bodies.iter().find(|body| body.choice == BodyChoice::Camera);
         let objects: Vec<ObjectLine> =
@@ -47,7 +50,7 @@ impl JsonEncoder {
         let objects = serde_json::to_string(&objects).unwrap_or_default();
         let mount = report.bodies.iter().find(|body| body.choice == BodyChoice::Mount).map(|body| self.mounted(report, body));
         let marks = camera.map(marks).unwrap_or_default() + &mount.unwrap_or_default();
-        // All bodies are stale together: no frame came.
+        // All bodies become stale together, as no frame came.
         if report.bodies.first().is_some_and(|body| body.state == State::Stale) {
             let pose = camera.and_then(|body| body.pose.as_ref()).map(to_camera_axes);
             let event = json!({
@@ -60,7 +63,7 @@ impl JsonEncoder {
         format!("{}{objects}{}{marks}{}}}", self.record(report, camera), ages(report, times), test_mark(report))
     }
 
-    /// The record's fields up to the objects.
+    /// Returns the record's fields up to the objects.
     fn record(&self, report: &Report, camera: Option<&BodyReport>) -> String {
         let (sequence, tick) = (report.sequence, report.recorded.unwrap_or(report.monotonic));
         let timestamp = report.sample.as_ref().map_or(tick, |sample| sample.timestamp);
@@ -71,7 +74,7 @@ impl JsonEncoder {
         };
         let own = report.sample.as_ref().filter(|_| camera.is_passed);
         let placed = || camera.pose.as_ref().map(to_camera_axes);
-        // An untouched pose keeps its last digit.
+        // An unplaced pose is sent with all its digits.
         let pose = own.filter(|_| self.placement.is_identity()).map_or_else(placed, |sample| sample.pose);
         let measurement = own.and_then(|sample| sample.measurement).and_then(|m| self.placed(m));
         let (state, times) = (camera.state, StageTimes::default());
@@ -86,12 +89,13 @@ impl JsonEncoder {
             learnt: Default::default(),
             times,
         };
-        // Its last field is the list of objects, which is empty.
+        // Its last field is the empty list of objects.
         let text = record.to_json_line();
         text.strip_suffix("[]}").map_or(text.clone(), str::to_owned)
     }
 
-    /// What was measured, as the pose is placed. Angles that are turned round leave no covariance to tell.
+    /// Places a measurement like the pose. With inverted angles no covariance can be given, so
+    /// nothing is returned.
     fn placed(&self, measurement: Measurement) -> Option<Measurement> {
         if self.placement.is_identity() {
             return Some(measurement);
@@ -122,7 +126,7 @@ impl JsonEncoder {
         ObjectLine::of(body, covariance)
     }
 
-    /// The filming camera, from the comma on; a camera's pose is that of its optical frame.
+    /// Returns the filming camera's part, from the comma on; its pose is that of the optical frame.
     fn mounted(&self, report: &Report, body: &BodyReport) -> String {
         let pose = body.pose.as_ref().map(|pose| to_camera_axes(pose).renamed());
         let line = ObjectLine { pose, ..ObjectLine::of(body, self.mounted_covariance(report, body)) };
@@ -154,7 +158,7 @@ impl Encoder for JsonEncoder {
     }
 }
 
-/// An object in a line: as in the record, and its marks.
+/// An object in a line: as in the record, with its marks.
 #[derive(Serialize)]
 struct ObjectLine {
     name: String,
@@ -172,22 +176,22 @@ impl ObjectLine {
     }
 }
 
-/// What is to be known of a pose besides its state.
+/// The marks of a pose besides its state.
 #[derive(Serialize)]
 struct Marks {
-    /// Carried on from the newest frame.
+    /// Extrapolated from the newest frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     predicted: Option<bool>,
-    /// The last pose again,
+    /// The last pose is repeated.
     #[serde(skip_serializing_if = "Option::is_none")]
     held: Option<bool>,
-    /// which was true so long before.
+    /// Age of the repeated pose, milliseconds.
     #[serde(skip_serializing_if = "Option::is_none")]
     held_ms: Option<Value>,
-    /// On its way back.
+    /// On its way back to the tracker's pose.
     #[serde(skip_serializing_if = "Option::is_none")]
     blended: Option<bool>,
-    /// Why it is withheld.
+    /// Why the pose is withheld.
     #[serde(skip_serializing_if = "Option::is_none")]
     withheld: Option<&'static str>,
 }
@@ -204,7 +208,7 @@ impl Marks {
     }
 }
 
-/// The camera's marks, from the comma on.
+/// Returns the camera's marks, from the comma on.
 fn marks(body: &BodyReport) -> String {
     // A map with string keys cannot fail.
     let text = serde_json::to_string(&Marks::of(body)).unwrap_or_default();
@@ -218,13 +222,13 @@ fn test_mark(report: &Report) -> &'static str {
     if report.is_test { r#","test":true"# } else { "" }
 }
 
-/// An object without its closing brace.
+/// Removes an object's closing brace.
 fn opened(mut object: String) -> String {
     object.pop();
     object
 }
 
-/// Ages and times, from the comma on.
+/// Returns ages and times, from the comma on.
 fn ages(report: &Report, times: Option<StageTimes>) -> String {
     let more = format!(r#","age_ms":{},"unix_ns":{}"#, rounded(report.age_ms), report.unix);
     let Some(times) = times else { return more };
@@ -232,7 +236,7 @@ fn ages(report: &Report, times: Option<StageTimes>) -> String {
     more + &format!(r#","times_ms":{{"decode":{decode},"acquire":{acquire},"align":{align},"pose":{pose}}}"#)
 }
 
-/// To a microsecond.
+/// Rounds to a microsecond.
 fn rounded(ms: f64) -> Value {
     json!((ms * 1e3).round() / 1e3)
 }

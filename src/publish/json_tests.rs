@@ -43,7 +43,7 @@ fn sample() -> PoseSample {
     }
 }
 
-/// The camera at this state, and the two objects of the sample, tracked.
+/// The camera in this state, and the two objects of the sample, tracked.
 fn report(state: State) -> Report {
     let mut report = Report { sample: Some(Arc::new(sample())), ..golden_report(state) };
     for (index, object) in sample().objects.into_iter().enumerate() {
@@ -122,10 +122,10 @@ fn what_is_measured_is_placed_like_the_pose() {
     let mut report = report(State::Tracking);
     report.bodies.iter_mut().for_each(|body| body.pose = body.pose.map(|pose| placement.apply(&pose)));
     let value: Value = serde_json::from_str(&line(placement, &report)).unwrap();
-    // 4 m in front becomes 4 m to the right, 40 units, with the other sign.
+    // 4 m in front becomes 4 m to the right, 40 units, with the opposite sign.
     let x = value["measured"]["position_m"][0].as_f64().unwrap();
     assert!((x + 40.0).abs() < 1e-9 && value["pose"] == value["measured"], "{value}");
-    // The variances of x and y change places, in units squared; those of turning without a unit.
+    // The variances of x and y swap, in units squared; those of the rotation have no unit.
     let variance = |k: usize| value["covariance"][7 * k].as_f64().unwrap();
     let wanted = [200.0, 100.0, 300.0, 5.0, 4.0, 6.0];
     assert!((0..6).all(|k| (variance(k) - wanted[k]).abs() < 1e-9), "{value}");

@@ -1,9 +1,11 @@
-//! The safety limits of one body on one output: what may be sent, and how it returns after a gap.
+//! The safety limits of one body on one output: which poses may be sent, and how the output returns
+//! after a gap.
 //!
-//! A pose outside the permitted box is withheld. A pose that could be reached from the last one sent only faster than permitted is
-//! withheld too: the limit counts from the last pose SENT, so that after a gap the permitted way grows with the time that passed.
-//! With blending, an output that returns after a gap starts from the last pose it sent and moves to the tracker's at no more than the
-//! blend rates.
+//! A pose outside the permitted box is withheld. So is a pose that the receiver could only reach
+//! faster than permitted. The speed is measured from the last pose SENT, so after a gap the
+//! permitted distance grows with the elapsed time. With blending, an output that returns after a
+//! gap starts from the last pose it sent and moves to the tracker's at no more than the blend
+//! rates.
 
 use std::time::Duration;
 
@@ -14,7 +16,7 @@ use super::settings::{BlendRates, SafetySettings};
 use crate::frame::Timestamp;
 use crate::geometry::{Body, Pose, Stage};
 
-/// What became of a pose.
+/// The decision about a pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Verdict {
     /// Send this pose, which is the one given.
@@ -25,11 +27,13 @@ pub(super) enum Verdict {
     Withhold(Withheld),
 }
 
-/// A frame later than this is a gap, even where nobody said so. Chosen: several frames of the slowest cameras. Raised, a pose after such a
-/// pause is not blended; lowered below a frame's interval, the blended output stands still.
+/// Maximum time between frames that is not a gap, even if none was reported (chosen: several frames
+/// of the slowest cameras). Raised, a pose after such a pause is not blended; lowered below the
+/// frame interval, the blended output stands still.
 const LONGEST_STEP: Duration = Duration::from_millis(500);
 
-/// What is farther away than this is no place, metres. A round figure: with any unit of a receiver it stays within 32-bit floats.
+/// Maximum coordinate of a plausible pose, metres. A round figure: it fits 32-bit floats in any
+/// receiver's unit.
 const FARTHEST_M: f64 = 1e9;
 
 /// The limits of one body.
@@ -38,7 +42,7 @@ pub(super) struct Limiter {
     limits: SafetySettings,
     sent: Option<(Timestamp, Pose<Stage, Body>)>,
     has_gap: bool,
-    /// On its way back to the tracker's pose.
+    /// Whether it is on its way back to the tracker's pose.
     is_blending: bool,
 }
 
@@ -52,12 +56,12 @@ impl Limiter {
         Self { limits, sent: None, has_gap: false, is_blending: false }
     }
 
-    /// No pose was known: what comes next comes after a gap.
+    /// Records that no pose was known: the next one comes after a gap.
     pub fn gap(&mut self) {
         self.has_gap = true;
     }
 
-    /// Judges the pose of an instant (rising).
+    /// Judges the pose of an instant; instants must increase.
     pub fn judge(&mut self, at: Timestamp, pose: &Pose<Stage, Body>) -> Verdict {
         let verdict = self.verdict(at, pose);
         match verdict {
@@ -81,8 +85,8 @@ impl Limiter {
         let elapsed_s = at.seconds_since(then).max(0.0);
         if let Some(rates) = self.limits.blend {
             let is_long = elapsed_s > LONGEST_STEP.as_secs_f64();
-            // The first pose after a gap is where the output stood. A short gap on the way back does not begin anew: with a pose in
-            // every other frame the output would never move.
+            // The first pose after a gap is the last one sent. A short gap during the return does
+            // not restart it: with a pose only in every other frame the output would never move.
             if is_long || self.has_gap && !self.is_blending {
                 self.is_blending = true;
                 return self.blended(&sent, pose, 0.0, rates);
@@ -110,7 +114,8 @@ impl Limiter {
         self.limits.max_turn_rad_s.is_some_and(|limit| turn > limit * elapsed_s + 1e-9).then_some(Withheld::TurnsTooFast)
     }
 
-    /// From `from` towards `to` for `elapsed_s` at the blend rates; arrives where both fit.
+    /// Moves from `from` towards `to` for `elapsed_s` at the blend rates; arrives once distance and
+    /// angle are both within reach.
     fn blended(&mut self, from: &Pose<Stage, Body>, to: &Pose<Stage, Body>, elapsed_s: f64, rates: BlendRates) -> Verdict {
         let (way, turn) = (to.translation - from.translation, to.rotation * from.rotation.inverse());
         let (distance, angle) = (way.norm(), turn.angle());

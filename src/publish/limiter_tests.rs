@@ -44,15 +44,15 @@ fn the_box_and_the_speeds_withhold() {
     assert!(matches!(limiter.judge(frame(2), &at(1.99, 0.0)), Verdict::Pass(_)));
     assert_eq!(limiter.judge(frame(3), &at(1.0, 0.0)), Verdict::Withhold(Withheld::TooFast));
     assert_eq!(limiter.judge(frame(4), &at(1.95, 0.5)), Verdict::Withhold(Withheld::TurnsTooFast));
-    // 0.99 m from the last one sent takes 0.33 s at 3 m/s.
+    // 0.99 m from the last pose sent takes 0.33 s at 3 m/s.
     assert_eq!(limiter.judge(frame(11), &at(1.0, 0.0)), Verdict::Withhold(Withheld::TooFast));
     assert!(matches!(limiter.judge(frame(12), &at(1.0, 0.0)), Verdict::Pass(_)));
 }
 
 #[test]
 fn by_default_a_whip_pan_passes_and_a_jump_to_a_copy_does_not() {
-    // 690 degrees and 12 m a second, as fast as two frames may confirm each other; a spun prop and
-    // a camera at 240 frames a second with 5 mm of noise.
+    // 690 degrees and 12 m per second, the fastest that two frames may confirm each other; a spun
+    // prop; and a camera at 240 frames per second with 5 mm of noise.
     for (dt_ns, way, turn) in [(FRAME_NS, 12.0 / 30.0, 12.0 / 30.0), (16_666_667, 0.0, 0.28), (4_166_667, 0.005, 0.0)] {
         let mut limiter = Limiter::new(SafetySettings::usual());
         for k in 0..20 {
@@ -89,19 +89,19 @@ fn a_pose_in_every_other_frame_brings_the_output_back_all_the_same() {
         limiter.gap();
         limiter.judge(frame(2 * k), &at(0.5, 0.1)) == Verdict::Pass(at(0.5, 0.1))
     });
-    // Half a metre at 0.5 m/s takes 15 times two frames, after the first that stands still.
+    // Half a metre at 0.5 m/s takes 15 times two frames, after the first, which stands still.
     assert!(arrived.is_some_and(|k| (15..=17).contains(&k)), "{arrived:?}");
 }
 
-/// Frames: is the pose known, where is it, how is it turned, how many frames later?
+/// Frames: whether the pose is known, its position, its rotation, and the step in frames.
 fn steps() -> impl Strategy<Value = Vec<(bool, f64, f64, u32)>> {
-    // Now and then a number that is none.
+    // Sometimes a non-finite or absurd number.
     let x = prop_oneof![20 => -3.0..3.0, 1 => Just(f64::NAN), 1 => Just(f64::INFINITY), 1 => Just(1e12)];
     prop::collection::vec((any::<bool>(), x, -3.0..3.0, 1_u32..8), 1..80)
 }
 
 proptest! {
-    /// Whatever comes, however fast an output may return: no step that is sent is faster than the limits.
+    /// Whatever the input and the blend rates, no step that is sent is faster than the limits.
     #[test]
     fn nothing_ever_jumps(steps in steps(), speed_m_s in 0.1..20.0, turn_rad_s in 0.1..20.0) {
         let blend = Some(BlendRates { speed_m_s, turn_rad_s });

@@ -1,9 +1,11 @@
-//! Publishing: the pose goes out to whoever moves, draws or lights by it.
+//! Publishing: sends the pose to everything that moves, draws or lights by it.
 //!
-//! A [`Publisher`] runs one thread an output. Each has a bounded queue that drops its oldest sample when the output is late, so that
-//! no receiver can slow the tracker down. On the way to its protocol a pose passes the output's rate (every n-th sample, or ticks of
-//! its own), the safety limits, and the receiver's own origin, axes and units; then an encoder (one file a protocol) makes packets of
-//! it. What happens where no pose is known is the output's `on_loss`. docs/protocols.md has every field.
+//! A [`Publisher`] runs one thread per output. Each output has a bounded queue that drops its
+//! oldest sample when the output is late, so that no receiver can slow the tracker down. On the way
+//! to its protocol a pose passes the output's rate (every n-th sample, or ticks of its own), the
+//! safety limits, and the receiver's own origin, axes and units. Then an encoder (one file per
+//! protocol) makes packets of it. If no pose is known, the output's `on_loss` applies.
+//! docs/protocols.md lists every field.
 
 mod channel;
 mod clocks;

@@ -1,8 +1,9 @@
-//! The filming camera: what is bolted to the tracking camera, or to a tracked object, and moves with it.
+//! The filming camera: a camera bolted to the tracking camera or to a tracked object.
 //!
-//! The tracker tells where its own camera is, a renderer wants the one whose picture it draws on. Where the two sit on one rig, the
-//! filming camera's pose is the carrier's times a fixed one, and its covariance the carrier's at the end of that arm: a degree that the
-//! carrier is off swings a camera half a metre away by 9 mm.
+//! The tracker reports its own camera's pose, but a renderer needs the pose of the camera whose
+//! picture it draws on. If both are on one rig, the filming camera's pose is the carrier's times a
+//! fixed one. Its covariance is the carrier's, propagated over that lever arm: an error of one
+//! degree in the carrier moves a camera half a metre away by 9 mm.
 
 use std::time::Duration;
 
@@ -12,37 +13,39 @@ use super::report::BodyChoice;
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Pose, Stage, skew};
 
-/// `[mount]`
+/// Settings of `[mount]`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MountSettings {
-    /// The name by which outputs speak of it.
+    /// The name by which outputs refer to it.
     pub name: String,
-    /// Where it sits.
+    /// Its pose on the carrier.
     pub mount: Mount,
-    /// Its lens, where a calibration tells it.
+    /// Its lens, if calibrated.
     pub camera: Option<CameraModel>,
-    /// Outputs that speak of it tell the poses of this long ago.
+    /// Delay of the outputs that include it: they send the poses of this long ago.
     pub delay: Duration,
 }
 
-/// Where the filming camera sits on its carrier.
+/// The filming camera's pose on its carrier.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mount {
     /// The tracking camera, or an object.
     pub carrier: BodyChoice,
     /// `T_carrier_filming`, both as bodies: x right, y forward, z up.
     pub pose: Pose<Body, Body>,
-    /// How well that is known: covariance of [δp, δθ] in the carrier's axes, as the record has it; zero where nobody says.
+    /// Covariance of that pose: of [δp, δθ] in the carrier's axes, as in the record; zero if not
+    /// stated.
     pub covariance: Matrix6<f64>,
 }
 
 impl Mount {
-    /// `T_stage_filming`, from the carrier's.
+    /// Returns `T_stage_filming`, given the carrier's pose.
     pub fn carried(&self, carrier: &Pose<Stage, Body>) -> Pose<Stage, Body> {
         *carrier * self.pose
     }
 
-    /// The covariance of the filming camera's pose, from the carrier's; both of [δp, δθ] in stage axes.
+    /// Returns the covariance of the filming camera's pose, given the carrier's; both of [δp, δθ]
+    /// in stage axes.
     ///
     /// With p = p_c + R_c o and R = R_c R_m: δp = δp_c + δθ_c x R_c o + R_c δo, δθ = δθ_c + R_c δφ.
     pub fn carried_covariance(&self, carrier: &Pose<Stage, Body>, covariance: &Matrix6<f64>) -> Matrix6<f64> {
@@ -51,12 +54,12 @@ impl Mount {
         by_carrier.fixed_view_mut::<3, 3>(0, 3).copy_from(&-skew(&(turn * self.pose.translation)));
         let by_mount = twice(&turn);
         let sum = by_carrier * covariance * by_carrier.transpose() + by_mount * self.covariance * by_mount.transpose();
-        // Rounding must not leave a matrix that is not its own transpose.
+        // Keep it exactly symmetric despite rounding.
         (sum + sum.transpose()) * 0.5
     }
 }
 
-/// The same turn of shift and rotation.
+/// Returns the block-diagonal matrix that rotates both shift and rotation.
 fn twice(turn: &Matrix3<f64>) -> Matrix6<f64> {
     let mut both = Matrix6::zeros();
     both.fixed_view_mut::<3, 3>(0, 0).copy_from(turn);
@@ -99,7 +102,7 @@ mod tests {
 
     #[test]
     fn a_camera_above_and_ahead_is_above_and_ahead() {
-        // The rig pans to the left by a quarter: ahead is then towards -x.
+        // The rig pans a quarter turn to the left: forward is then -x.
         let carrier = Pose::<Stage, Body>::new(UnitQuaternion::from_euler_angles(0.0, 0.0, std::f64::consts::FRAC_PI_2), Vector3::zeros());
         let pose = Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, 0.2, 0.1));
         let mount = Mount { carrier: BodyChoice::Camera, pose, covariance: Matrix6::zeros() };

@@ -1,4 +1,4 @@
-//! The network of this machine that multicasts leave by: an address of it for IPv4, its name for IPv6.
+//! The network interface for multicasts: an address of this machine for IPv4, a name for IPv6.
 
 use std::ffi::CString;
 use std::io;
@@ -6,7 +6,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 
 use nix::libc;
 
-/// A network of this machine, as a config or an argument names it.
+/// A network interface, as named in the config or an argument.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Interface {
     /// This machine's address on it; for IPv4.
@@ -16,7 +16,7 @@ pub enum Interface {
 }
 
 impl Interface {
-    /// An IPv4 address, else a name as Linux allows it.
+    /// Parses an IPv4 address, or an interface name as allowed by Linux.
     pub fn parse(text: &str) -> Option<Self> {
         if let Ok(address) = text.parse() {
             return Some(Self::Address(address));
@@ -28,14 +28,15 @@ impl Interface {
         is_name.then(|| Self::Name(text.to_owned()))
     }
 
-    /// The number that the kernel gives it, which IPv6 asks for; 0, the kernel's own choice, where it is an IPv4 address.
+    /// Returns the kernel's index of the interface, which IPv6 needs; 0 (the kernel's choice) for
+    /// an IPv4 address.
     ///
     /// # Errors
-    /// Where there is no network of this name.
+    /// When there is no interface of this name.
     pub fn index(&self) -> io::Result<u32> {
         let Self::Name(name) = self else { return Ok(0) };
         let index = CString::new(name.as_str()).map_or(0, |name| {
-            // SAFETY: it reads a string that ends in a zero byte and lives on.
+            // SAFETY: it only reads a zero-terminated string, which outlives the call.
             unsafe { libc::if_nametoindex(name.as_ptr()) }
         });
         let missing = || io::Error::new(io::ErrorKind::NotFound, format!("this machine has no network {name}"));
@@ -43,7 +44,7 @@ impl Interface {
     }
 }
 
-/// Whether an address must name the network that it is reached by.
+/// Whether an address is only reachable if the interface is stated.
 pub fn needs_interface(to: &SocketAddr) -> bool {
     match to {
         SocketAddr::V4(to) => to.ip().is_multicast(),

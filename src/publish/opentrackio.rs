@@ -1,4 +1,5 @@
-//! An OpenTrackIO output: one sample a body and report, its static part every two seconds.
+//! An OpenTrackIO output: one sample per report of its body, with the static part every two
+//! seconds.
 
 use std::time::{Duration, Instant};
 
@@ -18,20 +19,20 @@ use crate::protocols::opentrackio::{Encoding, ONE_FRAME, datagram};
 use crate::protocols::opentrackio_lens::{PrincipalPoint, lens, sensor};
 use crate::record::State;
 
-/// How often the part of a sample that does not change is sent, for receivers that come later. Chosen, not tuned. Raised, they wait longer
-/// for it; lowered, packets are larger.
+/// Interval at which the static part of a sample is sent, for receivers that start later. Chosen,
+/// not tuned. Raised, they wait longer for it; lowered, packets are larger.
 const STATIC_EVERY: Duration = Duration::from_secs(2);
 
-/// How an output speaks OpenTrackIO.
+/// Settings of an OpenTrackIO output.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OpenTrackIoSettings {
     /// JSON or CBOR.
     pub encoding: Encoding,
     /// 1 to 200; also the last byte of the usual multicast group.
     pub source_number: u8,
-    /// Width of the sensor that lengths of the lens refer to, millimetres.
+    /// Width of the sensor to which the lens's lengths refer, millimetres.
     pub sensor_width_mm: f64,
-    /// Where the principal point goes.
+    /// Which field holds the principal point.
     pub principal_point: PrincipalPoint,
 }
 
@@ -40,7 +41,7 @@ pub(super) struct OpenTrackIoEncoder {
     encoding: Encoding,
     source_number: u8,
     source_id: String,
-    /// Of the camera that is spoken of, where its lens is known.
+    /// Of the reported camera, if its lens is known.
     lens: Option<Value>,
     sensor: Option<Value>,
     ids: Pcg64,
@@ -52,7 +53,8 @@ pub(super) struct OpenTrackIoEncoder {
 
 impl OpenTrackIoEncoder {
     pub fn new(settings: &OpenTrackIoSettings, camera: Option<&CameraModel>, output: &str) -> Self {
-        // The same machine and output have the same source id from start to start; sample ids never repeat.
+        // The source id is the same at every start, given the machine and output; sample ids never
+        // repeat.
         let machine = std::fs::read_to_string("/etc/machine-id").unwrap_or_default();
         let source = fnv_1a(machine.trim().bytes().chain(output.bytes()).chain([settings.source_number]));
         let started = SystemClocks.read().unix.ns() as u64;
@@ -63,7 +65,7 @@ impl OpenTrackIoEncoder {
             lens: camera.map(|camera| lens(camera, settings.sensor_width_mm, settings.principal_point)),
             sensor: camera.map(|camera| sensor(camera, settings.sensor_width_mm)),
             ids: Pcg64::seed_from_u64(source ^ started ^ u64::from(std::process::id()) << 32),
-            // Not 0: the reference receiver takes that for a repetition of what it had before the first one.
+            // Not 0: the reference receiver takes 0 for a repetition of its initial state.
             sequence: 1,
             static_sent: None,
             last_roll_deg: 0.0,
@@ -71,7 +73,7 @@ impl OpenTrackIoEncoder {
         }
     }
 
-    /// The sample as one map.
+    /// Returns the sample as one map.
     fn sample(&mut self, report: &Report, body: &BodyReport) -> Value {
         let mut sample = Map::new();
         let mut put = |key: &str, value: Value| sample.insert(key.to_owned(), value);
@@ -134,7 +136,7 @@ impl Encoder for OpenTrackIoEncoder {
     }
 }
 
-/// The status that renderers know, and what it is by this program's own words.
+/// Returns the status in renderers' terms, and in this program's own.
 fn tracker(report: &Report, body: &BodyReport) -> Value {
     let mut tracker = json!({"recording": false, "status": status(report, body)});
     let mut notes: Vec<&str> = Vec::new();
@@ -154,7 +156,7 @@ fn tracker(report: &Report, body: &BodyReport) -> Value {
     tracker
 }
 
-/// Mo-Sys' words, which renderers know.
+/// Returns Mo-Sys's status words, which renderers know.
 fn status(report: &Report, body: &BodyReport) -> &'static str {
     match body.state {
         _ if report.is_test => "Test Signal",
@@ -187,7 +189,7 @@ fn timestamp(at: Timestamp) -> Value {
     json!({"seconds": ns / 1_000_000_000, "nanoseconds": ns % 1_000_000_000})
 }
 
-/// Frames per second as a fraction, with television's own where they fit.
+/// Returns frames per second as a fraction, using the broadcast rates where they fit.
 fn fraction(hz: f64) -> Value {
     let (num, denom) = fraction_of(hz);
     json!({"num": num, "denom": denom})
@@ -201,10 +203,10 @@ fn fraction_of(hz: f64) -> (u32, u32) {
     found.unwrap_or(if in_thousandths.is_multiple_of(1000) { (in_thousandths / 1000, 1) } else { (in_thousandths, 1000) })
 }
 
-/// The time of day (UTC) as a timecode: Unreal shows no time at all without one.
+/// Returns the time of day (UTC) as a timecode: without one, Unreal shows no time at all.
 fn timecode(unix: Timestamp, rate_hz: f64) -> Value {
     let (num, mut denom) = fraction_of(rate_hz);
-    // A timecode counts at most 120 frames a second.
+    // A timecode counts at most 120 frames per second.
     while num > 120 * denom {
         denom *= 2;
     }

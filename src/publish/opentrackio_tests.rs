@@ -32,7 +32,7 @@ fn the_golden_pose_has_no_angles_in_either_encoding() {
         assert_eq!(transform["translation"], json!({"x": 0.0, "y": -4.0, "z": 0.0}));
         assert_eq!(sample["tracker"]["status"], "Optical Good");
         assert_eq!(sample["timing"]["sampleTimestamp"], json!({"seconds": 1_700_000_000, "nanoseconds": 40_000_000}));
-        // 22:13:20 UTC; 40 ms are one frame of 30.
+        // 22:13:20 UTC; 40 ms are one frame at 30 per second.
         let timecode = &sample["timing"]["timecode"];
         assert_eq!([&timecode["hours"], &timecode["minutes"], &timecode["seconds"], &timecode["frames"]], [22, 13, 20, 1]);
         assert_eq!(sample["static"]["camera"]["activeSensorResolution"], json!({"width": 640, "height": 480}));

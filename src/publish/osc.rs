@@ -1,8 +1,11 @@
-//! OSC: one bundle a frame with the capture instant as its time tag, for scenery controllers, show control and media servers.
+//! OSC: one bundle per frame with the capture instant as its time tag, for scenery controllers,
+//! show control and media servers.
 //!
-//! There is no standard address for a pose. Below `/<prefix>/<body>` this sends `/pose ,ffffff` (x y z in metres, pan tilt roll in
-//! degrees, signs as OpenTrackIO), `/quat ,ffff` (x y z w of the body) and `/status ,sfi` (state, confidence, frame number). Single values
-//! can be sent to addresses of the receiver's own, scaled and clamped. Only the types i, f and s are used: some receivers know no others.
+//! There is no standard address for a pose. Below `/<prefix>/<body>` this sends `/pose ,ffffff` (x
+//! y z in metres, pan tilt roll in degrees, signs as in OpenTrackIO), `/quat ,ffff` (x y z w of the
+//! body) and `/status ,sfi` (state, confidence, frame number). Single values can be sent to the
+//! receiver's own addresses, scaled and clamped. Only the types i, f and s are used, since some
+//! receivers know no others.
 
 use rosc::{OscBundle, OscMessage, OscPacket, OscTime, OscType, encoder};
 
@@ -12,18 +15,18 @@ use super::report::{BodyReport, Report};
 use crate::frame::Timestamp;
 use crate::protocols::PanTiltRoll;
 
-/// How an output speaks OSC.
+/// Settings of an OSC output.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OscSettings {
     /// First part of the addresses, such as "/stagepose".
     pub prefix: String,
-    /// Which of the messages of its own are sent.
+    /// Which of the standard messages are sent.
     pub messages: Vec<OscMessageKind>,
-    /// Single values to addresses of the receiver's.
+    /// Single values sent to the receiver's own addresses.
     pub values: Vec<OscValue>,
 }
 
-/// A message with an address of this program's.
+/// A message with one of this program's addresses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OscMessageKind {
     /// x y z pan tilt roll.
@@ -34,24 +37,24 @@ pub enum OscMessageKind {
     Status,
 }
 
-/// A single value for an address of the receiver's.
+/// A single value for one of the receiver's own addresses.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OscValue {
-    /// With `{body}` and `{output}` filled in.
+    /// Its address, with `{body}` and `{output}` filled in.
     pub address: AddressTemplate,
-    /// Which number.
+    /// Which value.
     pub quantity: Quantity,
-    /// Sent is scale * value + offset,
+    /// The value sent is scale * value + offset.
     pub scale: f64,
-    /// in the receiver's own unit,
+    /// In the receiver's unit.
     pub offset: f64,
-    /// kept between these,
+    /// Minimum and maximum of the value sent.
     pub clamp: Option<[f64; 2]>,
-    /// with every n-th report.
+    /// Sent with every n-th report.
     pub every: u32,
 }
 
-/// A number of a pose.
+/// One value of a pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
     /// Metres to the right.
@@ -69,31 +72,32 @@ pub enum Quantity {
 }
 
 impl Quantity {
-    /// The words for them in the config.
+    /// Their names in the config.
     pub const WORDS: [(&'static str, Quantity); 6] =
         [("x", Self::X), ("y", Self::Y), ("z", Self::Z), ("pan", Self::Pan), ("tilt", Self::Tilt), ("roll", Self::Roll)];
 }
 
-/// An OSC address with places to fill in.
+/// An OSC address with placeholders.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AddressTemplate(String);
 
-/// Why a text is no address template.
+/// Why a text is not an address template.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum TemplateError {
     /// Not an address.
     #[error("`{0}` is no OSC address; begin it with / and use neither spaces nor # * , ? [ ]")]
     Address(String),
-    /// A field that nobody fills in.
+    /// An unknown placeholder.
     #[error("the template's field {{{0}}} is unknown; use {{body}} or {{output}}")]
     Field(String),
 }
 
 impl AddressTemplate {
-    /// Checks a template.
+    /// Parses and checks a template.
     ///
     /// # Errors
-    /// What is no OSC address once its fields are filled in, and fields that are not known.
+    /// If it is not an OSC address once its placeholders are filled in, or has unknown
+    /// placeholders.
     pub fn parse(text: &str) -> Result<Self, TemplateError> {
         let address = || TemplateError::Address(text.to_owned());
         let mut rest = text;
@@ -109,18 +113,18 @@ impl AddressTemplate {
         if is_address { Ok(Self(text.to_owned())) } else { Err(address()) }
     }
 
-    /// The address for a body on an output; their names are made fit for an address.
+    /// Returns the address for a body on an output; invalid characters in their names are replaced.
     pub fn fill(&self, body: &str, output: &str) -> String {
         self.0.replace("{body}", &fit(body)).replace("{output}", &fit(output))
     }
 }
 
-/// Characters that an OSC address may have outside of patterns.
+/// Whether a text has only characters that an OSC address may have outside patterns.
 fn is_plain(text: &str) -> bool {
     text.chars().all(|c| c.is_ascii_graphic() && !"#*,?[]{}".contains(c))
 }
 
-/// A name as a part of an address.
+/// Makes a name valid as a part of an address.
 fn fit(name: &str) -> String {
     name.chars().map(|c| if is_plain(c.encode_utf8(&mut [0; 4])) && c != '/' { c } else { '_' }).collect()
 }
@@ -130,7 +134,7 @@ pub(super) struct OscEncoder {
     settings: OscSettings,
     output: String,
     reports: u64,
-    /// Of each body, in the order of the reports.
+    /// The last roll of each body, in the order of the reports.
     last_rolls_deg: Vec<f64>,
     trouble: Complaints,
 }
@@ -150,7 +154,7 @@ impl OscEncoder {
         let mut put = |addr: String, args: Vec<OscType>| content.push(OscPacket::Message(OscMessage { addr, args }));
         let at = |kind: &str| format!("{}/{}/{kind}", self.settings.prefix, fit(&body.name));
         if self.settings.messages.contains(&OscMessageKind::Status) {
-            // The frame number wraps where i32 ends.
+            // The frame number wraps to stay within i32.
             let frame = (report.sequence & 0x7FFF_FFFF) as i32;
             let state = body.word().to_owned();
             put(at("status"), vec![OscType::String(state), OscType::Float(body.confidence()), OscType::Int(frame)]);
@@ -173,26 +177,27 @@ impl OscEncoder {
 }
 
 fn floats(numbers: &[f64]) -> Vec<OscType> {
-    // What 32 bits cannot hold becomes their greatest, never infinite.
+    // Values beyond 32-bit floats become the largest finite one, never infinite.
     let (least, greatest) = (f64::from(f32::MIN), f64::from(f32::MAX));
     numbers.iter().map(|v| OscType::Float(v.clamp(least, greatest) as f32)).collect()
 }
 
 impl OscValue {
-    /// The number as the receiver wants it.
+    /// Returns the value in the receiver's scale.
     fn of(&self, numbers: &[f64; 6]) -> f64 {
         let value = self.scale * numbers[self.quantity as usize] + self.offset;
         self.clamp.map_or(value, |[least, greatest]| value.clamp(least, greatest))
     }
 }
 
-/// Seconds from NTP's epoch, which OSC's time tags count from, to that of Unix (RFC 868): 70 years with 17 leap days.
+/// Seconds from NTP's epoch, which OSC's time tags use, to Unix's (RFC 868): 70 years with 17 leap
+/// days.
 pub const FROM_1900_TO_1970_S: u32 = 2_208_988_800;
 
-/// Unix time as OSC has it: seconds since 1900, and a binary fraction.
+/// Converts Unix time to OSC's: seconds since 1900, and a binary fraction.
 fn time_tag(unix: Timestamp) -> OscTime {
     let (seconds, ns) = (unix.ns().div_euclid(1_000_000_000), unix.ns().rem_euclid(1_000_000_000));
-    // The era ends in 2036 and begins again at 0, as NTP has it.
+    // As in NTP, the era ends in 2036 and restarts at 0.
     let seconds = (seconds + i64::from(FROM_1900_TO_1970_S)) as u32;
     OscTime { seconds, fractional: (((ns as u64) << 32) / 1_000_000_000) as u32 }
 }

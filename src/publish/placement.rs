@@ -1,21 +1,24 @@
-//! The receiver's own origin, axes and units: what an output does to every pose before it is encoded.
+//! The receiver's own origin, axes and units, which an output applies to every pose before
+//! encoding.
 //!
-//! Receivers that take bare numbers (by OSC) count their axes in an order of their own: a renderer's y may be up, or its x forward. There
-//! [`Axes`] says which of the stage's axes is each of theirs. Protocols with axes of their own need none: the receiver's reader knows them.
+//! Receivers of bare numbers (over OSC) have their own axis order: a renderer's y may be up, or its
+//! x forward. [`Axes`] states which of the stage's axes each of theirs is. Protocols with defined
+//! axes need none, since the receiver's decoder knows them.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::geometry::{Body, Pose, Stage};
 use crate::protocols::PanTiltRoll;
 
-/// Rotation, offset and scale, then inversions: p' = scale (R p + offset), then signs; R' = R R_body, then signs of its angles.
+/// Rotation, offset and scale, then reordering and inversions: p' = scale (R p + offset),
+/// reordered, then with signs; R' = R R_body, then with signs on its angles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placement {
-    /// The stage's axes in the receiver's world.
+    /// The orientation of the stage in the receiver's world.
     pub rotation: UnitQuaternion<f64>,
     /// The stage's origin in the receiver's world, metres.
     pub offset_m: Vector3<f64>,
-    /// Receiver's units per metre of the protocol's own (1 = as the protocol has it).
+    /// Receiver's units per metre (1 = the protocol's own unit).
     pub scale: f64,
     /// Which of the stage's axes (0, 1, 2) becomes the receiver's first, second and third.
     pub order: [usize; 3],
@@ -38,7 +41,7 @@ impl Default for Placement {
     }
 }
 
-/// A receiver's axes and units, where it takes bare numbers.
+/// Axes and units of a receiver of bare numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Axes {
     /// Which of the stage's axes becomes the receiver's first, second and third.
@@ -52,23 +55,26 @@ pub struct Axes {
 }
 
 impl Axes {
-    /// As the stage has them, in metres: lighting desks.
+    /// The stage's own axes, in metres: lighting desks.
     pub const STAGE: Self = Self { order: [0, 1, 2], position_signs: [1.0; 3], angle_signs: [1.0; 3], scale: 1.0 };
-    /// Unreal: x forward, y right, z up, left-handed, centimetres; yaw to the right, pitch up, roll clockwise.
+    /// Unreal: x forward, y right, z up, left-handed, centimetres; yaw to the right, pitch up, roll
+    /// clockwise.
     pub const UNREAL: Self = Self { order: [1, 0, 2], position_signs: [1.0; 3], angle_signs: [-1.0, 1.0, 1.0], scale: 100.0 };
-    /// disguise: x right, y up, z away from the audience, left-handed, metres; a turn to the right, down, and anticlockwise is positive.
+    /// disguise: x right, y up, z away from the audience, left-handed, metres; rotation to the
+    /// right, down, and anticlockwise is positive.
     pub const DISGUISE: Self = Self { order: [0, 2, 1], position_signs: [1.0; 3], angle_signs: [-1.0; 3], scale: 1.0 };
-    /// TouchDesigner: x right, y up, z towards the audience, right-handed, metres; ry to the left, rx up, rz anticlockwise (order Rz Rx Ry).
+    /// TouchDesigner: x right, y up, z towards the audience, right-handed, metres; ry to the left,
+    /// rx up, rz anticlockwise (order Rz Rx Ry).
     pub const TOUCHDESIGNER: Self = Self { order: [0, 2, 1], position_signs: [1.0, 1.0, -1.0], angle_signs: [1.0, 1.0, -1.0], scale: 1.0 };
 }
 
 impl Placement {
-    /// Nothing is done.
+    /// Whether nothing changes.
     pub fn is_identity(&self) -> bool {
         *self == Self::default()
     }
 
-    /// The pose as the receiver wants it.
+    /// Converts a pose to the receiver's world.
     pub fn apply(&self, pose: &Pose<Stage, Body>) -> Pose<Stage, Body> {
         let position = (self.rotation * pose.translation + self.offset_m) * self.scale;
         let position = Vector3::from(self.order.map(|axis| position[axis])).component_mul(&Vector3::from(self.position_signs));
@@ -108,7 +114,8 @@ mod tests {
         assert!((placed.pan_deg + 100.0).abs() < 1e-9 && (placed.tilt_deg + 20.0).abs() < 1e-9 && (placed.roll_deg + 5.0).abs() < 1e-9);
     }
 
-    /// Two metres right of the middle, five upstage, one up, looking 30 degrees to the left and 10 down, rolled by 5 clockwise.
+    /// Two metres right of the centre, five upstage, one up, looking 30 degrees to the left and 10
+    /// down, rolled by 5 clockwise.
     fn placed_by(axes: Axes) -> ([f64; 3], [f64; 3]) {
         let pose = Pose::new(PanTiltRoll { pan_deg: 30.0, tilt_deg: -10.0, roll_deg: 5.0 }.rotation(), Vector3::new(2.0, 5.0, 1.0));
         let Axes { order, position_signs, angle_signs, scale } = axes;
@@ -125,7 +132,8 @@ mod tests {
         assert_eq!(placed_by(Axes::TOUCHDESIGNER), ([2.0, 1.0, -5.0], [30.0, -10.0, -5.0]));
     }
 
-    /// The angles of each receiver, put together in its own axes and order, look where the camera looks, its top where the camera's is.
+    /// Combined in the receiver's own axes and order, the angles point where the camera looks, with
+    /// its top where the camera's is.
     #[test]
     fn what_a_receiver_makes_of_the_angles_is_the_cameras_direction() {
         let about = |axis: Vector3<f64>, degrees: f64| {
@@ -135,7 +143,8 @@ mod tests {
         let truth = PanTiltRoll { pan_deg: 30.0, tilt_deg: -10.0, roll_deg: 5.0 }.rotation();
         let (ahead, top) = (truth * Vector3::y(), truth * Vector3::z());
         let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
-        // In left-handed axes a positive angle turns x to y, y to z and z to x as well: the numbers' matrix is the same.
+        // In left-handed axes, too, a positive angle turns x to y, y to z and z to x: the matrix
+        // has the same numbers.
         let (_, [pan, tilt, roll]) = placed_by(Axes::DISGUISE);
         let made = about(y, pan) * about(x, tilt) * about(z, roll);
         let stage_of = |v: Vector3<f64>| Vector3::new(v.x, v.z, v.y);

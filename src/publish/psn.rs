@@ -1,4 +1,5 @@
-//! A PosiStageNet output: all bodies in every frame, their names once a second, both split over packets that cross an Ethernet in one piece.
+//! A PosiStageNet output: all bodies in every frame, their names once a second, both split into
+//! packets that cross an Ethernet in one piece.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,15 +9,17 @@ use super::report::{BodyReport, Report};
 use crate::frame::Timestamp;
 use crate::protocols::psn::{LONGEST_PACKET, PsnHeader, PsnPacket, PsnTracker, to_psn};
 
-/// Bytes of trackers in one data packet, 60 counted for each, which take 52 at most: with the header it stays below [`LONGEST_PACKET`].
-/// Raised beyond that, packets are fragmented.
+/// Maximum bytes of trackers in one data packet, counting 60 for each, which takes at most 56; with
+/// the headers it stays below [`LONGEST_PACKET`]. Raised beyond that, packets are fragmented.
 const MOST_TRACKER_BYTES: usize = 1400;
-/// Longer names are cut, bytes: a desk shows fewer letters, and a packet must have room for one.
+/// Maximum length of a name, bytes: a desk shows fewer letters, and a packet must have room for
+/// one.
 const LONGEST_NAME: usize = 255;
-/// How often names are sent: chosen, far slower than poses. Raised, a desk shows names later.
+/// Interval between info packets with names (chosen: far slower than poses). Raised, a desk shows
+/// names later.
 const INFO_EVERY: Duration = Duration::from_secs(1);
 
-/// How an output speaks PSN.
+/// Settings of a PSN output.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PsnSettings {
     /// The system's name in info packets.
@@ -25,17 +28,18 @@ pub struct PsnSettings {
     pub first_tracker: u16,
 }
 
-/// A name as long as it may be, of whole letters.
+/// Cuts a name to the maximum length, at a character boundary.
 fn cut(name: &str) -> &str {
     let end = (0..=LONGEST_NAME.min(name.len())).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
     &name[..end]
 }
 
-/// Names in their order, as many at a time as fit into a number of bytes; at least one group, which may be empty.
+/// Splits names, in order, into groups that fit into `most` bytes; returns at least one group,
+/// which may be empty.
 fn groups(names: &[(u16, String)], most: usize) -> Vec<&[(u16, String)]> {
     let (mut groups, mut begun, mut filled) = (Vec::new(), 0, 0);
     for (index, (_, name)) in names.iter().enumerate() {
-        // The tracker's chunk and its name's.
+        // The tracker's chunk header and its name's.
         let length = 4 + 4 + name.len();
         if filled + length > most && index > begun {
             groups.push(&names[begun..index]);
@@ -57,11 +61,12 @@ pub(super) struct PsnEncoder {
 }
 
 impl PsnEncoder {
-    /// `begun` is now, on the monotonic clock: times in packets count from there.
+    /// Creates an encoder. `begun` is the current monotonic time, from which times in packets
+    /// count.
     pub fn new(settings: &PsnSettings, names: &[Arc<str>], begun: Timestamp) -> Self {
         let names = names.iter().zip(settings.first_tracker..).map(|(name, id)| (id, cut(name).to_owned())).collect();
         let settings = PsnSettings { system: cut(&settings.system).to_owned(), ..settings.clone() };
-        // A decoder that is in use takes frame 0 for one without a number, and passes it over.
+        // Not 0: a widely used decoder takes frame 0 for an unnumbered frame and ignores it.
         Self { settings, names, begun, frame_id: 1, info_due: Timestamp::MIN }
     }
 
@@ -76,7 +81,7 @@ impl PsnEncoder {
             position_m: pose.map(|(p, _)| p),
             orientation_rad: pose.map(|(_, w)| w),
             validity: Some(body.confidence()),
-            // When the body was there: a pose that is held keeps its time.
+            // The time of the pose: a held pose keeps its time.
             timestamp_us: Some(self.since_start_us(report.monotonic.before(body.held.unwrap_or_default()))),
             ..PsnTracker::default()
         }
@@ -85,13 +90,14 @@ impl PsnEncoder {
 
 impl Encoder for PsnEncoder {
     fn encode(&mut self, report: &Report, send: &mut dyn FnMut(&[u8])) {
-        // Bodies without a pose are in the packet too, with validity 0: a report without any pose is only made to say so.
+        // Bodies without a pose are included with validity 0: a report without any pose is only
+        // made to announce that.
         let trackers: Vec<PsnTracker> =
             report.bodies.iter().zip(self.settings.first_tracker..).map(|(body, id)| self.tracker(report, body, id)).collect();
-        // 4 bytes of chunk header, and 48 or fewer of fields.
+        // A tracker takes 4 bytes of chunk header and at most 52 of fields.
         let groups: Vec<&[PsnTracker]> = trackers.chunks(MOST_TRACKER_BYTES / 60).collect();
         let timestamp_us = self.since_start_us(report.sent_monotonic);
-        // A frame is at most a handful of packets: a config names few objects.
+        // A frame has only a few packets, since a config names few objects.
         let header = PsnHeader { timestamp_us, frame_id: self.frame_id, packets: groups.len().min(255) as u8 };
         self.frame_id = self.frame_id.wrapping_add(1);
         for group in groups {
@@ -104,7 +110,8 @@ impl Encoder for PsnEncoder {
             return;
         }
         self.info_due = now.after(INFO_EVERY);
-        // 4 bytes each: the packet's, the header's, the system's and the list's chunk; the header has 12 more.
+        // Chunk headers of 4 bytes each: the packet, the header, the system and the list; the
+        // header has 12 bytes of content.
         let groups = groups(&self.names, LONGEST_PACKET - 4 - 4 - 12 - 4 - self.settings.system.len() - 4);
         let packets = groups.len().min(255) as u8;
         let header = PsnHeader { timestamp_us: self.since_start_us(now), frame_id: self.frame_id, packets };

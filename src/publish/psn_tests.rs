@@ -60,7 +60,7 @@ fn names_come_once_a_second() {
 
 #[test]
 fn many_and_long_names_are_split_over_packets_of_one_frame() {
-    // Two bytes a letter: a name may only be cut between letters.
+    // Two bytes per letter: a name may only be cut between letters.
     let names: Vec<String> = (0..40).map(|k| format!("{k} {}", "ä".repeat(10 * k))).collect();
     let names: Vec<Arc<str>> = names.iter().map(|n| Arc::from(n.as_str())).collect();
     let settings = PsnSettings { system: "s".repeat(3000), first_tracker: 7 };

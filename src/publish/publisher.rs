@@ -1,4 +1,4 @@
-//! All outputs together: a sample goes in once and is handed to every output's thread without waiting.
+//! All outputs together: passes each sample to every output's thread without waiting.
 
 use std::net::SocketAddr;
 use std::sync::atomic::Ordering;
@@ -33,74 +33,74 @@ use crate::record::{PoseSample, State};
 /// What all outputs share.
 #[derive(Debug, Clone)]
 pub struct Context {
-    /// The camera at the size of its pictures: its lens goes into the packets.
+    /// The camera at the size of its pictures; its lens goes into the packets.
     pub camera: CameraModel,
     /// The objects' names, in the order of the samples.
     pub objects: Vec<String>,
-    /// `[mount]`
+    /// Settings of `[mount]`.
     pub mount: Option<MountSettings>,
-    /// `[safety]`
+    /// Settings of `[safety]`.
     pub safety: SafetySettings,
     /// Where the samples' stamps come from.
     pub stamps: Stamps,
-    /// Frames per second where they are known; else they are taken from the stamps.
+    /// Frames per second if known; otherwise derived from the stamps.
     pub frame_rate: Option<f64>,
-    /// The poses are invented, and marked as such where the format can.
+    /// Whether the poses are invented; they are marked as such if the format can.
     pub is_test: bool,
 }
 
 /// Why outputs cannot be started.
 #[derive(Debug, Error)]
 pub enum PublishError {
-    /// One cannot be opened.
+    /// An output cannot be opened.
     #[error("output {output}: {source}")]
     Open {
-        /// Its name.
+        /// The output's name.
         output: String,
-        /// Why.
+        /// The reason.
         source: TransportError,
     },
-    /// The system gave no thread.
+    /// A thread cannot be started.
     #[error("output {output}: cannot start its thread ({source}); close other programs or raise the limit of processes")]
     Thread {
-        /// Its name.
+        /// The output's name.
         output: String,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
 }
 
-/// What an output has done so far.
+/// Statistics of an output so far.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct OutputStatistics {
-    /// Its name.
+    /// The output's name.
     pub name: String,
-    /// The protocol's word in the config.
+    /// The protocol's name in the config.
     pub protocol: &'static str,
-    /// Packets that a place took.
+    /// Packets that a destination accepted.
     pub sent: u64,
-    /// Packets that a place did not take.
+    /// Packets that a destination did not accept.
     pub failed: u64,
-    /// Poses that the safety limits held back.
+    /// Poses withheld by the safety limits.
     pub withheld: u64,
     /// Samples dropped because the output was late.
     pub dropped: u64,
-    /// From the sample's arrival to its last packet, microseconds: the last one,
+    /// From the sample's arrival to its last packet, microseconds: the latest value.
     pub latency_us: u64,
-    /// and the longest.
+    /// The maximum of `latency_us`.
     pub greatest_latency_us: u64,
-    /// The last packet that was handed to its places; empty before the first.
+    /// The last packet passed to the destinations; empty before the first.
     pub last_packet: Vec<u8>,
 }
 
-/// Samples that may wait for one output before the oldest is dropped: a second at 30 a second. Chosen, not tuned. Raised, an output that
-/// was held up sends older poses.
+/// Maximum number of samples queued for one output before the oldest is dropped: about a second at
+/// 30 per second. Chosen, not tuned. Raised, a delayed output sends older poses.
 const QUEUE: usize = 32;
-/// Safety events that may wait to be asked for. Chosen: far more than come between two looks. Raised, only memory; lowered, events may be
-/// lost.
+/// Maximum number of queued safety events (chosen: far more than come between two polls). Raised,
+/// it only takes memory; lowered, events may be lost.
 const EVENTS: usize = 64;
-/// Outputs that do not end within this time are left behind. Chosen, not tuned. Raised, a hung output delays the daemon's end; lowered, the
-/// last packets may not go out.
+/// How long to wait for outputs to end before abandoning them. Chosen, not tuned. Raised, a hung
+/// output delays the daemon's exit; lowered, the last packets may not be sent.
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// The running outputs.
@@ -113,7 +113,7 @@ pub struct Publisher {
     events: Receiver<PoseWithheld>,
 }
 
-/// The samples in their order.
+/// State for processing samples in order.
 #[derive(Debug)]
 struct Order {
     pace: Pace,
@@ -139,7 +139,7 @@ impl Publisher {
         Self::start_with_clocks(outputs, context, Arc::new(SystemClocks))
     }
 
-    /// The same by other clocks than this machine's.
+    /// Does the same with other clocks than this machine's.
     ///
     /// # Errors
     /// The first output that cannot be opened.
@@ -152,16 +152,18 @@ impl Publisher {
         Ok(Self { outputs, frame_rate: context.frame_rate, clock, order, events })
     }
 
-    /// Opens every enabled output and closes it again: whether the addresses, ports and files can be used. Addresses that `is_held` names are
-    /// held by this process and will be free. Gives the number of the output that cannot be opened, with the reason.
+    /// Opens every enabled output and closes it again, to check whether the addresses, ports and
+    /// files can be used. Addresses for which `is_held` is true are held by this process and will
+    /// be free. Returns the index of the output that cannot be opened, with the reason.
     pub fn rehearse(outputs: &[OutputSettings], is_held: &dyn Fn(SocketAddr) -> bool) -> Result<(), (usize, TransportError)> {
         let rehearse = |output: &OutputSettings| Transport::rehearse(&output.name, &output.udp, output.stream(), is_held);
         let mut enabled = outputs.iter().enumerate().filter(|(_, o)| o.enabled);
         enabled.try_for_each(|(index, output)| rehearse(output).map_err(|e| (index, e)))
     }
 
-    /// Hands a sample to every output; never waits. A sample whose stamp does not follow the last one (a row that was skipped) says
-    /// nothing of the bodies and is not sent; neither is a message that is no frame's.
+    /// Passes a sample to every output; never waits. A sample whose stamp does not follow the last
+    /// one (a skipped row) tells nothing about the bodies and is not sent. Neither is a message
+    /// that belongs to no frame.
     pub fn send(&self, sample: &PoseSample) {
         let arrived = Instant::now();
         let t = &sample.times;
@@ -190,18 +192,19 @@ impl Publisher {
         }
     }
 
-    /// What tells other threads what the outputs have done so far.
+    /// Returns a function with which other threads can read the outputs' statistics.
     pub fn watch(&self) -> impl Fn() -> Vec<OutputStatistics> + Send + Sync + 'static {
         let outputs: Vec<_> = self.outputs.iter().map(|o| (o.name.clone(), o.protocol, o.counters.clone())).collect();
         move || outputs.iter().map(|(name, protocol, counters)| statistics_of(name.clone(), protocol, counters)).collect()
     }
 
-    /// Where the outputs tell that their safety limits began to hold a pose back; the latest are lost where nobody asks.
+    /// Returns the channel of safety events; if nobody reads it, the newest events are lost.
     pub fn events(&self) -> &Receiver<PoseWithheld> {
         &self.events
     }
 
-    /// Sends what is queued and ends the threads; one that hangs (a pipe that nobody reads) is left behind after two seconds.
+    /// Sends what is queued and ends the threads; one that hangs (a pipe that nobody reads) is
+    /// abandoned after two seconds.
     pub fn close(self) -> Vec<OutputStatistics> {
         let begun = Instant::now();
         let mut statistics = Vec::new();
@@ -252,7 +255,7 @@ impl RunningOutput {
         Ok(Self { name, protocol, queue, counters, thread })
     }
 
-    /// Closes the queue; the thread ends when it is empty.
+    /// Closes the queue; the thread ends once it is empty.
     fn into_thread(self) -> JoinHandle<()> {
         self.thread
     }
@@ -289,7 +292,7 @@ fn channel(choice: BodyChoice, settings: &OutputSettings, context: &Context, eve
 }
 
 fn encoder(settings: &OutputSettings, context: &Context, clock: &FrameClock) -> Box<dyn Encoder> {
-    // The lens is that of the camera which is spoken of.
+    // The lens is that of the reported camera.
     let camera = match (settings.bodies.first(), &context.mount) {
         (Some(BodyChoice::Mount), Some(mount)) => mount.camera.as_ref(),
         _ => Some(&context.camera),

@@ -1,4 +1,4 @@
-//! The filming camera through the outputs: its place, its lens, its delay, and its covariance.
+//! The filming camera through the outputs: its pose, lens, delay, and covariance.
 
 use nalgebra::Matrix6;
 
@@ -6,7 +6,7 @@ use super::super::super::mounted::{Mount, MountSettings};
 use super::*;
 use crate::record::{Measurement, TwoViewModel};
 
-/// Half a metre to the right of its carrier, 0.1 m above it, and turned to the left by 90 degrees.
+/// Half a metre to the right of its carrier, 0.1 m above it, and rotated to the left by 90 degrees.
 fn mount(carrier: BodyChoice, camera: Option<CameraModel>, delay: Duration) -> MountSettings {
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
     let mount = Mount { carrier, pose: Pose::new(turn, Vector3::new(0.5, 0.0, 0.1)), covariance: Matrix6::zeros() };
@@ -32,7 +32,7 @@ fn the_filming_camera_is_told_with_its_own_lens() {
         publisher.close();
         let told = film.freed();
         assert_eq!((told.position_mm, told.zoom, told.spare), ([1500.0, -4000.0, 100.0], zoom, 1));
-        // FreeD counts pan to the right.
+        // FreeD's pan is positive to the right.
         assert!((told.pan_deg + 90.0).abs() < 1e-4 && told.tilt_deg.abs() < 1e-4, "{told:?}");
         assert_eq!(own.freed().position_mm, [1000.0, -4000.0, 0.0]);
     }
@@ -93,11 +93,12 @@ fn json_has_its_optical_frame_and_the_covariance_at_the_end_of_the_arm() {
     let line = ear.json();
     let film = &line["mount"];
     assert_eq!((&film["name"], &film["state"]), (&"film".into(), &"tracking".into()));
-    // Looking to the left, level: its optical z is -x of the stage, its optical y is down.
+    // Looking left, level: its optical z is -x of the stage, its optical y is down.
     let q: Vec<f64> = film["pose"]["orientation_xyzw"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
     let turn = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(q[3], q[0], q[1], q[2]));
     assert!((turn * Vector3::z() + Vector3::x()).norm() < 1e-9 && (turn * Vector3::y() + Vector3::z()).norm() < 1e-9, "{turn}");
-    // A hundredth of a radian about the vertical swings half a metre to the right by 5 mm forward.
+    // A hundredth of a radian about the vertical moves a point half a metre to the right by 5 mm
+    // forward.
     let told: Vec<f64> = film["covariance"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
     assert!((told[7].sqrt() - 0.005).abs() < 1e-9 && told[0].abs() < 1e-15 && (told[35].sqrt() - 0.01).abs() < 1e-9, "{told:?}");
     assert_eq!(line["objects"], serde_json::json!([]));

@@ -48,7 +48,7 @@ impl Ear {
         serde_json::from_slice(&self.next()).unwrap()
     }
 
-    /// What is there already.
+    /// Receives what has already arrived.
     fn rest(&self) -> usize {
         self.0.set_nonblocking(true).unwrap();
         let mut buffer = [0; 4096];
@@ -125,7 +125,7 @@ fn story() -> Vec<PoseSample> {
     (0..5).zip(states).map(|(k, state)| sample(k, state, k as f64)).collect()
 }
 
-/// (x in millimetres, spare) of every packet that the story makes.
+/// Returns (x in millimetres, spare) of every packet that the story produces.
 fn told(spare: Spare, on_loss: OnLoss) -> Vec<(f64, u16)> {
     let ear = Ear::new();
     let publisher = start(&[OutputSettings { on_loss, ..output(freed(spare), &ear) }]);
@@ -190,7 +190,7 @@ fn a_loss_does_not_wait_for_its_turn() {
     assert_eq!(lines.each_ref().map(|l| (l["sequence"].clone(), l["pose"].is_null())), [(0.into(), false), (3.into(), true)]);
 }
 
-/// A live camera by clocks that a test steps, with what its outputs say.
+/// A live camera on clocks that a test steps, with its outputs.
 struct Stepped {
     clocks: SteppedClocks,
     publisher: Publisher,
@@ -205,7 +205,7 @@ impl Stepped {
         Self { clocks, publisher, sequence: 0 }
     }
 
-    /// A frame taken this many milliseconds ago is handed over.
+    /// Delivers a frame taken this many milliseconds ago.
     fn frame(&mut self, age_ms: i64, state: State, x: f64) {
         let timestamp = self.clocks.read().monotonic.after_ns(-age_ms * 1_000_000);
         self.publisher.send(&PoseSample { timestamp, ..sample(self.sequence, state, x) });
@@ -241,14 +241,14 @@ fn no_frame_for_too_long_is_told() {
     assert_eq!((&stale["event"], &stale["age_ms"]), (&"stale".into(), &2520.0.into()));
     assert!(until(&|| word.next().windows(5).any(|w| w == b"stale")));
     assert_eq!(held.freed().spare, 3);
-    // It comes back when frames do.
+    // It recovers when frames come again.
     camera.frame(20, State::Tracking, 0.5);
     assert!(until(&|| line.json()["state"] == "tracking"));
     assert!(until(&|| held.freed().spare == 1));
     camera.publisher.close();
 }
 
-/// Everything that arrives at an ear until the outputs are closed, as (x in millimetres, spare).
+/// Returns everything received until the outputs are closed, as (x in millimetres, spare).
 fn all_freed(ear: &Ear) -> Vec<(f64, u16)> {
     ear.0.set_nonblocking(true).unwrap();
     let mut buffer = [0; 64];
@@ -265,7 +265,8 @@ fn an_old_frame_is_never_sent_as_good() {
             let mut camera = Stepped::start(&[OutputSettings { rate, ..output(freed(Spare::Quality), &ear) }], stale_after(500));
             camera.frame(20, State::Tracking, 0.001);
             assert_eq!(ear.freed().spare, 1);
-            // The program is stopped, or the machine asleep, with a frame under way: what was taken before comes out after.
+            // The process is stopped, or the machine suspended, with a frame in progress: what was
+            // taken before comes out after.
             let timestamp = camera.clocks.read().monotonic;
             if suspends {
                 camera.clocks.suspend_ms(2500)
@@ -273,7 +274,7 @@ fn an_old_frame_is_never_sent_as_good() {
                 camera.clocks.advance_ms(2500)
             }
             camera.publisher.send(&PoseSample { timestamp, ..sample(7, State::Tracking, 0.002) });
-            // Time enough for both kinds of output to have looked at it.
+            // Time enough for both kinds of output to process it.
             std::thread::sleep(Duration::from_millis(150));
             let mut told = all_freed(&ear);
             assert!(told.iter().all(|(_, spare)| *spare != 1), "{rate:?} {suspends}: {told:?}");
@@ -320,7 +321,7 @@ fn a_stamp_that_repeats_or_is_of_another_clock_says_nothing() {
     let ear = Ear::new();
     let mut camera = Stepped::start(&[OutputSettings { on_loss: OnLoss::Flag, ..output(json(), &ear) }], patient());
     camera.frame(20, State::Tracking, 0.1);
-    // The record of a skipped row is `lost`: it says nothing of the camera.
+    // The record of a skipped row is `lost`, and tells nothing about the camera.
     camera.frame(20, State::Lost, 0.0);
     camera.frame(30, State::Lost, 0.0);
     camera.frame(-5_000, State::Tracking, 9.0);
@@ -343,7 +344,7 @@ fn ticks_beyond_a_frame_interval_are_coasting_and_are_not_sent_where_that_cannot
     camera.clocks.advance_ms(20);
     assert_eq!(marked.freed().spare, 1);
     unmarked.freed();
-    // 40 ms after the frame of a camera of 30 a second.
+    // 40 ms after a frame of a camera at 30 per second.
     camera.clocks.advance_ms(20);
     assert_eq!(marked.freed().spare, 2);
     camera.clocks.advance_ms(200);
@@ -358,7 +359,7 @@ fn a_limit_shorter_than_the_frame_interval_does_not_freeze_a_blend() {
     let safety = SafetySettings { blend: Some(BlendRates { speed_m_s: 1.0, turn_rad_s: 1.0 }), ..stale_after(100) };
     let mut camera = Stepped::start(&[output(freed(Spare::Quality), &ear)], safety);
     let mut told = Vec::new();
-    // Five frames a second, each stale before the next one comes.
+    // Five frames per second, each stale before the next one comes.
     for k in 0..6 {
         camera.frame(20, State::Tracking, if k == 0 { 0.0 } else { 0.3 });
         told.push(ear.freed());
@@ -410,7 +411,7 @@ fn a_fixed_rate_has_its_own_numbers_and_interpolates() {
     for pair in poses.windows(2) {
         let number = |l: &serde_json::Value| l["sequence"].as_f64().unwrap();
         let x = |l: &serde_json::Value| l["pose"]["position_m"][0].as_f64().unwrap();
-        // 1 m/s: 20 mm a tick, whenever the samples came.
+        // 1 m/s: 20 mm per tick, whenever the samples came.
         let per_tick = (x(pair[1]) - x(pair[0])) / (number(pair[1]) - number(pair[0]));
         assert!((per_tick - 0.02).abs() < 1e-6, "{per_tick}");
     }
@@ -428,7 +429,7 @@ fn limits_hold_for_guarded_outputs_only() {
     let events = publisher.events().clone();
     let statistics = publisher.close();
     assert_eq!((statistics[0].withheld, statistics[1].withheld), (2, 0));
-    // Raised once, when it begins.
+    // Raised once, at the beginning.
     let told: Vec<_> = events.try_iter().map(|e| (e.output, e.body, e.reason.words())).collect();
     assert_eq!(told, [(outputs[0].name.clone(), "camera".to_owned(), "outside the permitted box")]);
     assert_eq!(guarded.json()["pose"]["position_m"][0], 0.5);

@@ -1,4 +1,5 @@
-//! What one output is to say at one instant, before any protocol: this is what encoders turn into packets.
+//! What one output reports at one instant, independent of the protocol; encoders turn it into
+//! packets.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,14 +8,14 @@ use crate::frame::Timestamp;
 use crate::geometry::{Body, Pose, Stage};
 use crate::record::{PoseSample, State};
 
-/// A body that an output speaks of.
+/// A body that an output reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BodyChoice {
     /// The camera.
     Camera,
-    /// The object of this number in the config, from 0.
+    /// The object with this index in the config, from 0.
     Object(usize),
-    /// The filming camera, which `[mount]` describes.
+    /// The filming camera, described by `[mount]`.
     Mount,
 }
 
@@ -29,12 +30,12 @@ pub enum Withheld {
     TooFast,
     /// Turning faster than permitted.
     TurnsTooFast,
-    /// The protocol's numbers do not reach so far.
+    /// Outside the range of the protocol's numbers.
     OutOfRange,
 }
 
 impl Withheld {
-    /// In words, for events and records.
+    /// Returns the reason in words, for events and records.
     pub fn words(self) -> &'static str {
         match self {
             Self::NotFinite => "not finite",
@@ -51,32 +52,36 @@ impl Withheld {
 pub struct BodyReport {
     /// "camera", or the object's name.
     pub name: Arc<str>,
-    /// Which body that is.
+    /// Which body it is.
     pub choice: BodyChoice,
-    /// What is known of the body: tracking too where a pose is carried on from a measured one by at most one frame interval, coasting too
-    /// on the way back after a gap, lost where the pose is withheld, and stale where no frame came for too long or what came is too old.
+    /// The state of the reported pose. It is also tracking if the pose is extrapolated from a
+    /// measured one by at most one frame interval, also coasting during the return after a gap,
+    /// lost if the pose is withheld, and stale if no frame came for too long or it is too old.
     pub state: State,
-    /// A pose is known, but the safety limits withhold it.
+    /// Why the safety limits withhold a known pose.
     pub withheld: Option<Withheld>,
     /// `T_stage_body` after safety and the output's own offset, inversion and scale.
     pub pose: Option<Pose<Stage, Body>>,
-    /// The pose is the last one sent again, because nothing newer is known: so long before the report's instant it was true.
+    /// If the last pose is repeated because nothing newer is known: its age at the report's
+    /// instant.
     pub held: Option<Duration>,
-    /// The pose is on its way back to the tracker's after a gap.
+    /// Whether the pose is on its way back to the tracker's after a gap.
     pub is_blended: bool,
-    /// The pose is carried on from the newest frame.
+    /// Whether the pose is extrapolated from the newest frame.
     pub is_predicted: bool,
-    /// The pose is the tracker's own of this instant, but for the output's origin, axes and units.
+    /// Whether the pose is the tracker's own of this instant, except for the output's origin, axes
+    /// and units.
     pub is_passed: bool,
 }
 
 impl BodyReport {
-    /// The pose is the last one again.
+    /// Whether the last pose is repeated.
     pub fn is_held(&self) -> bool {
         self.held.is_some()
     }
 
-    /// 1 measured, 0.5 predicted or on its way back, 0 nothing to rely on, also where an old pose is repeated.
+    /// Returns 1 for measured, 0.5 for predicted or on its way back, 0 for unreliable, including a
+    /// repeated pose.
     pub fn confidence(&self) -> f32 {
         match self.state {
             _ if self.is_held() => 0.0,
@@ -86,7 +91,7 @@ impl BodyReport {
         }
     }
 
-    /// The mark as one word, for formats that carry one: what is to be known first.
+    /// Returns the most important mark as one word, for formats that carry only one.
     pub fn word(&self) -> &'static str {
         match self.state {
             _ if self.withheld.is_some() => "withheld",
@@ -97,27 +102,27 @@ impl BodyReport {
     }
 }
 
-/// Everything that one output says at one instant.
+/// Everything that one output reports at one instant.
 #[derive(Debug, Clone)]
 pub struct Report {
-    /// The sample's number; on a fixed rate the tick's.
+    /// The sample's number; on a fixed rate, the tick's.
     pub sequence: u64,
-    /// The instant that the poses are of, in Unix time.
+    /// The instant of the poses, in Unix time.
     pub unix: Timestamp,
     /// The same instant on the monotonic clock.
     pub monotonic: Timestamp,
-    /// When it is sent, on the monotonic clock.
+    /// Time of sending, on the monotonic clock.
     pub sent_monotonic: Timestamp,
-    /// The same instant as the clip has it, where a clip is replayed.
+    /// The same instant on the clip's clock, if a clip is replayed.
     pub recorded: Option<Timestamp>,
     /// Samples per second, as far as known.
     pub rate_hz: f64,
-    /// The bodies that the output speaks of, in its order; the first is the main one.
+    /// The output's bodies in its order; the first is the main one.
     pub bodies: Vec<BodyReport>,
-    /// The tracker's sample; none on a fixed rate and in a stale marker.
+    /// The tracker's sample; `None` on a fixed rate and in a stale marker.
     pub sample: Option<Arc<PoseSample>>,
-    /// Milliseconds from the instant to the moment of sending.
+    /// Milliseconds from the instant to sending.
     pub age_ms: f64,
-    /// The poses are invented, to set up the receiver.
+    /// Whether the poses are invented, for setting up the receiver.
     pub is_test: bool,
 }

@@ -1,8 +1,10 @@
-//! What is known of a body at any instant, from the samples around it: interpolated between two, or carried on for a moment after the last.
+//! Resampling: the pose of a body at any instant, interpolated between two samples or briefly
+//! extrapolated after the last.
 //!
-//! A fixed-rate output asks for its own ticks. A tick is `tracking` only where a measurement stands behind it: between two measured
-//! frames that follow one another, or at most one frame interval after the newest one. Inside a gap, and further on, it is `coasting`;
-//! across a loss nothing is made up. Samples stay known for as long as a delayed tick may ask for them, losses included.
+//! A fixed-rate output asks for its own ticks. A tick is `tracking` only if a measurement supports
+//! it: between two consecutive measured frames, or at most one frame interval after the newest one.
+//! Inside a gap, and further out, it is `coasting`; across a loss nothing is interpolated. Samples,
+//! including losses, are kept as long as a delayed tick may need them.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -12,26 +14,29 @@ use crate::geometry::{Body, Pose, Stage};
 use crate::motion::Motion;
 use crate::record::State;
 
-/// Samples kept at least, for the motion that they show, and at most: a delay of half a second at far more frames a second than cameras
-/// have. Chosen, not tuned. The first raised, only memory; the second lowered, fast sources have too few for the delay.
+/// Minimum number of samples kept, for estimating the motion, and the maximum: a delay of half a
+/// second at far more frames per second than cameras have. Chosen, not tuned. Raising the first
+/// only takes memory; lowering the second leaves fast sources too few for the delay.
 const FEWEST_KEPT: usize = 8;
 const MOST_KEPT: usize = 2048;
-/// Samples further apart have nothing between them: this, or 2.5 frame intervals where those are longer. Chosen: in a quarter of a second a
-/// camera may stop and turn back. Raised, poses are made up across longer gaps.
+/// Maximum distance of samples for interpolation: this, or 2.5 frame intervals if longer (chosen:
+/// in a quarter of a second a camera may stop and turn back). Raised, poses are made up across
+/// longer gaps.
 const LONGEST_GAP: Duration = Duration::from_millis(250);
-/// The motion is carried on for at most this long, or 1.5 frame intervals where those are longer. Chosen, not tuned: the error grows with
-/// the square of the time. Raised, the last motion runs on for longer after a loss.
+/// Maximum extrapolation: this, or 1.5 frame intervals if longer. Chosen, not tuned: the error
+/// grows with the square of the time. Raised, the last motion continues longer after a loss.
 const LONGEST_REACH: Duration = Duration::from_millis(100);
-/// Stamps scatter; a tick that lies one frame interval and this much after a frame is still within the interval. Chosen: more than drivers'
-/// stamps scatter, little beside an interval. Lowered, ticks flicker between tracking and coasting.
+/// Tolerance on the frame interval for scatter of the stamps (chosen: more than drivers' stamps
+/// scatter, little compared with an interval). Lowered, ticks flicker between tracking and
+/// coasting.
 const JITTER: Duration = Duration::from_millis(1);
 
-/// What a sample, or a tick, says of a body.
+/// What a sample or a tick states about a body.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Known {
     pub state: State,
     pub pose: Option<Pose<Stage, Body>>,
-    /// Carried on from the newest frame.
+    /// Whether it is extrapolated from the newest frame.
     pub is_predicted: bool,
 }
 
@@ -42,7 +47,7 @@ impl Known {
     }
 }
 
-/// What one sample said of the body.
+/// What one sample stated about the body.
 #[derive(Debug, Clone, Copy)]
 struct Moment {
     at: Timestamp,
@@ -58,12 +63,12 @@ pub(super) struct Resampler {
 }
 
 impl Resampler {
-    /// For ticks that ask for the pose of at most `delay` ago.
+    /// Creates a resampler for ticks that ask for poses at most `delay` old.
     pub fn new(delay: Duration) -> Self {
         Self { moments: VecDeque::new(), kept: delay.saturating_add(LONGEST_GAP) }
     }
 
-    /// Takes what a sample said; stamps that do not rise are passed over.
+    /// Adds what a sample stated; ignores stamps that do not increase.
     pub fn push(&mut self, at: Timestamp, known: Known) {
         if self.moments.back().is_some_and(|last| last.at >= at) {
             return;
@@ -75,7 +80,7 @@ impl Resampler {
         }
     }
 
-    /// What is known at an instant, where frames are `interval` apart.
+    /// Returns what is known at an instant, with frames `interval` apart.
     pub fn at(&self, at: Timestamp, interval: Duration) -> Known {
         let after = self.moments.partition_point(|m| m.at <= at);
         let Some((index, before)) = after.checked_sub(1).and_then(|index| Some((index, self.moments.get(index)?))) else {
@@ -89,7 +94,7 @@ impl Resampler {
         if let Some(Moment { at: next_at, state, pose: Some(next) }) = later {
             let step = next_at.duration_since(before.at);
             if step <= longest(LONGEST_GAP, interval, 5) {
-                // A longer step has lost frames in it.
+                // A longer step contains lost frames.
                 let is_whole = step <= longest(Duration::ZERO, interval, 3);
                 let is_measured = before.state == State::Tracking && *state == State::Tracking;
                 let state = if is_whole && is_measured { State::Tracking } else { State::Coasting };
@@ -105,8 +110,9 @@ impl Resampler {
         Known { state, pose: Some(self.carried_on(index, &pose, at, interval)), is_predicted: is_near }
     }
 
-    /// The pose of a sample, carried on by the motion that led to it. The motion is that of samples of one kind, for a step from a
-    /// prediction to a measurement is none, and at least half a frame interval apart, so that noise is not made large.
+    /// Extrapolates the pose of a sample. The motion is taken from samples of the same state, since
+    /// a step from a prediction to a measurement is not a motion, and at least half a frame
+    /// interval apart, so that noise is not amplified.
     fn carried_on(&self, index: usize, pose: &Pose<Stage, Body>, at: Timestamp, interval: Duration) -> Pose<Stage, Body> {
         let Some(last) = self.moments.get(index) else { return *pose };
         for earlier in self.moments.range(..index).rev() {
@@ -120,12 +126,12 @@ impl Resampler {
     }
 }
 
-/// A length of time, or `halves` half frame intervals where those are longer.
+/// Returns the larger of `least` and `halves` half frame intervals.
 fn longest(least: Duration, interval: Duration, halves: u32) -> Duration {
     least.max(interval.saturating_mul(halves) / 2)
 }
 
-/// On the even motion through two poses; beyond the second it goes on.
+/// Interpolates or extrapolates at constant velocity through two poses.
 fn between(a: (Timestamp, &Pose<Stage, Body>), b: (Timestamp, &Pose<Stage, Body>), at: Timestamp) -> Pose<Stage, Body> {
     Motion::between(a.1, b.1, b.0.seconds_since(a.0)).after(at.seconds_since(b.0)).pose
 }

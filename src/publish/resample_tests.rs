@@ -18,7 +18,7 @@ fn known(state: State, ms: i64) -> Known {
     Known { state, pose: has_pose.then(|| moving(ms)), is_predicted: false }
 }
 
-/// Samples of these states, a frame apart from 0 on, with the pose of their instant.
+/// Samples in these states, one frame apart from 0 on, with the pose of their instant.
 fn samples(states: &[State]) -> Resampler {
     let mut resampler = Resampler::new(Duration::from_millis(500));
     for (k, state) in states.iter().enumerate() {
@@ -39,7 +39,7 @@ fn uniform_motion_is_met_between_and_after_samples() {
     assert!(r.at(Timestamp::from_ns(-1), FRAME).pose.is_none() && r.at(at_ms(200), FRAME).pose.is_none());
 }
 
-/// (state, carried on) after some milliseconds.
+/// Returns (state, whether extrapolated) after some milliseconds.
 fn told(r: &Resampler, ms: i64) -> (State, bool) {
     let known = r.at(at_ms(ms), FRAME);
     (known.state, known.is_predicted)
@@ -57,7 +57,7 @@ fn tracking_reaches_one_frame_interval_beyond_the_newest_frame() {
 #[test]
 fn inside_a_gap_nothing_is_tracking() {
     let r = samples(&[Tracking, Tracking, Coasting, Coasting, Tracking, Tracking]);
-    // The frames themselves are what they are.
+    // The frames themselves keep their state.
     assert_eq!([33, 132].map(|ms| told(&r, ms).0), [Tracking; 2]);
     assert_eq!([34, 66, 80, 99, 131].map(|ms| told(&r, ms).0), [Coasting; 5]);
     assert_eq!(told(&r, 140).0, Tracking);
@@ -73,7 +73,7 @@ fn nothing_is_made_up_across_a_loss_or_a_long_gap() {
     let mut r = samples(&[Tracking, Tracking, Lost]);
     r.push(at_ms(99), known(Tracking, 500));
     assert_eq!([34, 65, 66, 80].map(|ms| told(&r, ms).0), [Coasting, Coasting, Lost, Lost]);
-    // A single sample stands still.
+    // A single sample gives no motion.
     assert_eq!(r.at(at_ms(110), FRAME).pose, Some(moving(500)));
     r.push(at_ms(500), known(Tracking, 500));
     assert_eq!(told(&r, 300), (Lost, false));
@@ -90,7 +90,8 @@ fn what_was_before_a_loss_is_known_to_a_late_tick() {
 #[test]
 fn a_jump_back_from_a_prediction_is_no_motion() {
     let mut r = samples(&[Tracking, Tracking, Coasting]);
-    // The prediction was 80 mm off: the first measurement after it goes on as measurements did.
+    // The prediction was 80 mm off: the first measurement after it is extrapolated with the motion
+    // of the earlier measurements.
     r.push(at_ms(99), known(Tracking, 99 - 80));
     let carried = r.at(at_ms(119), FRAME).pose.unwrap().translation.x;
     let speed = (0.019 - 0.033) / 0.066;

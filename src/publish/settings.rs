@@ -1,4 +1,4 @@
-//! How an output is set up, once the config has been checked.
+//! Settings of an output, from the validated config.
 
 use std::time::Duration;
 
@@ -18,26 +18,27 @@ pub struct OutputSettings {
     pub name: String,
     /// Whether it sends at all.
     pub enabled: bool,
-    /// What it speaks.
+    /// Its protocol.
     pub protocol: Protocol,
-    /// Where it sends by UDP.
+    /// UDP destinations.
     pub udp: UdpSettings,
-    /// Which bodies it speaks of, the main one first.
+    /// The bodies it reports, the main one first.
     pub bodies: Vec<BodyChoice>,
     /// When it sends.
     pub rate: Rate,
-    /// With every frame: the poses sent are those of this long before it. A fixed rate has a delay of its own.
+    /// Delay when sending with every frame: the poses sent are those of this long before it. A
+    /// fixed rate has its own delay.
     pub delay: Duration,
     /// What it does when no pose is known.
     pub on_loss: OnLoss,
     /// The receiver's origin, axes and units.
     pub placement: Placement,
-    /// Whether `[safety]` holds for it.
+    /// Whether `[safety]` applies to it.
     pub is_guarded: bool,
 }
 
 impl OutputSettings {
-    /// Where its lines go besides UDP.
+    /// Returns the destinations of its lines besides UDP.
     pub(crate) fn stream(&self) -> Option<&StreamSettings> {
         match &self.protocol {
             Protocol::Json(json) => Some(&json.stream),
@@ -46,7 +47,7 @@ impl OutputSettings {
     }
 }
 
-/// What an output speaks.
+/// The protocol of an output, with its settings.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Protocol {
     /// FreeD D1.
@@ -62,7 +63,7 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    /// The word for it in the config.
+    /// Returns its name in the config.
     pub fn word(&self) -> &'static str {
         match self {
             Self::Freed(_) => "freed",
@@ -79,17 +80,17 @@ impl Protocol {
 pub enum Rate {
     /// With every n-th sample of the tracker.
     Every(u32),
-    /// On ticks of its own, with poses interpolated or carried on to the tick.
+    /// On its own ticks, with poses interpolated or extrapolated to the tick.
     Fixed {
         /// Ticks per second.
         rate: FixedRate,
-        /// The pose sent is the one of this long ago.
+        /// Delay: the pose sent is the one of this long ago.
         delay: Duration,
     },
 }
 
 impl Rate {
-    /// Reports per second, from a tracker of `frame_rate` frames per second.
+    /// Returns reports per second, for a tracker of `frame_rate` frames per second.
     pub fn hz(self, frame_rate: f64) -> f64 {
         match self {
             Self::Every(n) => frame_rate / f64::from(n.max(1)),
@@ -103,12 +104,13 @@ impl Rate {
 pub struct FixedRate {
     /// Ticks in `per_s` seconds.
     pub ticks: u32,
-    /// Seconds.
+    /// Length of the period, seconds.
     pub per_s: u32,
 }
 
 impl FixedRate {
-    /// The rates that there are, by their names in the config: those of video, of which 29.97 and 59.94 are fractions over 1001 (SMPTE).
+    /// The supported rates by their names in the config: video rates, of which 29.97 and 59.94 are
+    /// fractions over 1001 (SMPTE).
     pub const KNOWN: [(f64, FixedRate); 6] = [
         (25.0, FixedRate { ticks: 25, per_s: 1 }),
         (29.97, FixedRate { ticks: 30_000, per_s: 1001 }),
@@ -118,21 +120,21 @@ impl FixedRate {
         (60.0, FixedRate { ticks: 60, per_s: 1 }),
     ];
 
-    /// Time from tick 0 to tick `k`, without accumulating rounding.
+    /// Returns the time from tick 0 to tick `k`, without accumulating rounding.
     pub fn tick(self, k: u64) -> Duration {
         let ns = u128::from(k) * u128::from(self.per_s) * 1_000_000_000 / u128::from(self.ticks);
         Duration::from_nanos(u64::try_from(ns).unwrap_or(u64::MAX))
     }
 
-    /// The last tick that has begun by this time after tick 0.
+    /// Returns the last tick that has begun at this time after tick 0.
     pub fn tick_at(self, time: Duration) -> u64 {
         let per_s = u128::from(self.per_s) * 1_000_000_000;
-        // A tick's time is rounded down: the one before may be the last that has begun.
+        // A tick's time is rounded down, so the estimate may be one too low.
         let next = u64::try_from(time.as_nanos().saturating_mul(u128::from(self.ticks)) / per_s).unwrap_or(u64::MAX - 1) + 1;
         if self.tick(next) <= time { next } else { next - 1 }
     }
 
-    /// Ticks per second.
+    /// Returns ticks per second.
     pub fn hz(self) -> f64 {
         f64::from(self.ticks) / f64::from(self.per_s)
     }
@@ -141,37 +143,38 @@ impl FixedRate {
 /// What an output does when no pose is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OnLoss {
-    /// Sends no pose; a format that can say so says it once a second.
+    /// Sends no pose; a format that can mark a loss does so once a second.
     Stop,
-    /// Sends the last pose again and again.
+    /// Repeats the last pose.
     Hold,
-    /// Says in every packet that no pose is known.
+    /// Marks in every packet that no pose is known.
     Flag,
 }
 
-/// Fastest that a pose may lead an output unless the config says otherwise, m/s and degrees per
-/// second: no stage camera is as fast, nor a thrown prop. Raised, a pose that jumps to a copy of
-/// the picture moves the scenery sooner; lowered, whip pans are withheld.
+/// Default maximum speed of a sent pose, m/s: no stage camera is as fast, nor a thrown prop.
+/// Raised, a pose that jumps to a look-alike moves the scenery more easily; lowered, fast motion is
+/// withheld.
 pub const FASTEST_M_S: f64 = 20.0;
-/// See [`FASTEST_M_S`].
+/// Default maximum angular speed, degrees per second; see [`FASTEST_M_S`].
 pub const FASTEST_DEG_S: f64 = 1000.0;
 
-/// Limits that keep machinery from being moved by a bad pose; each output keeps them by itself.
+/// Limits that keep machinery from being moved by a bad pose; each output applies them separately.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SafetySettings {
-    /// A pose that would have to be reached faster is withheld, metres per second.
+    /// Maximum speed, metres per second; a pose that could only be reached faster is withheld.
     pub max_speed_m_s: Option<f64>,
-    /// The same for turning, radians per second.
+    /// Maximum angular speed, radians per second.
     pub max_turn_rad_s: Option<f64>,
-    /// Least and greatest corner of the box, stage frame, outside of which a pose is withheld.
+    /// Minimum and maximum corner of the permitted box, stage frame, metres; a pose outside is
+    /// withheld.
     pub permitted_box_m: Option<[[f64; 3]; 2]>,
     /// After a loss the output returns to the pose at these rates instead of jumping.
     pub blend: Option<BlendRates>,
-    /// No frame for this long is a failure that is sent to the receiver.
+    /// Time without a frame after which the failure is reported to the receiver.
     pub stale_after: Duration,
 }
 
-/// How fast an output may return after a loss.
+/// Maximum speed of an output's return after a loss.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BlendRates {
     /// Metres per second.
@@ -181,13 +184,12 @@ pub struct BlendRates {
 }
 
 impl SafetySettings {
-    /// What holds unless the config says otherwise: limits that no stage camera breaks. The
-    /// [`Default`] has none.
+    /// Returns the default limits, which no stage camera exceeds. [`Default`] has none.
     pub fn usual() -> Self {
         Self { max_speed_m_s: Some(FASTEST_M_S), max_turn_rad_s: Some(FASTEST_DEG_S.to_radians()), ..Self::default() }
     }
 
-    /// What is to be said where frames come so rarely that each is stale before the next one is there.
+    /// Returns a warning if frames come so rarely that each is stale before the next one arrives.
     pub fn note_on_rate(&self, frames_per_s: f64) -> Option<String> {
         let (stale_s, interval_s) = (self.stale_after.as_secs_f64(), 1.0 / frames_per_s);
         (frames_per_s > 0.0 && stale_s < interval_s).then(|| {

@@ -1,4 +1,4 @@
-//! Where the stamps of frames come from, and how far frames are apart.
+//! The origin of frame stamps, and the interval between frames.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, OnceLock};
@@ -7,16 +7,18 @@ use std::time::Duration;
 use super::clocks::{Clocks, SystemClocks};
 use crate::frame::Timestamp;
 
-/// Where a source's stamps come from.
+/// The clock of a source's stamps.
 #[derive(Debug, Clone)]
 pub enum Stamps {
-    /// A camera on this machine: on CLOCK_MONOTONIC.
+    /// A camera on this machine: CLOCK_MONOTONIC.
     Live,
-    /// A clip: since anything. The clip is sent as if its first frame had been taken when the clip began.
+    /// A clip, with any epoch. It is sent as if its first frame had been taken when the clip
+    /// started.
     Recorded(ClipStart),
 }
 
-/// When a clip began to be played. Whoever plays it says so; failing that it is when the work on its first frame began.
+/// When a clip started to play, as stated by its player; otherwise the time at which work on its
+/// first frame began.
 #[derive(Debug, Clone, Default)]
 pub struct ClipStart {
     /// Monotonic clock minus stamp, nanoseconds.
@@ -24,35 +26,35 @@ pub struct ClipStart {
 }
 
 impl ClipStart {
-    /// The frame of this stamp is handed out now. Only the first call counts.
+    /// States that the frame with this stamp is delivered now. Only the first call counts.
     pub fn begin(&self, stamp: Timestamp) {
         self.offset_ns.get_or_init(|| SystemClocks.read().monotonic.ns_since(stamp));
     }
 
-    /// Monotonic clock minus stamp, once it has begun.
+    /// Returns monotonic clock minus stamp, nanoseconds, once the clip has started.
     pub(super) fn offset_ns(&self) -> Option<i64> {
         self.offset_ns.get().copied()
     }
 }
 
-/// How far frames are apart, from their stamps as they come.
+/// Estimates the interval between frames from their stamps.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Pace {
     last: Option<Timestamp>,
     steps: VecDeque<Duration>,
 }
 
-/// Steps whose median is the interval. A single long one, after a stall or a dropped frame, does not move it, nor do four. Raised, a new
-/// rate is noticed later.
+/// Number of steps whose median is the interval. Up to four outliers, such as a stall or dropped
+/// frames, do not change it. Raised, a new rate is noticed later.
 const STEPS: usize = 9;
-/// With fewer, what the source says of itself counts: the fewest of which a median leaves one out. Raised, a wrong rate of the source
-/// counts for longer.
+/// Minimum number of steps for an estimate: the fewest of which a median tolerates one outlier.
+/// With fewer, the source's stated rate is used. Raised, a wrongly stated rate is used for longer.
 const FEW_STEPS: usize = 3;
-/// Rates that cameras have, frames a second; a measured one within 2 % is meant to be them.
+/// Common camera rates, frames per second; a measured rate within 2 % is rounded to them.
 const USUAL_HZ: [f64; 9] = [15.0, 24.0, 25.0, 30.0, 50.0, 60.0, 90.0, 120.0, 240.0];
 
 impl Pace {
-    /// Takes the next stamp, which is later than the last one.
+    /// Adds the next stamp, which must be later than the last one.
     pub fn follow(&mut self, stamp: Timestamp) {
         let Some(last) = self.last.replace(stamp) else { return };
         if self.steps.len() == STEPS {
@@ -61,7 +63,7 @@ impl Pace {
         self.steps.push_back(stamp.duration_since(last).max(Duration::from_nanos(1)));
     }
 
-    /// The usual step between frames, once there were a few.
+    /// Returns the median step between frames, once there are enough.
     pub fn interval(&self) -> Option<Duration> {
         if self.steps.len() < FEW_STEPS {
             return None;
@@ -71,7 +73,7 @@ impl Pace {
         steps.get(steps.len() / 2).copied()
     }
 
-    /// Frames per second.
+    /// Returns the rate, frames per second.
     pub fn rate_hz(&self) -> Option<f64> {
         let hz = 1e9 / self.interval()?.as_nanos() as f64;
         let usual = USUAL_HZ.into_iter().find(|usual| (hz / usual - 1.0).abs() < 0.02);
@@ -93,7 +95,7 @@ mod tests {
         let begun = first.after_ns(start.offset_ns().unwrap());
         let clock = FrameClock::new(Stamps::Recorded(start));
         let now = clock.now();
-        // However late its sample comes; the two clocks are not read at quite the same instant.
+        // However late its sample comes; the two clocks are not read at exactly the same instant.
         let taken = clock.taken(first, Duration::ZERO).unwrap();
         assert!(taken.ns_since(begun.after_ns(now.boot.ns_since(now.monotonic))).abs() < 1_000_000);
     }
@@ -104,7 +106,7 @@ mod tests {
         assert_eq!((pace.rate_hz(), pace.interval()), (None, None));
         (0..50).for_each(|k| pace.follow(Timestamp::from_ns(k * 16_683_350)));
         assert_eq!((pace.rate_hz(), pace.interval()), (Some(60.0), Some(Duration::from_nanos(16_683_350))));
-        // A stall is no rate.
+        // A stall does not change the rate.
         pace.follow(Timestamp::from_ns(49 * 16_683_350 + 5_000_000_000));
         assert_eq!(pace.rate_hz(), Some(60.0));
     }

@@ -1,7 +1,9 @@
-//! Where packets go: UDP to any number of addresses, lines to TCP clients, a file or standard output.
+//! Destinations of packets: UDP to any number of addresses; lines to TCP clients, a file or
+//! standard output.
 //!
-//! Nothing here waits for a receiver: a datagram that the system does not take at once is dropped and counted, a TCP client that does
-//! not read is disconnected. Trouble is logged once a minute.
+//! Nothing here waits for a receiver: a datagram that the system does not accept at once is dropped
+//! and counted, and a TCP client that does not read is disconnected. Trouble is logged once a
+//! minute.
 
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
@@ -13,14 +15,14 @@ use super::complaints::Complaints;
 use super::network::{Interface, needs_interface};
 use crate::safe_file;
 
-/// Where datagrams go.
+/// UDP destinations.
 #[derive(Debug, Clone, PartialEq)]
 pub struct UdpSettings {
-    /// Unicast, broadcast and multicast addresses; empty where nothing goes by UDP.
+    /// Unicast, broadcast and multicast addresses; empty without UDP.
     pub to: Vec<SocketAddr>,
-    /// The network that multicasts, and IPv6 addresses of one network only, go to.
+    /// The interface for multicasts and for link-local IPv6 addresses.
     pub interface: Option<Interface>,
-    /// Routers that a datagram may cross; 1 = stays on the local network.
+    /// Number of hops that a datagram may take; 1 = stays on the local network.
     pub ttl: u8,
 }
 
@@ -30,48 +32,48 @@ impl Default for UdpSettings {
     }
 }
 
-/// Where lines of JSON go besides UDP.
+/// Destinations of JSON lines besides UDP.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct StreamSettings {
-    /// Address on which clients are waited for.
+    /// Address on which clients may connect.
     pub tcp_listen: Option<SocketAddr>,
-    /// File that is written, replacing what is there; `-` is standard output.
+    /// File to write, overwriting it; `-` is standard output.
     pub file: Option<PathBuf>,
 }
 
-/// All the places of one output.
+/// All destinations of one output.
 pub(super) struct Transport {
     udp: Option<UdpSender>,
     clients: Option<TcpClients>,
     file: Option<LineFile>,
 }
 
-/// Why an output's places cannot be opened.
+/// Why an output's destinations cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum TransportError {
-    /// No socket, or one that cannot be set up.
+    /// The socket cannot be created or configured.
     #[error("cannot send by UDP ({0}); give a network of this machine as `interface`, or leave it out")]
     Udp(io::Error),
     /// The port is taken, or the address is not this machine's.
     #[error("cannot wait for clients on {address} ({source}); give a free port on an address of this machine")]
     Listen {
-        /// Where.
+        /// The address.
         address: SocketAddr,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
     /// The file cannot be created.
     #[error("{file}: cannot be written ({source}); give a path with room that may be written")]
     File {
-        /// Which.
+        /// The file.
         file: String,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
 }
 
 impl Transport {
-    /// Opens everything.
+    /// Opens all destinations.
     pub fn open(name: &str, udp: &UdpSettings, stream: Option<&StreamSettings>) -> Result<Self, TransportError> {
         let listen = stream.and_then(|s| s.tcp_listen);
         let file = stream.and_then(|s| s.file.as_deref());
@@ -82,7 +84,8 @@ impl Transport {
         })
     }
 
-    /// Whether [`open`](Self::open) would succeed once the addresses are free that `is_held` names; no file is made or emptied for it.
+    /// Checks whether [`open`](Self::open) would succeed once the addresses for which `is_held` is
+    /// true are free; creates or truncates no file.
     pub fn rehearse(
         name: &str,
         udp: &UdpSettings,
@@ -98,7 +101,7 @@ impl Transport {
         })
     }
 
-    /// Sends one packet everywhere; gives how many places took it and how many did not.
+    /// Sends one packet to all destinations; returns how many accepted it and how many did not.
     pub fn send(&mut self, packet: &[u8]) -> (u64, u64) {
         let mut tally = self.udp.as_mut().map_or((0, 0), |udp| udp.send(packet));
         for took in [self.clients.as_mut().and_then(|c| c.send(packet)), self.file.as_mut().and_then(|f| f.write(packet))] {
@@ -111,7 +114,7 @@ impl Transport {
         tally
     }
 
-    /// Lets new TCP clients in, also while there is nothing to send.
+    /// Accepts new TCP clients, even while there is nothing to send.
     pub fn attend(&mut self) {
         if let Some(clients) = &mut self.clients {
             clients.accept();
@@ -119,14 +122,15 @@ impl Transport {
     }
 }
 
-/// One socket for IPv4 and one for IPv6, where they are needed, so that the source port is the same for every packet.
+/// One socket for IPv4 and one for IPv6, if needed, so that the source port is the same for every
+/// packet.
 struct UdpSender {
     v4: Option<UdpSocket>,
     v6: Option<UdpSocket>,
     targets: Vec<(SocketAddr, Complaints)>,
 }
 
-/// A socket for IPv4 that multicasts by `interface`.
+/// Creates an IPv4 socket that multicasts on `interface`.
 fn socket_v4(settings: &UdpSettings) -> io::Result<UdpSocket> {
     let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
     socket.set_nonblocking(true)?;
@@ -139,7 +143,7 @@ fn socket_v4(settings: &UdpSettings) -> io::Result<UdpSocket> {
     Ok(socket.into())
 }
 
-/// The same for IPv6; `index` is the network's number, 0 leaves it to the kernel.
+/// Creates an IPv6 socket; `index` is the interface's index, 0 leaves the choice to the kernel.
 fn socket_v6(settings: &UdpSettings, index: u32) -> io::Result<UdpSocket> {
     let socket = Socket::new(Domain::IPV6, Type::DGRAM, Some(Protocol::UDP))?;
     socket.set_nonblocking(true)?;
@@ -168,7 +172,7 @@ impl UdpSender {
         let mut tally = (0, 0);
         for (to, complaints) in &mut self.targets {
             let socket = if to.is_ipv4() { &self.v4 } else { &self.v6 };
-            // Each target's kind has its socket.
+            // `open` made a socket for each kind of target.
             let Some(socket) = socket else { continue };
             match socket.send_to(packet, *to) {
                 Ok(_) => tally.0 += 1,
@@ -182,7 +186,7 @@ impl UdpSender {
     }
 }
 
-/// Everybody who is connected and reads.
+/// The connected TCP clients.
 struct TcpClients {
     listener: TcpListener,
     clients: Vec<Client>,
@@ -192,14 +196,15 @@ struct TcpClients {
 struct Client {
     stream: TcpStream,
     peer: SocketAddr,
-    /// What the system has not taken yet.
+    /// Bytes that the system has not accepted yet.
     waiting: Vec<u8>,
 }
 
-/// A client that is further behind is disconnected, bytes. Chosen: some seconds of lines. Raised, a slow client gets older poses and takes
-/// more memory.
+/// Maximum backlog of a client, bytes, before it is disconnected (chosen: some seconds of lines).
+/// Raised, a slow client gets older poses and takes more memory.
 const MOST_WAITING: usize = 256 * 1024;
-/// Further clients are turned away. A round figure above what a stage has. Raised, more files and memory may be held.
+/// Maximum number of clients; further ones are turned away. A round figure above what a stage has.
+/// Raised, more file descriptors and memory may be used.
 const MOST_CLIENTS: usize = 64;
 
 impl TcpClients {
@@ -271,7 +276,8 @@ impl LineFile {
         let sink: Box<dyn Write + Send> = if file == Path::new("-") {
             Box::new(io::stdout())
         } else {
-            // A named pipe without a reader is refused instead of waited for; one that is full loses the newest lines.
+            // A named pipe without a reader is refused instead of waited for; one that is full
+            // loses the newest lines.
             let begun =
                 safe_file::open_output(file).and_then(|to| if to.metadata()?.is_file() { to.set_len(0).map(|()| to) } else { Ok(to) });
             Box::new(begun.map_err(|source| TransportError::File { file: name.clone(), source })?)

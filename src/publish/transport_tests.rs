@@ -42,7 +42,7 @@ fn a_multicast_reaches_a_member_on_the_interface() {
 
 #[test]
 fn both_families_are_reached_and_a_missing_network_is_told() {
-    // Where this machine has no IPv6, there is nothing to reach.
+    // Skip if this machine has no IPv6.
     let Ok(v6) = UdpSocket::bind("[::1]:0") else { return };
     let v4 = receiver();
     v6.set_read_timeout(Some(Duration::from_secs(10))).unwrap();

@@ -1,4 +1,4 @@
-//! One output's thread: takes samples from its queue, decides what is due, and sends it.
+//! An output's thread: takes samples from its queue, decides what is due, and sends it.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -17,7 +17,7 @@ use super::transport::Transport;
 use crate::frame::Timestamp;
 use crate::record::{PoseSample, State};
 
-/// A sample with the instant that it is of.
+/// A sample with its instant.
 #[derive(Debug)]
 pub(super) struct Arrival {
     pub sample: Arc<PoseSample>,
@@ -26,13 +26,13 @@ pub(super) struct Arrival {
     pub recorded: Option<Timestamp>,
     /// Frames per second of the source.
     pub rate_hz: f64,
-    /// How far its frames are apart, as they come.
+    /// Interval between its frames, as measured.
     pub interval: Duration,
-    /// When it was handed to the publisher.
+    /// When it was passed to the publisher.
     pub arrived: Instant,
 }
 
-/// What an output has done so far; shared with whoever asks.
+/// Statistics of an output, shared with readers.
 #[derive(Debug, Default)]
 pub(super) struct Counters {
     pub sent: AtomicU64,
@@ -41,28 +41,29 @@ pub(super) struct Counters {
     pub dropped: AtomicU64,
     pub latency_us: AtomicU64,
     pub greatest_latency_us: AtomicU64,
-    /// Its memory is used again and again.
+    /// Its memory is reused.
     pub last_packet: Mutex<Vec<u8>>,
 }
 
-/// How often a loss is said again where the format has a word for it. Chosen, not tuned. Raised, a receiver that comes later learns of it
-/// later.
+/// Interval at which a loss is repeated if the format can announce it. Chosen, not tuned. Raised, a
+/// receiver that starts later learns of it later.
 const REPEAT: Duration = Duration::from_secs(1);
-/// How often new clients are let in, repetitions looked after and the age of the newest frame judged. Chosen, not tuned. Raised, a client
-/// waits longer to be let in; lowered, idle outputs take processor time.
+/// Interval at which clients are accepted, repetitions sent and the age of the newest frame
+/// checked. Chosen, not tuned. Raised, a client waits longer to be accepted; lowered, idle outputs
+/// use processor time.
 const ROUND: Duration = Duration::from_millis(100);
 
-/// Taken for the source's rate before a few frames have come, frames a second: a webcam's.
+/// Assumed rate of the source before a few frames have come, frames per second: a webcam's.
 pub(super) const USUAL_RATE_HZ: f64 = 30.0;
 
-/// Everything that one output's thread owns.
+/// Everything owned by an output's thread.
 pub(super) struct Worker {
     pub inbox: Receiver<Arc<Arrival>>,
     pub encoder: Box<dyn Encoder>,
     pub transport: Transport,
     pub bodies: Vec<BodyChannel>,
     pub rate: Rate,
-    /// Of `Rate::Every`: the poses sent are those of this long before the frame.
+    /// For `Rate::Every`: the poses sent are those of this long before the frame.
     pub delay: Duration,
     pub on_loss: OnLoss,
     pub stale_after: Duration,
@@ -72,17 +73,17 @@ pub(super) struct Worker {
     pub memory: Memory,
 }
 
-/// What the worker remembers; instants are on the boot clock.
+/// The worker's state; instants are on the boot clock.
 pub(super) struct Memory {
     begun: Timestamp,
-    /// When the newest frame was taken; before the first one, when the output began.
+    /// When the newest frame was taken; before the first one, when the output started.
     newest: Timestamp,
     last: Option<Arc<Arrival>>,
     last_sent: Option<Timestamp>,
     next_round: Timestamp,
     next_tick: u64,
     taken: u64,
-    /// How many bodies the last sample had a pose of.
+    /// For how many bodies the last sample had a pose.
     known_bodies: usize,
     had_pose: bool,
 }
@@ -117,7 +118,8 @@ impl Worker {
         }
     }
 
-    /// How long until something is due, but never longer than a round: the clock may have jumped by then.
+    /// Returns the time until something is due, at most one round, since the clock may have jumped
+    /// by then.
     fn wait(&self) -> Duration {
         let due = match self.rate {
             Rate::Fixed { rate, .. } => self.memory.next_round.min(self.memory.begun.after(rate.tick(self.memory.next_tick))),
@@ -129,7 +131,7 @@ impl Worker {
     fn take(&mut self, arrival: Arc<Arrival>) {
         let now = self.clock.now();
         self.memory.newest = arrival.at;
-        // The frame's age decides, and now, however long it has waited in a queue.
+        // The frame's current age decides, including its time in the queue.
         let is_late = self.is_stale(now);
         let known = |body: &BodyChannel| if is_late { Known::nothing(State::Stale) } else { body.known(&arrival.sample) };
         let known: Vec<Known> = self.bodies.iter().map(known).collect();
@@ -146,11 +148,11 @@ impl Worker {
                 };
                 let is_due = self.memory.taken.is_multiple_of(u64::from(n.max(1)));
                 self.memory.taken += 1;
-                // A loss does not wait for its turn.
+                // A loss is sent at once, not only with every n-th sample.
                 let known_bodies = known.iter().filter(|known| self.sendable(**known).pose.is_some()).count();
                 let is_loss = known_bodies < std::mem::replace(&mut self.memory.known_bodies, known_bodies);
                 if is_due || is_loss {
-                    // A delayed pose is not what this frame measured.
+                    // A delayed pose is not this frame's measurement, so the sample is left out.
                     self.say(arrival.sample.sequence, at, known, Some(&arrival).filter(|_| self.delay.is_zero()));
                 }
             }
@@ -166,7 +168,7 @@ impl Worker {
         if elapsed < rate.tick(self.memory.next_tick) {
             return;
         }
-        // Whoever is late skips ticks instead of sending a burst.
+        // When late, skip ticks instead of sending a burst.
         let tick = rate.tick_at(elapsed).max(self.memory.next_tick);
         self.memory.next_tick = tick + 1;
         let at = self.memory.begun.after(rate.tick(tick)).before(delay);
@@ -177,12 +179,12 @@ impl Worker {
         self.say(tick, at, known, None);
     }
 
-    /// The newest frame is too old.
+    /// Whether the newest frame is too old.
     fn is_stale(&self, now: Reading) -> bool {
         now.boot.duration_since(self.memory.newest) >= self.stale_after
     }
 
-    /// What is done ten times a second.
+    /// Does the periodic work, about ten times a second.
     fn round(&mut self) {
         let now = self.clock.now();
         if now.boot < self.memory.next_round {
@@ -201,7 +203,7 @@ impl Worker {
         }
     }
 
-    /// A mere prediction counts as nothing where the format cannot mark it.
+    /// Drops the pose of a mere prediction if the format cannot mark it.
     fn sendable(&self, known: Known) -> Known {
         let is_usable = known.state != State::Coasting || self.encoder.marks_coasting();
         Known { pose: known.pose.filter(|_| is_usable), ..known }
@@ -229,12 +231,14 @@ impl Worker {
             unix: now.unix.after_ns(since_now_ns),
             monotonic: now.monotonic.after_ns(since_now_ns),
             sent_monotonic: now.monotonic,
-            // A tick has no stamp of its own: it lies as far from the last sample on the clip's clock as on this machine's.
+            // A tick has no stamp of its own: it is as far from the last sample on the clip's clock
+            // as on this machine's.
             recorded: latest.and_then(|a| Some(a.recorded?.after_ns(at.ns_since(a.at)))),
             rate_hz: self.rate.hz(latest.map_or(USUAL_RATE_HZ, |a| a.rate_hz)),
             bodies,
             sample: arrival.map(|a| a.sample.clone()),
-            // A clip's first frame, from which its clock counts, may have come late: those after it are not from the future.
+            // A clip's first frame, which sets its clock, may have come late; later frames must not
+            // seem to come from the future.
             age_ms: now.boot.ms_since(at).max(0.0),
             is_test: self.is_test,
         };
@@ -247,8 +251,8 @@ impl Worker {
         }
     }
 
-    /// Sends a report's packets. Where the process was stopped between the look at the age and here, they would tell an old frame as good:
-    /// they are dropped, and the next round tells that it is stale.
+    /// Sends a report's packets. If the process was stopped since the age was checked, they would
+    /// present an old frame as good: they are dropped, and the next round reports that it is stale.
     fn send(&mut self, report: &Report) {
         let is_told_stale = report.bodies.iter().all(|body| body.state == State::Stale);
         let stale_at = self.memory.newest.after(self.stale_after);
@@ -262,7 +266,7 @@ impl Worker {
         });
     }
 
-    /// Whether a report without any pose is to be sent now.
+    /// Whether a report without any pose must be sent now.
     fn is_loss_due(&self, now: Reading) -> bool {
         let is_repeated = self.memory.last_sent.is_none_or(|sent| now.boot.duration_since(sent) >= REPEAT);
         match self.on_loss {
@@ -281,7 +285,7 @@ fn count(counters: &Counters, packet: &[u8], (taken, failed): (u64, u64)) {
     counters.failed.fetch_add(failed, Ordering::Relaxed);
 }
 
-/// Time between frames at a rate.
+/// Returns the time between frames at a rate.
 pub(super) fn frame_time(rate_hz: f64) -> Duration {
     Duration::from_nanos((1e9 / rate_hz) as u64)
 }
@@ -300,7 +304,7 @@ mod tests {
     use crate::protocols::golden::golden_camera;
     use crate::record::StageTimes;
 
-    /// Says the bodies' states; the process is stopped for some time while it does.
+    /// Sends the bodies' states; the process is stopped for some time meanwhile.
     struct Stopped {
         clocks: SteppedClocks,
         stop_ms: i64,
@@ -313,7 +317,8 @@ mod tests {
         }
     }
 
-    /// What is said of a frame while whose packet is made the process is stopped for so long, and the packets that were dropped.
+    /// Returns what is sent about a frame if the process is stopped for `stop_ms` while its packet
+    /// is made, and the number of packets dropped.
     fn told(stop_ms: i64) -> (Vec<String>, u64) {
         let ear = UdpSocket::bind("127.0.0.1:0").unwrap();
         ear.set_nonblocking(true).unwrap();
