@@ -1,5 +1,6 @@
-//! The joint adjustment: in every round each keyframe is aligned on grey values with the model as it is, and the model takes one step from what
-//! the tiles leave (Gauss-Newton, with the frames' motions eliminated). What is left at the end is noise.
+//! The joint adjustment of stage and lens. In every round each keyframe is aligned on grey values
+//! with the current model, and the model takes one Gauss-Newton step from the tiles' residuals,
+//! with the frames' motions eliminated. The residuals at the end are noise.
 
 use nalgebra::{DMatrix, DVector, Matrix3, UnitQuaternion, Vector3};
 
@@ -14,58 +15,76 @@ use crate::camera::Shutter;
 use crate::motion::Motion;
 use crate::track::{KnownRates, ObservedFrame, ObservedTile};
 
-/// Rounds at most. Most surveys settle in six to nine, those of a rolling shutter that nobody told do not before they are looked at again. Raised, only those that never settle take longer.
+/// Maximum number of fine rounds. Most surveys converge in six to nine; those with an unconfigured
+/// rolling shutter do not before their clips are tracked again. Raised, only surveys that never
+/// converge take longer.
 const MOST_ROUNDS: usize = 24;
-/// Rounds with features, which lead to the basin of the alignment where a lens or a layout is far off.
+/// Number of rounds with features, which lead to the basin of the alignment if a lens or a layout
+/// is far off.
 const FEATURE_ROUNDS: usize = 5;
-/// Rounds with anchors: the first half of them at half the frame's size.
+/// Number of rounds with anchors, the first half of them at half the frame's size.
 const ANCHOR_ROUNDS: usize = 4;
-/// A model is at rest only where its step changes the tiles' places by less, pixels (root mean square): what is left of keyframes that come and go.
+/// Step of the tiles' positions, pixels (root mean square), below which a model may count as
+/// converged: the remaining motion caused by keyframes that come and go.
 const SMALL_STEP_PX: f64 = 0.01;
-/// Steps below this are rest whatever they do, pixels. All keyframes have what they leave in common, so no number of them averages it out. Raised to `SMALL_STEP_PX`, a
-/// set of fifteen panels stops 0.05 mm short of where it comes to, in a direction that depends on how it was configured; lowered, rounds are spent on rounding.
+/// Step below which a model counts as converged in any case, pixels. All keyframes share their
+/// systematic errors, so averaging over more does not remove such a step. Raised to
+/// `SMALL_STEP_PX`, a set of fifteen panels stops 0.05 mm short, in a direction that depends on its
+/// configuration; lowered, rounds are spent on rounding errors.
 const REST_PX: f64 = 0.0005;
-/// A small step that is not shorter than this share of the one before it goes to and fro: rest as well.
+/// A small step that is longer than this fraction of the previous one is oscillating; treat it as
+/// converged.
 const NO_LONGER_SHRINKS: f64 = 0.8;
-/// Rounds in which the smoothness is chosen: once the residuals are no longer those of a flat stage, and again.
+/// Rounds in which the smoothness is chosen: once the residuals are no longer those of a flat
+/// stage, and again later.
 const CHOOSING_ROUNDS: [usize; 3] = [2, 4, 6];
-/// Curvature before anything is chosen: that of a wall.
+/// Curvature before the first choice: that of a wall.
 const FIRST_CURVATURE: f64 = 0.03;
-/// Curvatures that are tried, per longer side, one sigma: from as good as flat to sharp folds.
+/// Candidate curvatures, per longer side, one sigma: from practically flat to sharp folds.
 const CURVATURES: [f64; 8] = [0.0001, 0.003, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0];
-/// Curvatures are beside each other up to this ratio, as a logarithm.
+/// Maximum ratio, as a natural logarithm, between the current curvature and the candidates tried
+/// later.
 const NEAR: f64 = 1.5;
-/// A rougher shape is taken only where it explains the held-out tiles better by this share of their cost.
+/// Minimum relative reduction of the held-out tiles' cost for choosing a rougher shape.
 const BETTER: f64 = 0.01;
-/// The same while anchors lead to the basin: only what is truly bent is bent there. With 0.01 d-relief's flats, bent once, were never found flat again, and stood
-/// 0.15 mm off instead of 0.017. Raised, folds that tiles cannot reach stay.
+/// The same while anchors are used, when only truly bent surfaces should bend. With 0.01 the flats
+/// of the clip d-relief, once bent, were never found flat again, and stood 0.15 mm off instead of
+/// 0.017. Raised, folds that tiles cannot reach stay.
 const MUCH_BETTER: f64 = 0.2;
-/// Of several surfaces, one is flat unless bending explains its held-out tiles better by this share of their cost. With 0.01 flats were bent by 0.1 mm, to which what is left of blur and borders
-/// comes, and stood 0.016 degrees off. Raised, cloth that hangs 0.1 mm off a plane counts as flat.
+/// With several surfaces, minimum relative reduction of a surface's held-out cost for it not to be
+/// flat. With 0.01 flats were bent by 0.1 mm, fitting residual errors of blur and borders, and
+/// stood 0.016 degrees off. Raised, cloth that hangs 0.1 mm off a plane counts as flat.
 const CLEARLY_BENT: f64 = 0.05;
-/// While the smoothness is chosen, one tile of this many is held out.
+/// One tile in this many is held out while the smoothness is chosen.
 const HELD_OUT: u32 = 5;
-/// A step after which fewer than this share of the frames bear the model out went beyond where the equations hold. Raised, people in front end a survey's
-/// progress; lowered, a walk that tells little ends in a model that no frame knows.
+/// Minimum fraction of frames that must still support the model after a step; below it the step
+/// left the range in which the equations hold. Raised, people in front of the stage end a survey's
+/// progress; lowered, an uninformative walk ends in a model that matches no frame.
 const LEAST_KEPT_SHARE: f64 = 0.5;
-/// Such a step is taken back and made shorter by this, and the next ones grow by its root until they are whole again. Nearer to 1, more rounds are lost; nearer
-/// to 0, good steps are.
+/// Factor by which such a step is shortened after it is undone; later steps grow by its inverse
+/// square root until they are whole again. Nearer to 1, more rounds are lost; nearer to 0, good
+/// steps are.
 const SHORTER: f64 = 0.25;
-/// The shortest share of a step: three times shorter in a row. Lowered, rounds are lost where the frames are gone for another reason.
+/// Minimum fraction of a step: shortened three times in a row. Lowered, rounds are lost if the
+/// frames are lost for another reason.
 const SHORTEST: f64 = SHORTER * SHORTER * SHORTER;
-/// Standard deviation of the readout about the configured one where the walk is to find it, seconds: a sensor that reads slowly and is configured as one that reads
-/// all rows at once. Raised, nothing changes in walks that show it; lowered, slow sensors are taken for faster ones.
+/// Standard deviation of the readout around the configured one if the walk is to find it, seconds:
+/// a sensor that reads slowly but is configured as a global shutter. Raised, walks that show the
+/// readout are unaffected; lowered, slow sensors are taken for faster ones.
 const READOUT_SIGMA_S: f64 = 0.02;
-/// The same where the readout is to stay: where few keyframes move, and once it was found. Raised, it drifts with the lens; much lower, the equations lose digits.
+/// The same if the readout is held fixed: with few moving keyframes, and once it was found. Raised,
+/// it drifts with the lens; much lower, the equations lose precision.
 const KNOWN_READOUT_SIGMA_S: f64 = 1e-6;
-/// Fewest keyframes with known rates that the readout is found by; else it stays as told. Chosen, not tuned: three for each number of the lens. Raised, short walks do
-/// not tell it; lowered, one that tells little (a postcard in the hand, ten keyframes) finds -15 ms, and a lens to go with that.
+/// Minimum number of keyframes with known rates for finding the readout; with fewer it stays as
+/// configured. Chosen, not tuned: three for each lens parameter. Raised, short walks do not find
+/// it; lowered, an uninformative one (a postcard in the hand, ten keyframes) finds -15 ms, and a
+/// lens to match.
 const LEAST_WITH_RATES: usize = 24;
-/// Covariances are that much larger than those of independent tiles: neighbouring keyframes see the same tiles, and what is off in one is off in the next.
-/// (research/mapping.md, section 6.)
+/// Factor on the covariances of independent tiles: neighbouring keyframes see the same tiles with
+/// the same errors. (research/mapping.md, section 6.)
 const INFLATION: f64 = 1.5;
 
-/// What a survey rests on.
+/// The input and state of an adjustment.
 pub struct Adjustment<'a> {
     observers: Observers<'a>,
     lens_sigmas: [f64; LENS_NUMBERS],
@@ -77,51 +96,52 @@ pub struct Adjustment<'a> {
     last: Option<LastStep>,
 }
 
-/// A step that was taken, and where from.
+/// The last step taken, and its starting point.
 struct LastStep {
     model: StageModel,
     motions: Vec<Motion>,
-    /// Frames that bore the model out.
+    /// Number of frames that supported the model.
     frames: usize,
     step: DVector<f64>,
-    /// How much of it was taken.
+    /// The fraction of it that was taken.
     share: f64,
 }
 
-/// A model, what its frames showed, and the equations at the end.
+/// The adjusted model, what its frames showed, and the final equations.
 #[derive(Debug)]
 pub struct Adjusted {
     /// The model.
     pub model: StageModel,
-    /// What each keyframe showed with it; `None` where it does not bear the model out.
+    /// What each keyframe showed with it; `None` if it does not support the model.
     pub frames: Vec<Option<ObservedFrame>>,
-    /// Robust scale of the residuals, in sigmas: the largest of the surfaces whose tiles say it.
+    /// Robust scale of the residuals, in sigmas: the largest among the surfaces with enough tiles.
     pub scale: f64,
-    /// What each surface's place rests on.
+    /// The support of each surface's pose.
     pub supports: Vec<Support>,
-    /// Root mean square of what the tiles left of the start, pixels; `None` where no frame bore it out.
+    /// Root mean square residual of the tiles with the start model, pixels; `None` if no frame
+    /// supported it.
     pub start_rms_px: Option<f64>,
-    /// The same now.
+    /// The same with the adjusted model.
     pub rms_px: f64,
-    /// How far the start put the camera beside where it is now, once one rigid motion of the whole walk is taken away: the median, metres; `None` where
-    /// fewer than three frames bore the start out.
+    /// Median error of the camera positions at the start, relative to now, after removing one rigid
+    /// motion of the whole walk, metres; `None` if fewer than three frames supported the start.
     pub start_error_m: Option<f64>,
-    /// Each measurement beside what was found.
+    /// Each measurement compared with the result.
     pub checks: Vec<ConstraintCheck>,
     /// Covariance of all unknowns.
     pub covariance: DMatrix<f64>,
-    /// The equations at the end.
+    /// The final equations.
     pub equations: NormalEquations,
-    /// Whether the readout was free to be another one than was told.
+    /// Whether the readout was free.
     pub tells_readout: bool,
-    /// Rounds that it took, and whether it came to rest.
+    /// Number of rounds.
     pub rounds: usize,
-    /// See `rounds`.
+    /// Whether it converged.
     pub has_settled: bool,
 }
 
 impl<'a> Adjustment<'a> {
-    /// Of keyframes by a lens whose numbers are known to `lens_sigmas`.
+    /// Creates an adjustment of keyframes; `lens_sigmas` is the prior of the lens parameters.
     pub fn new(observers: Observers<'a>, lens_sigmas: [f64; LENS_NUMBERS], constraints: Vec<Constraint>) -> Self {
         let tells_readout = observers.with_rates() >= LEAST_WITH_RATES;
         Self {
@@ -144,8 +164,8 @@ impl<'a> Adjustment<'a> {
         frames.iter().enumerate().map(of_frame).filter(|rows| !rows.rows().is_empty()).collect()
     }
 
-    /// Adjusts a model. `progress` is called with the number of each round before it. `None` where the equations have no solution, or the work was
-    /// ended.
+    /// Adjusts a model. `progress` is called with the number of each round before it. Returns
+    /// `None` if the equations have no solution, or the work was stopped.
     pub fn run(&mut self, start: StageModel, mut progress: impl FnMut(usize)) -> Option<Adjusted> {
         self.at_start = self.observers.tiles(&start)?;
         let mut model = start;
@@ -176,7 +196,7 @@ impl<'a> Adjustment<'a> {
         self.settle(model, progress)
     }
 
-    /// Adjusts a model that was adjusted before, with another shutter. As [`run`](Self::run).
+    /// Readjusts a model with another shutter. See [`run`](Self::run).
     pub fn run_with_shutter(&mut self, model: StageModel, shutter: Shutter, progress: impl FnMut(usize)) -> Option<Adjusted> {
         self.readout_sigma_s = KNOWN_READOUT_SIGMA_S;
         self.last = None;
@@ -184,7 +204,8 @@ impl<'a> Adjustment<'a> {
         self.settle(model.with_readout(shutter.readout_s), progress)
     }
 
-    /// Adjusts a model that was adjusted before, once some keyframes' rates (by their number in the walk) are known better. `exposure_s`: as far as known.
+    /// Readjusts a model after some keyframes' rates (by their number in the walk) are known
+    /// better. `exposure_s` is the exposure as far as known.
     pub fn run_with_rates(
         &mut self,
         model: StageModel,
@@ -198,7 +219,7 @@ impl<'a> Adjustment<'a> {
         self.settle(model, progress)
     }
 
-    /// Aligns on grey values until the model comes to rest.
+    /// Aligns on grey values until the model converges.
     fn settle(&mut self, mut model: StageModel, mut progress: impl FnMut(usize)) -> Option<Adjusted> {
         let mut before_px = f64::INFINITY;
         for round in 0..MOST_ROUNDS {
@@ -252,7 +273,8 @@ impl<'a> Adjustment<'a> {
         None
     }
 
-    /// A model after a step that `frames` frames ask for, or a part of it where the last steps were too long. `None` where that is no stage.
+    /// Returns a model after a step supported by `frames` frames, or after a part of the step if
+    /// the last ones were too long. `None` if the result is not a valid stage.
     fn stepped(&mut self, model: &StageModel, step: DVector<f64>, frames: usize) -> Option<StageModel> {
         let share = self.last.as_ref().map_or(1.0, |last| (last.share / SHORTER.sqrt()).min(1.0));
         let next = if share < 1.0 { model.stepped(&(&step * share)) } else { model.stepped(&step) };
@@ -260,7 +282,7 @@ impl<'a> Adjustment<'a> {
         next
     }
 
-    /// The model of before the last step after a shorter one, where too few frames bear the whole one out.
+    /// Undoes the last step and takes a shorter one if too few frames support the result.
     fn taken_back(&mut self, frames: usize) -> Option<StageModel> {
         let last = self.last.as_mut()?;
         if frames as f64 >= LEAST_KEPT_SHARE * last.frames as f64 {
@@ -268,7 +290,7 @@ impl<'a> Adjustment<'a> {
         }
         self.observers.put_back(&last.motions);
         if last.share <= SHORTEST {
-            // They are gone for another reason: on with the whole step.
+            // They are lost for another reason: take the whole step.
             (last.share, last.frames) = (1.0, 0);
             return last.model.stepped(&last.step);
         }
@@ -282,13 +304,13 @@ impl<'a> Adjustment<'a> {
         Some(Factor::of(&equations.matrix)?.solve(&equations.right))
     }
 
-    /// The equations of all tiles with their priors.
+    /// Returns the equations of all tiles with the priors.
     fn equations(&self, model: &StageModel, rows: &[FrameRows], scales: &[f64]) -> Option<NormalEquations> {
         let data = NormalEquations::new(rows, model.places().count, scales, true)?;
         Some(self.with_priors(data, model, &self.smoothness))
     }
 
-    /// Equations of tiles with the priors at a smoothness, symmetric.
+    /// Adds the priors for a smoothness to the equations of tiles, and makes them symmetric.
     fn with_priors(&self, mut equations: NormalEquations, model: &StageModel, smoothness: &Smoothness) -> NormalEquations {
         prior::add(
             model,
@@ -303,7 +325,8 @@ impl<'a> Adjustment<'a> {
         equations
     }
 
-    /// Lets surfaces bend where anchors clearly show that they do. `None` where the work was ended meanwhile.
+    /// Lets surfaces bend if the anchors clearly show that they do. Returns `None` if the work was
+    /// stopped meanwhile.
     fn choose_rough_smoothness(&mut self, model: &StageModel, rows: &[FrameRows], scales: &[f64]) -> Option<()> {
         let Some(data) = NormalEquations::new(rows, model.places().count, scales, false) else { return Some(()) };
         let n = model.surfaces.len();
@@ -317,7 +340,7 @@ impl<'a> Adjustment<'a> {
             tried.push((cost, curvature));
         }
         let least = tried.iter().map(|(cost, _)| *cost).fold(f64::INFINITY, f64::min);
-        // From the smoothest on: the first that no rougher one clearly beats.
+        // The smoothest one that no rougher one clearly beats.
         let chosen = tried.into_iter().find(|(cost, _)| (1.0 - MUCH_BETTER) * cost <= least);
         if let Some((_, curvature)) = chosen.filter(|(_, curvature)| *curvature > FIRST_CURVATURE) {
             self.smoothness = Smoothness::even(n, curvature);
@@ -325,8 +348,9 @@ impl<'a> Adjustment<'a> {
         self.observers.go_on().then_some(())
     }
 
-    /// Takes the smoothness that predicts held-out tiles best: first one for all surfaces, then for each whether flat does as well. `None` where the work
-    /// was ended meanwhile.
+    /// Chooses the smoothness that predicts held-out tiles best: first one for all surfaces, then
+    /// for each surface whether flat does as well. Returns `None` if the work was stopped
+    /// meanwhile.
     fn choose_smoothness(&mut self, model: &StageModel, rows: &[FrameRows], scales: &[f64], is_first: bool) -> Option<()> {
         let Some(data) = NormalEquations::new(rows, model.places().count, scales, false) else { return Some(()) };
         let n = model.surfaces.len();
@@ -338,7 +362,7 @@ impl<'a> Adjustment<'a> {
             let step = Factor::of(&equations.matrix)?.solve(&equations.right);
             Some(equations.held_out_costs(rows, &step, scales))
         };
-        // Later on only what lies beside the last choice is tried.
+        // After the first choice only its neighbours are tried.
         let usual = self.smoothness.curvatures.iter().copied().fold(0.0, f64::max);
         let is_near = |curvature: f64| is_first || (curvature / usual).ln().abs() < NEAR;
         let tried = CURVATURES.into_iter().filter(|curvature| is_near(*curvature)).filter_map(|curvature| {
@@ -373,12 +397,12 @@ impl<'a> Adjustment<'a> {
     }
 }
 
-/// Whether a step after one of `before_px` says that the model has come to rest.
+/// Whether a step shows that the model has converged, given the previous step `before_px`.
 fn is_rest(step_px: f64, before_px: f64) -> bool {
     step_px < REST_PX || step_px < SMALL_STEP_PX && step_px > NO_LONGER_SHRINKS * before_px
 }
 
-/// A fixed choice that no other numbers of frames or tiles share.
+/// A fixed pseudo-random choice by frame, tile and surface.
 fn is_held_out(frame: usize, tile: &ObservedTile) -> bool {
     let mixed = (frame as u32).wrapping_mul(0x9e37_79b1)
         ^ (tile.number + 1).wrapping_mul(0x85eb_ca77)
@@ -386,7 +410,8 @@ fn is_held_out(frame: usize, tile: &ObservedTile) -> bool {
     (mixed ^ (mixed >> 15)).wrapping_mul(0x2c1b_3c6d) >> 8 & 0xffff < 0xffff / HELD_OUT
 }
 
-/// Root mean square of what the tiles leave, pixels; the farthest twentieth is something else.
+/// Returns the root mean square residual of the tiles, pixels, without the largest twentieth, which
+/// are outliers.
 fn rms_px(frames: &[Option<ObservedFrame>]) -> f64 {
     let mut squares: Vec<f64> = frames.iter().flatten().flat_map(|f| &f.tiles).map(|t| t.shift_px.norm_squared()).collect();
     squares.sort_by(f64::total_cmp);
@@ -419,11 +444,11 @@ mod tests {
 
     #[test]
     fn steps_that_still_shrink_are_no_rest() {
-        // A set of fifteen panels: each step has four to seven tenths of the one before it to go.
+        // A set of fifteen panels: each step leaves four to seven tenths of the previous error.
         let steps = [0.04, 0.0094, 0.0113, 0.0040, 0.0027, 0.0011, 0.0007, 0.0003];
         let rests: Vec<bool> = steps.windows(2).map(|pair| is_rest(pair[1], pair[0])).collect();
         assert_eq!(rests, [false, false, false, false, false, false, true]);
-        // To and fro: rest where it is little, none where it is much.
+        // Oscillating: converged if the step is small, not if it is large.
         assert!(is_rest(0.0031, 0.0033) && is_rest(0.0033, 0.0031));
         assert!(!is_rest(0.031, 0.033) && !is_rest(0.009, f64::INFINITY));
     }

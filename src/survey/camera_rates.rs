@@ -1,10 +1,13 @@
-//! How a camera moved in a frame, by where it was in the two frames before and after it.
+//! How a camera moved during a frame, from its poses in the two frames before and the two after.
 //!
-//! A walk sways: at 3 Hz and 30 frames a second the mean rate between the neighbours of a frame falls short by a fifteenth. Two more poses tell the bend of the bend
-//! (central differences of fourth order), and leave a two hundredth. What that does to a readout is part of its sigma (`stage`).
+//! A walk sways: at 3 Hz and 30 frames per second, the mean rate between a frame's neighbours is
+//! too small by 1/15. Two more poses (central differences of fourth order) reduce this to 1/200.
+//! Its effect on the readout is part of the readout's sigma (`stage`).
 //!
-//! Poses by a stage, a lens or a shutter that is off jump from frame to frame, by centimetres where folds are taken for flat, and rates by them mislead the lens. How
-//! far the poses are from a smooth path says how well they tell the rates, and once the stage was surveyed the clips are looked at again ([`rates_in`]).
+//! Poses from a wrong stage, lens or shutter jump from frame to frame, by centimetres if folds are
+//! taken for flat, and their rates mislead the lens. The poses' distance from a smooth path
+//! therefore sets the rates' sigma, and after the survey the clips are tracked again
+//! ([`rates_in`]).
 
 use nalgebra::Vector3;
 
@@ -14,39 +17,46 @@ use crate::geometry::{Body, Camera, Pose};
 use crate::track::{KnownRates, Matcher};
 use crate::tracker::TrackerSetup;
 
-/// The times between five frames differ from their mean by this share at most. Raised, dropped frames pass for even ones.
+/// Maximum relative deviation of the time steps between five frames from their mean. Raised,
+/// dropped frames pass for even ones.
 const LARGEST_JITTER: f64 = 0.1;
-/// The time between two frames is no longer, seconds: a camera does not move evenly for as long. Raised, slow cameras tell rates that they did not have.
+/// Maximum time between two frames, seconds: a camera's motion is not uniform for longer. Raised,
+/// slow cameras yield wrong rates.
 const LONGEST_STEP_S: f64 = 0.05;
-/// Weights of the poses one and two frames away in a first derivative, those after with this sign, those before with the other; and in a second one, all with this
-/// sign. Source: Abramowitz and Stegun, *Handbook of Mathematical Functions*, table 25.2.
+/// Weights of the poses one and two frames away in a first derivative (positive after, negative
+/// before), and in a second derivative (all positive). Source: Abramowitz and Stegun, *Handbook of
+/// Mathematical Functions*, table 25.2.
 const FIRST: [f64; 2] = [2.0 / 3.0, -1.0 / 12.0];
 const SECOND: [f64; 2] = [4.0 / 3.0, -1.0 / 12.0];
-/// How far derivatives of poses scatter that scatter by 1 each, in frames: the roots of the weights' squared sums.
+/// Scatter of the derivatives, in frames, for poses that scatter by 1: roots of the weights' sums
+/// of squares.
 const SCATTER: [f64; 2] = [0.95, 3.13];
-/// Weights of a fourth difference, which a smooth path does not have, and how far it scatters.
+/// Weights of a fourth difference, which vanishes on a smooth path, and its scatter.
 const FOURTH: [f64; 5] = [1.0, -4.0, 6.0, -4.0, 1.0];
 const FOURTH_SCATTER: f64 = 8.37;
 
 /// How far poses may be trusted for rates, one sigma.
 #[derive(Debug, Clone, Copy)]
 struct Trust {
-    /// Share of a rate itself.
+    /// As a fraction of the rate itself.
     own_share: f64,
-    /// What poses scatter by, radians.
+    /// Scatter of the poses, radians.
     scatter: f64,
 }
 
 impl Trust {
-    /// Lens, shutter and stage as configured: any of them may be off, and the rates with them. Raised, walks tell less of a readout; lowered, what a fold does to the
-    /// pose of a passing camera is taken for its motion, and the lens makes up for it.
+    /// With lens, shutter and stage as configured, all of which may be wrong, and the rates with
+    /// them. Raised, walks constrain the readout less; lowered, a fold's effect on the pose of a
+    /// passing camera is taken for motion, and the lens compensates for it.
     const AS_CONFIGURED: Self = Self { own_share: 0.03, scatter: 1e-4 };
-    /// As surveyed. Scattered by 0.03 mm at 3 m in a rendered walk. The share was lowered from 0.005 after the result of one clip (d-cloth-walk read in 18 ms), on which alone it
-    /// was judged: it has to be held against others. Raised, a lens is known less well; lowered, a pose that is off misleads.
+    /// As surveyed. Poses scattered by 0.03 mm at 3 m in a rendered walk. The share was lowered
+    /// from 0.005 because of the result on a single clip (d-cloth-walk with 18 ms readout); it has
+    /// yet to be checked on others. Raised, a lens is known less well; lowered, wrong poses
+    /// mislead.
     const AS_SURVEYED: Self = Self { own_share: 0.002, scatter: 2e-5 };
 }
 
-/// The last poses of a clip, in frames that follow each other.
+/// The last poses of a clip, in consecutive frames.
 #[derive(Debug)]
 pub struct RecentPoses {
     poses: Vec<(usize, Pose<Body, Camera>, Timestamp)>,
@@ -54,17 +64,19 @@ pub struct RecentPoses {
 }
 
 impl RecentPoses {
-    /// Of a stage as configured.
+    /// For a stage as configured.
     pub fn as_configured() -> Self {
         Self { poses: Vec::with_capacity(5), trust: Trust::AS_CONFIGURED }
     }
 
-    /// Of one that was surveyed.
+    /// For a surveyed stage.
     pub fn as_surveyed() -> Self {
         Self { trust: Trust::AS_SURVEYED, ..Self::as_configured() }
     }
 
-    /// Adds the pose of a frame by its number. Gives the number of the frame two before it and its rates, where the poses around tell them. `distance_m`: to the stage.
+    /// Adds the pose of a frame, given its number. Returns the number of the frame two before it
+    /// and its rates, if the poses around determine them. `distance_m` is the distance to the
+    /// stage.
     pub fn add(&mut self, number: usize, pose: Pose<Body, Camera>, stamp: Timestamp, distance_m: f64) -> Option<(usize, KnownRates)> {
         if self.poses.last().is_some_and(|(last, ..)| last + 1 != number) {
             self.poses.clear();
@@ -88,14 +100,14 @@ impl RecentPoses {
     }
 }
 
-/// First and second derivative of a vector, and how far its places are from a smooth path.
+/// First and second derivative of a vector, and its distance from a smooth path.
 struct Derivatives {
     both: [Vector3<f64>; 2],
     scatter: f64,
 }
 
 impl Derivatives {
-    /// Of places at even times, the third of which is the origin.
+    /// Computes them from positions at even times, of which the third is the origin.
     fn of(places: [Vector3<f64>; 5], dt_s: f64) -> Self {
         let [far_back, back, _, on, far_on] = places;
         let first = ((on - back) * FIRST[0] + (far_on - far_back) * FIRST[1]) / dt_s;
@@ -104,7 +116,7 @@ impl Derivatives {
         Self { both: [first, second], scatter: fourth.norm() / FOURTH_SCATTER }
     }
 
-    /// Each with its sigma. `unit`: of the places beside radians.
+    /// Returns each derivative with its sigma. `unit` converts radians to the positions' unit.
     fn with_sigmas(&self, trust: &Trust, unit: f64, dt_s: f64) -> [(Vector3<f64>, f64); 2] {
         let scatter = self.scatter.hypot(trust.scatter * unit);
         std::array::from_fn(|k| {
@@ -114,8 +126,9 @@ impl Derivatives {
     }
 }
 
-/// How the camera moved in the frames of clips, by a stage that was surveyed: rates by the frames' numbers, counted as in `Walk`. `progress` hears the number of each
-/// frame; `goes_on` ends the work with false.
+/// Measures how the camera moved in the frames of clips, with a surveyed stage: returns rates by
+/// the frames' numbers, counted as in `Walk`. `progress` receives the number of each frame;
+/// `goes_on` stops the work by returning false.
 pub fn rates_in<C, F>(
     clips: C,
     setup: TrackerSetup,
@@ -187,7 +200,7 @@ mod tests {
     #[test]
     fn poses_that_jump_tell_rates_as_badly_as_they_are() {
         let steady = |t: f64| Pose::<Body, Camera>::new(UnitQuaternion::identity(), Vector3::new(0.7 * t, 0.0, -3.0));
-        // One pose that is off, and a path that is off from one pose on.
+        // One wrong pose, and a path that is offset from one pose on.
         for (from, to) in (0..5).flat_map(|from| [(from, from + 1), (from, 5)]) {
             let mut poses = RecentPoses::as_surveyed();
             let seen = |n: usize| {

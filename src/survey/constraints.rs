@@ -1,18 +1,21 @@
-//! Measurements that constrain the adjustment: lengths between points of surfaces, and positions of such points in the stage frame.
+//! Measurements that constrain the adjustment: lengths between points of surfaces, and positions of
+//! such points in the stage frame.
 //!
-//! No camera tells a stage from a smaller one nearby, so without these `size_m` says how large it is. With them the size is an unknown like any other.
-//! Each measurement is also held against all else: what it is beside its prediction without it (the deleted residual), in sigmas of that. Source:
-//! Cook and Weisberg, *Residuals and Influence in Regression* (1982), section 2.2.
+//! A camera cannot tell a stage from a smaller, nearer one, so without measurements `size_m` sets
+//! the scale. With them the size is an unknown like any other. Each measurement is also tested
+//! against all others by its deleted residual: its difference from the prediction without it, in
+//! sigmas. Source: Cook and Weisberg, *Residuals and Influence in Regression* (1982), section 2.2.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::stage_model::StageModel;
 
-/// Beyond this many sigmas a measurement contradicts all else: of honest ones one in ten thousand lengths does, one in a thousand places. Raised, slips
-/// pass; lowered, honest tapes are refused.
+/// Deleted residual, in sigmas, above which a measurement contradicts the rest: exceeded by one
+/// correct length in ten thousand, and one correct position in a thousand. Raised, mistakes pass;
+/// lowered, correct measurements are refused.
 const CONTRADICTION: f64 = 4.0;
 
-/// A point of a surface's picture.
+/// A point on a surface's picture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PicturePoint {
     /// Index of the surface in the stage.
@@ -21,21 +24,21 @@ pub struct PicturePoint {
     pub on_picture_m: [f64; 2],
 }
 
-/// What was measured.
+/// A measured quantity.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Measured {
-    /// How far two points are from each other, metres.
+    /// The distance between two points, metres.
     Distance {
-        /// The two.
+        /// The two points.
         between: [PicturePoint; 2],
         /// The length.
         length_m: f64,
     },
-    /// Where a point is in the stage, metres.
+    /// The position of a point in the stage, metres.
     Place {
         /// The point.
         of: PicturePoint,
-        /// The place.
+        /// Its position.
         position_m: Vector3<f64>,
     },
 }
@@ -43,45 +46,46 @@ pub enum Measured {
 /// A measurement.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Constraint {
-    /// Where it stands, for messages.
+    /// Its place in the config, for messages.
     pub name: String,
-    /// What it says.
+    /// The measured quantity.
     pub measured: Measured,
-    /// One sigma, metres: of a place along each axis.
+    /// One sigma, metres; for a position along each axis.
     pub sigma_m: f64,
 }
 
-/// A measurement beside what was found.
+/// A measurement compared with the result.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ConstraintCheck {
     /// The measurement.
     pub constraint: Constraint,
-    /// How far it is from the survey that contains it, metres: of a length with its sign (measured less found).
+    /// Residual in the survey that includes it, metres; for a length with its sign (measured minus
+    /// found).
     pub off_m: f64,
-    /// How far it is from what all else says, metres.
+    /// Difference from its prediction by everything else, metres.
     pub off_from_others_m: f64,
-    /// The same in sigmas of both.
+    /// The same in sigmas.
     pub sigmas: f64,
 }
 
-/// One number of a measurement: what of it is left, and how that shrinks with the unknowns.
+/// One scalar of a measurement: its residual and its derivative by the unknowns.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ConstraintRow {
-    /// Measured less modelled, metres.
+    /// Measured minus modelled, metres.
     pub left: f64,
-    /// Place of an unknown, and how the modelled number changes with it.
+    /// Indices of unknowns, with the derivative of the modelled value by each.
     pub by_model: Vec<(usize, f64)>,
 }
 
 impl Constraint {
-    /// Its numbers at a model: one of a length, three of a place.
+    /// Returns its scalars for a model: one for a length, three for a position.
     pub fn rows(&self, model: &StageModel) -> Vec<ConstraintRow> {
         match &self.measured {
             Measured::Distance { between, length_m } => {
                 let [from, to] = between.each_ref().map(|point| model.point(point.surface, point.on_picture_m));
                 let apart = to.place - from.place;
                 let length = apart.norm();
-                // Two points in one place have no direction, and nothing to say of one.
+                // Two coinciding points have no direction; their derivative is zero.
                 let along = apart / length.max(f64::MIN_POSITIVE);
                 let ends =
                     from.by_model.iter().map(|(k, d)| (*k, -along.dot(d))).chain(to.by_model.iter().map(|(k, d)| (*k, along.dot(d))));
@@ -98,7 +102,7 @@ impl Constraint {
         }
     }
 
-    /// Holds it against a model that contains it. `covariance`: that of the unknowns.
+    /// Compares it with a model that includes it. `covariance` is that of the unknowns.
     fn check(&self, model: &StageModel, covariance: &DMatrix<f64>) -> Option<ConstraintCheck> {
         let rows = self.rows(model);
         let left = DVector::from_iterator(rows.len(), rows.iter().map(|row| row.left));
@@ -106,7 +110,7 @@ impl Constraint {
             a.by_model.iter().flat_map(|(i, x)| b.by_model.iter().map(move |(j, y)| x * y * covariance[(*i, *j)])).sum()
         };
         let explained = DMatrix::from_fn(rows.len(), rows.len(), |i, j| share(&rows[i], &rows[j]) / self.sigma_m.powi(2));
-        // A number that nothing else speaks of leaves no room; digits alone could make that room negative.
+        // If nothing else constrains the value, nothing remains; rounding could make this negative.
         let room = DMatrix::identity(rows.len(), rows.len()) - explained;
         let without = room.lu().solve(&left)?;
         let sigmas = (left.dot(&without).max(0.0)).sqrt() / self.sigma_m;
@@ -119,12 +123,12 @@ impl Constraint {
 }
 
 impl ConstraintCheck {
-    /// Whether all else contradicts it.
+    /// Whether everything else contradicts it.
     pub fn is_contradicted(&self) -> bool {
         self.sigmas > CONTRADICTION
     }
 
-    /// What contradicts it, in a clause.
+    /// Describes the contradiction in a clause.
     pub fn contradiction(&self) -> String {
         let name = &self.constraint.name;
         match &self.constraint.measured {
@@ -144,7 +148,7 @@ impl ConstraintCheck {
     }
 }
 
-/// Holds all measurements against a model that contains them.
+/// Compares all measurements with a model that includes them.
 pub fn check(constraints: &[Constraint], model: &StageModel, covariance: &DMatrix<f64>) -> Vec<ConstraintCheck> {
     constraints.iter().filter_map(|constraint| constraint.check(model, covariance)).collect()
 }
@@ -194,7 +198,7 @@ mod tests {
 
     #[test]
     fn the_one_of_three_lengths_that_is_wrong_is_named_with_what_the_others_say() {
-        // One unknown, the size of the stage, of which size_m says one part in fifty.
+        // One unknown, the size of the stage, which size_m gives to one part in fifty.
         let model = StageModel::new(CameraModel::new(LENS).unwrap(), &stage(), false, true);
         let size = model.places().size.unwrap();
         let wide = |name: &str, length_m: f64, half: f64| Constraint {
@@ -220,7 +224,8 @@ mod tests {
         let worst = checks.iter().max_by(|a, b| a.sigmas.total_cmp(&b.sigmas)).unwrap();
         assert_eq!(worst.constraint.name, "c");
         assert!(worst.is_contradicted());
-        // The other two say that the stage is larger by a hundredth, and size_m hardly speaks against them.
+        // The other two say that the stage is larger by a hundredth, and size_m hardly contradicts
+        // them.
         assert!((worst.off_from_others_m - 0.08).abs() < 2e-4, "{worst:?}");
         assert!(
             worst.contradiction().contains("2.1000 m where the walk, size_m and the other measurements say 2.02"),

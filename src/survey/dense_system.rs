@@ -1,14 +1,16 @@
-//! The large dense systems of a survey, by `faer`: in blocks that stay in the processor's caches.
+//! The large dense systems of a survey, solved by `faer` in cache-sized blocks.
 //!
-//! A set of fifteen panels has 2000 unknowns, and dozens of such systems are solved while the smoothness is chosen. There
-//! nalgebra's factors take eight times as long and the inverse sixty times.
+//! A set of fifteen panels has 2000 unknowns, and dozens of such systems are solved while the
+//! smoothness is chosen. There nalgebra's factorization takes eight times as long, and its inverse
+//! sixty times.
 
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::linalg::solvers::{DenseSolveCore, Llt, Solve};
 use faer::{Accum, MatMut, MatRef, Par, Side};
 use nalgebra::{DMatrix, DVector};
 
-/// Subtracts the square of `root`, R Rᵀ, from the lower triangle of a matrix (a symmetric rank-k update).
+/// Subtracts the square of `root`, R Rᵀ, from the lower triangle of a matrix (a symmetric rank-k
+/// update).
 pub fn subtract_square(matrix: &mut DMatrix<f64>, root: &DMatrix<f64>) {
     let n = matrix.nrows();
     let root = MatRef::from_column_major_slice(root.as_slice(), n, root.ncols());
@@ -21,19 +23,20 @@ pub fn subtract_square(matrix: &mut DMatrix<f64>, root: &DMatrix<f64>) {
 pub struct Factor(Llt<f64>);
 
 impl Factor {
-    /// Of a matrix, of which only the lower triangle is read. `None` where it is not positive definite.
+    /// Factorizes a matrix, of which only the lower triangle is read. `None` if it is not positive
+    /// definite.
     pub fn of(matrix: &DMatrix<f64>) -> Option<Self> {
         let view = MatRef::from_column_major_slice(matrix.as_slice(), matrix.nrows(), matrix.ncols());
         view.llt(Side::Lower).ok().map(Self)
     }
 
-    /// The solution x of A x = `right`.
+    /// Returns the solution x of A x = `right`.
     pub fn solve(&self, right: &DVector<f64>) -> DVector<f64> {
         let solution = self.0.solve(MatRef::from_column_major_slice(right.as_slice(), right.len(), 1));
         DVector::from_fn(right.len(), |i, _| solution[(i, 0)])
     }
 
-    /// The inverse of the matrix, whole.
+    /// Returns the full inverse of the matrix.
     pub fn inverse(&self) -> DMatrix<f64> {
         let inverse = self.0.inverse();
         DMatrix::from_fn(inverse.nrows(), inverse.ncols(), |i, j| inverse[(i, j)])

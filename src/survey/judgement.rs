@@ -1,41 +1,42 @@
-//! How far to trust a survey, and what to film again.
+//! Judges how far to trust a survey, and what to film again.
 
 use super::scales::Support;
 use super::stage::Survey;
 use super::stage_model::bent;
 
-/// Points across and down a surface by which its shape is described.
+/// Points across and down a surface at which its shape is evaluated.
 const POINTS: [usize; 2] = [24, 18];
-/// Robust scale of the residuals up to which a survey is good, and usable: with the right model it is near 1; with a wrong lens or shutter above
-/// (research/mapping.md, section 6).
+/// Maximum robust scale of the residuals to be good and to be usable: near 1 with the right model,
+/// larger with a wrong lens or shutter (research/mapping.md, section 6).
 const LARGEST_SCALE: [f64; 2] = [2.0, 5.0];
-/// Share of the keyframes that must bear the result out, for good and for usable.
+/// Minimum fraction of keyframes that support the result, to be good and to be usable.
 const LEAST_USED: [f64; 2] = [0.8, 0.5];
-/// Sigma of a surface's heights as a share of its longer side: up to the first, of each of its parts, it is good; up to the second, over the median of the whole,
-/// usable.
+/// Maximum sigma of a surface's heights, as a fraction of its longer side: the first limit, for
+/// each of its parts, to be good; the second, for the median of the whole, to be usable.
 const LARGEST_HEIGHT_SIGMA: [f64; 2] = [1e-3, 5e-3];
-/// Sigma of a surface's place, as the same share, up to which it is good, and usable: a surface that no frame shows stays where the config has it, and
-/// is named.
+/// Maximum sigma of a surface's position, as the same fraction, to be good and to be usable: a
+/// surface that no frame shows stays where the config has it, and is reported.
 const LARGEST_PLACE_SIGMA: [f64; 2] = [2e-3, f64::INFINITY];
-/// 3 sigma of a focal length that was found, as a share, up to which it is good, and usable.
+/// Maximum 3 sigma of a refined focal length, as a fraction, to be good and to be usable.
 const LARGEST_FOCAL: [f64; 2] = [2e-3, 1e-2];
-/// 3 sigma of a lens that was found at its least known place, in 640ths of the picture's width, up to which it is good and usable: what calibration asks for over
-/// most of the picture (`calibrate::judge`).
+/// Maximum 3 sigma of a refined lens at its least known place, in 640ths of the picture's width, to
+/// be good and to be usable: the limits of a calibration over most of the picture
+/// (`calibrate::judge`).
 const LARGEST_PIXEL: [f64; 2] = [2.0, 6.0];
 
 /// The verdict, best first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
-    /// Fit for the stage.
+    /// Good enough for the stage.
     Good,
-    /// Better than none, with more error than needed.
+    /// Better than none, with more error than necessary.
     Usable,
-    /// Wrong, or not known well enough.
+    /// Wrong, or too uncertain.
     DoNotUse,
 }
 
 impl Verdict {
-    /// In words.
+    /// Returns the verdict in words.
     pub fn words(self) -> &'static str {
         match self {
             Self::Good => "good",
@@ -45,7 +46,7 @@ impl Verdict {
     }
 }
 
-/// What to say of a surface whose place too little speaks for.
+/// Describes a surface whose pose has too little support.
 fn little(name: &str, support: Support, sigma_mm: f64) -> String {
     let (tiles, keyframes) = (support.tiles, support.keyframes);
     let mend = "film it from nearer and from two sides, or measure where it stands";
@@ -62,12 +63,12 @@ fn little(name: &str, support: Support, sigma_mm: f64) -> String {
     format!("only {tiles} tiles in {within} show {name}, so that nothing would contradict a wrong place: {mend}")
 }
 
-/// A finding by how large something is: up to the first limit good, up to the second usable.
+/// Grades a value: good up to the first limit, usable up to the second.
 fn graded(value: f64, limits: [f64; 2], good: String, bad: &dyn Fn() -> String) -> (Verdict, String) {
     if value <= limits[0] { (Verdict::Good, good) } else { (if value <= limits[1] { Verdict::Usable } else { Verdict::DoNotUse }, bad()) }
 }
 
-/// What a survey is worth.
+/// The assessment of a survey.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Judgement {
     /// The verdict.
@@ -77,34 +78,34 @@ pub struct Judgement {
 }
 
 impl Judgement {
-    /// The verdict in one sentence.
+    /// Returns the verdict in one sentence.
     pub fn sentence(&self) -> String {
         format!("{}: {}", self.verdict.words(), self.reasons.join("; "))
     }
 }
 
-/// A surface as it was found.
+/// A surveyed surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SurfaceDescription {
-    /// One sigma of its place against the first surface, millimetres; 0 of that one.
+    /// One sigma of its position relative to the first surface, millimetres; 0 for the first one.
     pub sigma_mm: f64,
-    /// The same of how it is turned, degrees.
+    /// One sigma of its rotation, degrees.
     pub sigma_deg: f64,
-    /// Root mean square height over its plane, millimetres.
+    /// Root mean square height above its plane, millimetres.
     pub height_rms_mm: f64,
     /// Largest height, millimetres.
     pub height_max_mm: f64,
-    /// One sigma of the heights, millimetres: the median over the surface.
+    /// Median over the surface of one sigma of the heights, millimetres.
     pub height_sigma_mm: f64,
 }
 
 impl Survey {
-    /// The surfaces as they were found, in the config's order.
+    /// Describes the surveyed surfaces, in the config's order.
     pub fn described(&self) -> Vec<SurfaceDescription> {
         (0..self.surfaces.len()).filter_map(|k| self.description(k)).collect()
     }
 
-    /// One sigma of the height of surface `k` at a point of its picture, metres.
+    /// Returns one sigma of the height of surface `k` at a point of its picture, metres.
     pub fn height_sigma_m(&self, k: usize, point: [f64; 2]) -> f64 {
         let Some(shape) = bent(&self.surfaces[k]) else { return 0.0 };
         let weights = shape.height.support(point).weights().map(|(n, w)| (self.places.heights[k] + n, w));
@@ -139,7 +140,7 @@ impl Survey {
         })
     }
 
-    /// What it is worth.
+    /// Judges the survey.
     pub fn judge(&self) -> Judgement {
         let mut findings: Vec<(Verdict, String)> = Vec::new();
         let mut below = |value, limits, good, bad: &dyn Fn() -> String| findings.push(graded(value, limits, good, bad));
@@ -156,7 +157,7 @@ impl Survey {
         });
         findings.extend(self.of_surfaces());
         findings.extend(self.of_lens());
-        // One wrong length makes others look wrong: the worst is the one to measure again.
+        // One wrong length makes others look wrong: report the worst, to be measured again.
         let contradicted = self.checks.iter().filter(|check| check.is_contradicted());
         if let Some(worst) = contradicted.max_by(|a, b| a.sigmas.total_cmp(&b.sigmas)) {
             findings.push((Verdict::DoNotUse, worst.contradiction()));
@@ -170,7 +171,7 @@ impl Survey {
         Judgement { verdict, reasons }
     }
 
-    /// What is known of the surfaces; all of them together where that is enough.
+    /// Judges the surfaces; returns one summary if all are good.
     fn of_surfaces(&self) -> Vec<(Verdict, String)> {
         let (mut places_mm, mut shapes_mm) = (0.0_f64, 0.0_f64);
         let mut findings = Vec::new();
@@ -188,7 +189,8 @@ impl Survey {
                 }));
             }
             let [good, usable] = LARGEST_HEIGHT_SIGMA.map(|share| share * side_mm);
-            // One part that nobody filmed leaves the others of use; half of them does not.
+            // If one part was not filmed, the rest is still usable; if half of them were not, it is
+            // not.
             let unknown_mm = if description.height_sigma_mm > usable { f64::INFINITY } else { worst_mm.min(usable) };
             findings.push(graded(unknown_mm, [good, usable], String::new(), &|| {
                 let parts = parts.beyond(1e-3 * good);
@@ -200,7 +202,7 @@ impl Survey {
         findings
     }
 
-    /// What is known of the lens; nothing where it was kept.
+    /// Judges the lens; empty if it was not refined.
     fn of_lens(&self) -> Vec<(Verdict, String)> {
         let (Some(doubt), Some(weakest)) = (self.camera.doubt(), self.weakest_pixel()) else { return Vec::new() };
         let share = doubt.uncertainty.focal_px[0] / self.camera.intrinsics().fx;

@@ -1,4 +1,5 @@
-//! The frames of a walk that a survey rests on: sharp ones, spread over the places that the camera came to.
+//! Keyframes: the sharp frames of a walk, spread over the camera's positions, from which a survey
+//! is computed.
 
 use nalgebra::Vector2;
 
@@ -7,40 +8,44 @@ use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
 use crate::track::KnownRates;
 
-/// Keyframes at most. A first surface that shows little detail, half hidden, is known only as well as what its pixels err by averages out, and the whole stage stands by it: the places of
-/// fifteen panels before such a one were 0.09 and 0.11 mm off with 67 keyframes (two draws of noise), and 0.05 with all 131. Raised, the time and the memory grow in proportion.
+/// Maximum number of keyframes. If the first surface has little detail and is half hidden, its
+/// accuracy depends on averaging its pixels' errors, and the whole stage depends on it: the
+/// positions of fifteen panels were 0.09 and 0.11 mm off with 67 keyframes (two noise
+/// realisations), and 0.05 with all 131. Raised, time and memory grow in proportion.
 const MOST_KEYFRAMES: usize = 160;
-/// Keyframes are this far apart at first, as a share of the distance or in radians; where there are too many, twice as far. Raised, short walks have
-/// few of them; lowered, long ones hold more frames in memory meanwhile.
+/// Initial spacing of keyframes, as a fraction of the distance or in radians; doubled whenever
+/// there are too many. Raised, short walks have few of them; lowered, long ones hold more frames in
+/// memory meanwhile.
 const FIRST_SPACING: f64 = 0.03;
-/// A turn counts as a movement by this share of its angle: it shows the stage elsewhere in the frame, but from the same place.
+/// Weight of a rotation relative to a movement: it shows the stage elsewhere in the frame, but from
+/// the same position.
 const TURN_SHARE: f64 = 0.5;
 
-/// A frame that the survey rests on.
+/// A frame used by the survey.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Keyframe {
     /// Its number among all frames of the walk, from 1.
     pub number: usize,
     /// The picture, with its stamp and its row in the clip.
     pub frame: Frame,
-    /// Where the camera was and how it moved, as far as known.
+    /// The camera's pose and motion, as far as known.
     pub motion: Motion,
-    /// The motion's rates by the frames before and after it.
+    /// The motion's rates, from the frames before and after it.
     pub rates: Option<KnownRates>,
-    /// Features that were matched in it: they lead to the basin of the alignment.
+    /// Its matched features, which lead to the basin of the alignment.
     pub features: Vec<MatchedFeature>,
 }
 
-/// A feature of a frame that was matched with a place on a surface.
+/// A feature of a frame that was matched to a point on a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MatchedFeature {
     /// Index of the surface in its body.
     pub surface: usize,
     /// Metres on the picture from its centre.
     pub on_picture_m: [f64; 2],
-    /// In the frame.
+    /// Position in the frame, pixels.
     pub pixel: Vector2<f64>,
-    /// One sigma of that, along each axis.
+    /// One sigma of the pixel, along each axis.
     pub sigma_px: f64,
 }
 
@@ -48,15 +53,16 @@ pub struct MatchedFeature {
 #[derive(Debug, Default)]
 pub struct Keyframes {
     kept: Vec<Keyframe>,
-    /// The sharpest frame since the last one that was kept, and how fast the picture moved in it.
+    /// The sharpest frame since the last one kept, and how fast the picture moved in it.
     best: Option<(Keyframe, f64)>,
     spacing: Option<f64>,
     last: Option<Pose<Body, Camera>>,
 }
 
 impl Keyframes {
-    /// Offers the frame of this number in which the stage was found, with the camera's motion and how fast the picture moved, radians a second. `features` is asked for those of
-    /// a frame that is kept.
+    /// Offers a frame, by its number, in which the stage was found, with the camera's motion and
+    /// how fast the picture moved, radians per second. `features` is called for a frame that is
+    /// kept.
     pub fn offer(
         &mut self,
         (number, frame): (usize, &Frame),
@@ -87,7 +93,7 @@ impl Keyframes {
         }
     }
 
-    /// Takes how the camera moved in frame `number`, which the frames after it tell.
+    /// Records how the camera moved in frame `number`, which is only known some frames later.
     pub fn take_rates(&mut self, number: usize, rates: KnownRates) {
         let best = self.best.as_mut().map(|(keyframe, _)| keyframe);
         if let Some(keyframe) = best.into_iter().chain(self.kept.iter_mut().rev()).find(|keyframe| keyframe.number <= number)
@@ -97,7 +103,7 @@ impl Keyframes {
         }
     }
 
-    /// All that were kept, in order.
+    /// Returns all keyframes, in order.
     pub fn into_kept(self) -> Vec<Keyframe> {
         self.kept
     }

@@ -1,21 +1,26 @@
-//! The shutter from the walk itself: the part of it in which the picture moved most is tracked with the stage and the lens as they are by now.
+//! Finds the shutter from the walk itself: tracks the part in which the picture moved most, with
+//! the current stage and lens.
 //!
-//! Keyframes are of no use here: they are the sharp ones, in which all shutters are alike, and what tells of a shutter is how fast the camera moved, which
-//! the frames around tell.
+//! Keyframes are of no use for this: they are sharp, so all shutters look alike in them. The
+//! shutter shows in fast motion, which is known from consecutive frames.
 
 use crate::camera::Shutter;
 use crate::frame::Frame;
 use crate::survey::shutter::{ShutterEstimate, ShutterTime, estimate_shutter};
 use crate::tracker::{Tracker, TrackerSetup};
 
-/// Frames of a part: three seconds at 30 a second. Two parts are in memory at a time. Raised, the shutter is known better and more memory is taken.
+/// Number of frames of a part: three seconds at 30 per second. Two parts are in memory at a time.
+/// Raised, the shutter is known better and more memory is used.
 const FRAMES: usize = 100;
-/// Fewest frames that make a part: a dozen must tell something (`shutter`). Raised, short clips tell nothing; lowered, they are asked in vain.
+/// Minimum number of frames of a part: a dozen must be informative (`shutter`). Raised, short clips
+/// give no result; lowered, they are tracked in vain.
 const FEWEST: usize = 40;
-/// Times that differ by less are the same, seconds: in a slow walk's frame nothing moves by a tenth of a pixel in it. Raised, readouts of good sensors pass
-/// for none; lowered, a global shutter is called a rolling one for what the model leaves.
+/// Difference of two times, seconds, below which they count as equal: in a slow walk nothing moves
+/// by a tenth of a pixel in it. Raised, readouts of fast sensors count as zero; lowered, a global
+/// shutter is called a rolling one because of model errors.
 pub const SAME_S: f64 = 3e-4;
-/// A time is another one than was told from this many sigmas on. Raised, small slips stay; lowered, chance changes what was typed.
+/// Difference from the configured time, in sigmas, above which the time is changed. Raised, small
+/// mistakes stay; lowered, noise changes what was configured.
 const OTHER_SIGMAS: f64 = 3.0;
 
 /// A frame and its number among all frames of the walk, from 1.
@@ -27,7 +32,7 @@ pub struct NumberedFrame {
     pub frame: Frame,
 }
 
-/// Collects the liveliest part of the clips.
+/// Collects the part of the clips with the fastest motion.
 #[derive(Debug, Default)]
 pub struct LivelyPart {
     run: Vec<NumberedFrame>,
@@ -36,7 +41,8 @@ pub struct LivelyPart {
 }
 
 impl LivelyPart {
-    /// Offers the next frame, with its number and how fast the picture moved in it; `None` where the stage was not found, or a clip ends.
+    /// Offers the next frame, with its number and how fast the picture moved in it; `None` if the
+    /// stage was not found, or a clip ends.
     pub fn offer(&mut self, next: Option<(usize, &Frame, f64)>) {
         let Some((number, frame, speed)) = next else { return self.close() };
         self.run.push(NumberedFrame { number, frame: frame.clone() });
@@ -54,14 +60,15 @@ impl LivelyPart {
         }
     }
 
-    /// Its frames, in order; none of a clip that is too short.
+    /// Returns its frames, in order; empty if the clips are too short.
     pub fn into_frames(mut self) -> Vec<NumberedFrame> {
         self.close();
         self.kept.map_or_else(Vec::new, |(frames, _)| frames)
     }
 }
 
-/// What frames say of the shutter, by a stage and a lens. `None` where there are too few, or the work was ended meanwhile.
+/// Estimates the shutter from frames, with a stage and a lens. `None` if there are too few frames,
+/// or the work was stopped meanwhile.
 pub fn shutter_of(frames: &[NumberedFrame], setup: TrackerSetup, goes_on: &(dyn Fn() -> bool + Sync)) -> Option<ShutterEstimate> {
     if frames.is_empty() {
         return None;
@@ -71,8 +78,9 @@ pub fn shutter_of(frames: &[NumberedFrame], setup: TrackerSetup, goes_on: &(dyn 
     estimate_shutter(open, tracker).ok().filter(|_| goes_on())
 }
 
-/// The shutter to go on with: as told, but for the times that a clip shows to be others. An exposure that nobody told stays unknown: the tracker learns it, and
-/// a camera may choose another one in the light of the show.
+/// Returns the shutter to use: as configured, except for times that a clip shows to be different.
+/// An unconfigured exposure stays unknown: the tracker learns it, and the camera may choose another
+/// one in show light.
 pub fn mended(told: Shutter, found: &ShutterEstimate) -> Shutter {
     let time = |told_s: f64, found: Option<ShutterTime>| {
         let Some(found) = found else { return told_s };
@@ -80,7 +88,7 @@ pub fn mended(told: Shutter, found: &ShutterEstimate) -> Shutter {
         match found.seconds {
             s if (s - told_s).abs() < unsure_s => told_s,
             s if s.abs() < unsure_s => 0.0,
-            // Rows that are read from the bottom up cannot be told to a config.
+            // A config cannot express rows that are read from the bottom up.
             s if s < 0.0 => told_s,
             s => s,
         }

@@ -1,7 +1,8 @@
-//! What a clip of a known stage says of the camera and of the stage itself: [`shutter`] finds readout and exposure from a shaken clip, [`stage`]
-//! finds the stage as it hangs and the lens as it is from a walk (C11).
+//! What a clip of a known stage reveals about the camera and the stage itself: [`shutter`]
+//! estimates readout and exposure from a shaken clip, [`stage`] surveys the stage as it hangs and
+//! the lens from a walk (C11).
 //!
-//! A survey takes an iterator of frames, wherever they come from, and reads them as often as it needs.
+//! A survey takes an iterator of frames from any source, and may read them several times.
 
 mod adjustment;
 mod camera_rates;

@@ -1,11 +1,14 @@
-//! The normal equations of a survey: all frames' tiles, with the frames' own unknowns eliminated (Schur complement).
+//! The normal equations of a survey: all frames' tiles, with each frame's own unknowns eliminated
+//! (Schur complement).
 //!
-//! A tile ties its frame's motion to a few of the model's numbers. Motions of different frames have nothing to do with each other, so each
-//! frame's numbers are eliminated by themselves, and one dense system of the model's numbers is left. Source: Triggs et al., *Bundle
-//! Adjustment - A Modern Synthesis* (2000), section 6.1.
+//! A tile connects its frame's motion to a few of the model's unknowns. Motions of different frames
+//! are independent, so each frame's unknowns are eliminated separately, and one dense system of the
+//! model's unknowns remains. Source: Triggs et al., *Bundle Adjustment - A Modern Synthesis*
+//! (2000), section 6.1.
 //!
-//! A frame has as many unknowns here as its alignment leaves free: were its accelerations left out, each step would take for the lens or a fold what the
-//! next alignment takes for a bend of the camera's path, and the adjustment would creep.
+//! A frame has as many unknowns here as its alignment leaves free. Without its accelerations, each
+//! step would attribute to the lens or a fold what the next alignment attributes to a curved camera
+//! path, and the adjustment would converge very slowly.
 
 use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, SVector, Vector2};
 
@@ -16,50 +19,52 @@ use crate::geometry::robust_kernel::tukey_weight;
 use crate::motion::{Motion, unseen};
 use crate::track::{KnownRates, ObservedFrame, ObservedTile};
 
-/// What no tile tells better, pixels, one sigma along each axis: what is left of the light, the print and the lens. (research: 0.015.) Raised, tiles
-/// with much detail count no more than others; lowered, they are believed too much.
+/// Noise floor of every tile, pixels, one sigma along each axis: remaining errors of light, print
+/// and lens. (research: 0.015.) Raised, tiles with much detail count no more than others; lowered,
+/// they are trusted too much.
 const FLOOR_PX: f64 = 0.015;
-/// One sigma of a frame's pose about where it was aligned, metres and radians: none that matters, but frames with few tiles stay solvable.
+/// Prior of a frame's pose around its alignment, one sigma, metres and radians: too weak to matter,
+/// but it keeps frames with few tiles solvable.
 const POSE_SIGMA: f64 = 0.3;
 
 type FrameMatrix = SMatrix<f64, FRAME_UNKNOWNS, FRAME_UNKNOWNS>;
 type FrameVector = SVector<f64, FRAME_UNKNOWNS>;
 
-/// A tile as the equations see it.
+/// A tile's contribution to the equations.
 #[derive(Debug, Clone)]
 pub struct TileRow {
     derivatives: TileDerivatives,
-    /// What the model leaves of it, pixels.
+    /// Its residual, pixels.
     residual: Vector2<f64>,
     information: Matrix2<f64>,
     /// Index of its surface.
     pub surface: usize,
-    /// Whether it is kept for judging.
+    /// Whether it is held out, for judging the smoothness.
     pub is_held_out: bool,
 }
 
-/// A frame's tiles.
+/// A frame's tiles and priors.
 #[derive(Debug, Clone, Default)]
 pub struct FrameRows {
     rows: Vec<TileRow>,
-    /// Information of the frame's unknowns beside the tiles, and what it says of them.
+    /// Prior information of the frame's unknowns, and its right-hand side.
     prior: FrameMatrix,
     prior_right: FrameVector,
-    /// Unknowns that the tiles may tell: the first six where all rows are exposed together.
+    /// Number of unknowns that the tiles may constrain: the first six with a global shutter.
     told: usize,
 }
 
-/// The system of the model's numbers.
+/// The system of the model's unknowns.
 #[derive(Debug, Clone)]
 pub struct NormalEquations {
-    /// Information.
+    /// Information matrix.
     pub matrix: DMatrix<f64>,
-    /// Score: the solution is matrix⁻¹ right.
+    /// Right-hand side: the solution is matrix⁻¹ right.
     pub right: DVector<f64>,
     frames: Vec<EliminatedFrame>,
 }
 
-/// What gives a frame's unknowns back.
+/// What is needed to recover a frame's unknowns.
 #[derive(Debug, Clone)]
 struct EliminatedFrame {
     inverse: FrameMatrix,
@@ -68,7 +73,7 @@ struct EliminatedFrame {
 }
 
 impl TileRow {
-    /// Residual after a step, squared, in sigmas.
+    /// Returns the squared residual after a step, in sigmas.
     fn squared(&self, by_frame: &FrameVector, step: &DVector<f64>) -> f64 {
         let mut left = self.residual - self.derivatives.by_frame * by_frame;
         for (k, d) in &self.derivatives.by_model {
@@ -77,24 +82,24 @@ impl TileRow {
         left.dot(&(self.information * left))
     }
 
-    /// How far a step of the model alone moves the tile, pixels, squared.
+    /// Returns how far a step of the model alone moves the tile, pixels, squared.
     pub fn moved_squared(&self, step: &DVector<f64>) -> f64 {
         self.derivatives.by_model.iter().map(|(k, d)| d * step[*k]).sum::<Vector2<f64>>().norm_squared()
     }
 
-    /// The same before any step.
+    /// Returns the squared residual before any step, in sigmas.
     pub fn squared_now(&self) -> f64 {
         self.residual.dot(&(self.information * self.residual))
     }
 
-    /// Tukey's weight at a robust scale, over the scale squared.
+    /// Returns Tukey's weight at a robust scale, divided by the scale squared.
     pub fn weight(&self, scale: f64) -> f64 {
         tukey_weight(self.squared_now(), scale) / (scale * scale)
     }
 }
 
 impl FrameRows {
-    /// Of what a frame showed. `holds_out`: tiles to judge by.
+    /// Creates the rows of an observed frame. `holds_out` selects the tiles to hold out.
     pub fn new(frame: &ObservedFrame, model: &StageModel, distance_m: f64, holds_out: impl Fn(&ObservedTile) -> bool) -> Self {
         let rows = frame.tiles.iter().filter_map(|tile| {
             let covariance = tile.information.try_inverse()? + Matrix2::identity() * FLOOR_PX.powi(2);
@@ -112,20 +117,21 @@ impl FrameRows {
         Self { rows: rows.collect(), prior, prior_right, told }
     }
 
-    /// The tiles.
+    /// Returns the tiles.
     pub fn rows(&self) -> &[TileRow] {
         &self.rows
     }
 }
 
-/// What is known of a frame's unknowns beside its tiles.
+/// Returns the prior information of a frame's unknowns.
 fn frame_prior(rates: Option<KnownRates>, distance_m: f64) -> FrameMatrix {
     let of_rates = rates.map_or_else(|| unseen(distance_m), |rates| rates.sigmas);
     let sigma = |k: usize| if k < 6 { POSE_SIGMA } else { of_rates[k / 3 - 2] };
     FrameMatrix::from_diagonal(&FrameVector::from_fn(|k, _| sigma(k).powi(-2)))
 }
 
-/// How far the rates of a motion are from what was known of them, as the frame's unknowns: a camera that goes to the right sees all go to the left.
+/// Returns the difference between a motion's rates and the known ones, as the frame's unknowns.
+/// Their signs are inverted, since a camera that moves right sees everything move left.
 fn missing_rates(motion: &Motion, known: &KnownRates) -> FrameVector {
     let to_camera = motion.pose.rotation.inverse();
     let off = known.on(&motion.pose).error_to(motion);
@@ -135,7 +141,8 @@ fn missing_rates(motion: &Motion, known: &KnownRates) -> FrameVector {
 }
 
 impl NormalEquations {
-    /// Of all frames, with Tukey's weights at the robust scale of each surface. Held-out tiles count only where `with_held_out`.
+    /// Sums up all frames, with Tukey's weights at each surface's robust scale. Held-out tiles only
+    /// count if `with_held_out`.
     pub fn new(frames: &[FrameRows], unknowns: usize, scales: &[f64], with_held_out: bool) -> Option<Self> {
         let mut out =
             Self { matrix: DMatrix::zeros(unknowns, unknowns), right: DVector::zeros(unknowns), frames: Vec::with_capacity(frames.len()) };
@@ -151,7 +158,8 @@ impl NormalEquations {
         Some(out)
     }
 
-    /// Adds a frame's tiles and eliminates its unknowns. Gives the root R of what their elimination takes from the matrix, R Rᵀ, which is left to the caller.
+    /// Adds a frame's tiles and eliminates its unknowns. Returns the root R of what the elimination
+    /// subtracts from the matrix, R Rᵀ; the caller subtracts it.
     fn add(&mut self, frame: &FrameRows, scales: &[f64], with_held_out: bool) -> Option<DMatrix<f64>> {
         let mut own = frame.prior;
         let mut right = frame.prior_right;
@@ -183,19 +191,21 @@ impl NormalEquations {
         Some(root)
     }
 
-    /// How frame `k`'s pose, [δp, δθ] in camera axes, goes with the model's numbers when it is solved anew.
+    /// Returns the derivative of frame `k`'s solved pose, [δp, δθ] in camera axes, by the model's
+    /// unknowns.
     pub fn pose_by_model(&self, k: usize) -> DMatrix<f64> {
         let EliminatedFrame { inverse, coupling, .. } = &self.frames[k];
         let pose: DMatrix<f64> = DMatrix::from_fn(6, FRAME_UNKNOWNS, |i, j| inverse[(i, j)]);
         -(pose * coupling.transpose())
     }
 
-    /// Frames in it.
+    /// Returns the number of frames.
     pub fn frame_count(&self) -> usize {
         self.frames.len()
     }
 
-    /// The robust cost that a step leaves of each surface's held-out tiles, in squared scales, each tile cut at Tukey's limit.
+    /// Returns the robust cost of each surface's held-out tiles after a step, in squared scales,
+    /// each tile capped at Tukey's limit.
     pub fn held_out_costs(&self, frames: &[FrameRows], step: &DVector<f64>, scales: &[f64]) -> Vec<f64> {
         let mut costs = vec![0.0; scales.len()];
         for (frame, own) in frames.iter().zip(&self.frames) {
@@ -215,10 +225,12 @@ mod tests {
     use crate::camera::CameraModel;
     use crate::survey::synthetic::{LENS, camera_poses, observed, stage};
 
-    /// How far off motions are: m, rad, m/s, rad/s, m/s², rad/s². Little enough that tiles keep their weights.
+    /// Errors of the motions: m, rad, m/s, rad/s, m/s², rad/s²; small enough that tiles keep their
+    /// weights.
     const OFF: [f64; 6] = [1e-5, 1e-5, 5e-4, 2e-4, 1.0, 0.5];
 
-    /// The squared residuals, in sigmas, of tiles that are shifted by nothing but the camera's motion, and how much of them a step of the model takes away.
+    /// Returns the squared residuals, in sigmas, of tiles that are shifted only by the camera's
+    /// motion, and how much a step of the model reduces them.
     fn squares_and_taken(readout_s: f64) -> [f64; 2] {
         let model = StageModel::new(CameraModel::new(LENS).unwrap(), &stage(), true, false).with_readout(readout_s);
         let motions: Vec<Motion> = camera_poses(12).into_iter().map(Motion::still).collect();
@@ -231,7 +243,8 @@ mod tests {
         }
         let rows: Vec<FrameRows> = frames.iter().map(|frame| FrameRows::new(frame, &model, 3.0, |_| false)).collect();
         let mut equations = NormalEquations::new(&rows, model.places().count, &[1.0; 2], true).unwrap();
-        // Little beside what tiles say, and much beside what is known of the cameras: the world stays where it is.
+        // Weak compared with the tiles, strong compared with the priors of the cameras: the world
+        // stays where it is.
         for k in 0..model.places().count {
             equations.matrix[(k, k)] += 1e4;
         }

@@ -1,4 +1,5 @@
-//! The keyframes of a survey and those who ask them: features, anchors and tiles, each by the model as it is.
+//! The keyframes of a survey and their observers, which measure features, anchors and tiles with
+//! the current model.
 
 use image::GrayImage;
 use nalgebra::Matrix2;
@@ -11,12 +12,13 @@ use crate::geometry::resection::{MovingCamera, Observation, resect, residual_and
 use crate::motion::Motion;
 use crate::track::{BodySpec, KnownRates, ObservedFrame, ObservedTile, TileObserver};
 
-/// Fewest features of a frame that count: three times the four that a pose needs.
+/// Minimum number of features in a frame: three times the four that a pose needs.
 const LEAST_FEATURES: usize = 12;
-/// Keyframes that share one observer, which learns light and noise from one to the next. The number of threads changes nothing.
+/// Number of keyframes that share one observer, which learns light and noise from one to the next.
+/// Fixed, so that the number of threads does not affect the result.
 const KEYFRAMES_AN_OBSERVER: usize = 30;
 
-/// What each keyframe showed; `None` where it does not bear the model out.
+/// What each keyframe showed; `None` if it does not support the model.
 pub type ObservedFrames = Vec<Option<ObservedFrame>>;
 
 /// Keyframes with their observers.
@@ -25,12 +27,12 @@ pub struct Observers<'a> {
     observers: Vec<TileObserver>,
     body: &'a BodySpec,
     mask: Option<&'a GrayImage>,
-    /// Asked before each frame; false ends the work.
+    /// Called before each frame; false stops the work.
     goes_on: &'a (dyn Fn() -> bool + Sync),
 }
 
 impl<'a> Observers<'a> {
-    /// Prepares them.
+    /// Prepares the observers.
     pub fn new(
         keyframes: Vec<Keyframe>,
         model: &StageModel,
@@ -44,14 +46,15 @@ impl<'a> Observers<'a> {
         observers
     }
 
-    /// From now on frames are taken as exposed by this shutter.
+    /// Sets the shutter with which frames are assumed to be exposed.
     pub fn take_shutter(&mut self, model: &StageModel, shutter: Shutter) {
         let n = self.keyframes.len().div_ceil(KEYFRAMES_AN_OBSERVER).max(1);
         let (body, mask) = (self.body, self.mask);
         self.observers = (0..n).into_par_iter().map(|_| TileObserver::new(model.camera, shutter, mask.cloned(), body)).collect();
     }
 
-    /// Aligns all keyframes with a model; each remembers its motion. `None` where the work was ended meanwhile.
+    /// Aligns all keyframes with a model and updates their motions. `None` if the work was stopped
+    /// meanwhile.
     pub fn tiles(&mut self, model: &StageModel) -> Option<ObservedFrames> {
         self.ask(model, |observer, keyframe| {
             let observed = observer.observe(&keyframe.frame.image, &keyframe.motion, keyframe.rates)?;
@@ -60,7 +63,7 @@ impl<'a> Observers<'a> {
         })
     }
 
-    /// Where each keyframe shows the anchors of a model; each remembers its pose. `None` as above.
+    /// Measures the anchors of a model in each keyframe and updates the poses. `None` as above.
     pub fn anchors(&mut self, model: &StageModel, is_half: bool) -> Option<ObservedFrames> {
         self.ask(model, |observer, keyframe| {
             let observed = observer.observe_anchors(&keyframe.frame.image, &keyframe.motion.pose, is_half)?;
@@ -69,18 +72,19 @@ impl<'a> Observers<'a> {
         })
     }
 
-    /// Where each keyframe shows its features, from the pose that explains them best with a model. `None` as above.
+    /// Compares each keyframe's features with a model, at the pose that fits them best. `None` as
+    /// above.
     pub fn features(&mut self, model: &StageModel) -> Option<ObservedFrames> {
         let frames = self.keyframes.par_iter_mut().map(|keyframe| observed_features(keyframe, model)).collect();
         (self.goes_on)().then_some(frames)
     }
 
-    /// Keyframes whose rates the frames around tell.
+    /// Returns the number of keyframes with rates known from neighbouring frames.
     pub fn with_rates(&self) -> usize {
         self.keyframes.iter().filter(|keyframe| keyframe.rates.is_some()).count()
     }
 
-    /// Takes how the camera moved in frames of these numbers, where they are keyframes.
+    /// Sets the rates of frames with these numbers, if they are keyframes.
     pub fn take_rates(&mut self, rates: &[(usize, KnownRates)]) {
         for keyframe in &mut self.keyframes {
             let own = rates.iter().find(|(number, _)| *number == keyframe.number);
@@ -88,24 +92,24 @@ impl<'a> Observers<'a> {
         }
     }
 
-    /// Where each keyframe is by now.
+    /// Returns the current motion of each keyframe.
     pub fn motions(&self) -> Vec<Motion> {
         self.keyframes.iter().map(|keyframe| keyframe.motion).collect()
     }
 
-    /// Puts the keyframes back to where they were.
+    /// Restores the keyframes' motions.
     pub fn put_back(&mut self, motions: &[Motion]) {
         for (keyframe, motion) in self.keyframes.iter_mut().zip(motions) {
             keyframe.motion = *motion;
         }
     }
 
-    /// Whether to go on.
+    /// Whether to continue.
     pub fn go_on(&self) -> bool {
         (self.goes_on)()
     }
 
-    /// Asks every keyframe through its observer, which takes the model first.
+    /// Runs `of_frame` on every keyframe with its observer, which takes the model first.
     fn ask(
         &mut self,
         model: &StageModel,
@@ -122,7 +126,7 @@ impl<'a> Observers<'a> {
     }
 }
 
-/// A keyframe's features by the pose that explains them best; `None` where there are too few.
+/// Measures a keyframe's features at the pose that fits them best; `None` if there are too few.
 fn observed_features(keyframe: &mut Keyframe, model: &StageModel) -> Option<ObservedFrame> {
     let observations: Vec<Observation> = keyframe
         .features
@@ -131,7 +135,7 @@ fn observed_features(keyframe: &mut Keyframe, model: &StageModel) -> Option<Obse
             let surface = &model.surfaces[f.surface];
             let point = surface.pose.transform(&surface.shape.at(f.on_picture_m).place.into());
             let information = Matrix2::identity() / f.sigma_px.powi(2);
-            // Motion within the frame is left to the tiles: features are rough anyway.
+            // Motion within the frame is left to the tiles, since features are not precise anyway.
             Observation { point, pixel: f.pixel, information, delay_s: 0.0, group: 0 }
         })
         .collect();

@@ -1,5 +1,5 @@
-//! What is known of a stage before any frame: shapes are smooth, what is nowhere said stays as the config has it, and one thing in the world has
-//! to stay where it is.
+//! The priors of a stage: shapes are smooth, unobserved quantities stay as configured, and the
+//! world's frame is fixed.
 
 use nalgebra::{DMatrix, DVector, SVector, Vector2, Vector3};
 
@@ -7,27 +7,31 @@ use super::constraints::Constraint;
 use super::stage_model::{LENS_NUMBERS, StageModel};
 use crate::geometry::bspline::BicubicSpline;
 
-/// What is free of the world's own place and size is held to this, metres and radians, one sigma: to nothing. (Lower, and the system loses digits.)
+/// Sigma, metres and radians, of constraints that fix the world's own pose and size: practically
+/// zero. (Lower, and the system loses precision.)
 const GAUGE_SIGMA: f64 = 1e-6;
-/// Points across and down a surface by which its mean plane is found.
+/// Points across and down a surface by which its mean plane is defined.
 const GAUGE_POINTS: [usize; 2] = [24, 18];
-/// How far a surface may stand from where the config has it, one sigma: metres and radians.
+/// Prior of a surface's pose around the configured one, one sigma: metres and radians.
 const POSE_SIGMAS: [f64; 2] = [0.3, 0.2];
-/// How far a point of a surface may be from its plane, one sigma, as a share of the surface's longer side: it only keeps parts that no frame shows
-/// from anything at all.
+/// Prior of a point's distance from its surface's plane, one sigma, as a fraction of the longer
+/// side: it only keeps parts that no frame shows from being arbitrary.
 const HEIGHT_SHARE: f64 = 0.01;
-/// How far a point may be from its place within the plane, as such a share: of surfaces that are as long as `size_m` says, and of others. Were all free,
-/// the first surface alone would say how large the stage is.
+/// Prior of a point's displacement within the plane, as the same fraction: for surfaces that are as
+/// long as `size_m` states, and for stretched ones. If all were free, the first surface alone would
+/// set the stage's scale.
 const RIGID_SHARE: f64 = 1e-6;
 const STRETCHED_SHARE: f64 = 0.005;
-/// How much a stretch changes along the surface, one sigma, per side of the surface: cloth and prints are stretched evenly.
+/// Prior of the change of a stretch along the surface, one sigma, per side of the surface: cloth
+/// and prints stretch evenly.
 const STRETCH_BEND: f64 = 0.002;
 
-/// How far the stage may be from the size that `size_m` says where something else was measured, one sigma, as a share: tapes are better, what is
-/// painted on a cloth is not. Raised, one slip of a length passes; lowered, `size_m` has a say beside lengths that know better.
+/// Prior of the stage's size around `size_m` if something else was measured, one sigma, as a
+/// fraction: tapes are more precise than paint on a cloth. Raised, a single wrong length passes;
+/// lowered, `size_m` competes with more precise lengths.
 const SIZE_SIGMA: f64 = 0.02;
 
-/// How smooth shapes are, one sigma.
+/// Smoothness of the shapes, one sigma.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Smoothness {
     /// Curvature of each surface's heights, times its longer side.
@@ -37,12 +41,12 @@ pub struct Smoothness {
 }
 
 impl Smoothness {
-    /// The same for all surfaces.
+    /// Returns the same smoothness for all surfaces.
     pub fn even(surfaces: usize, curvature: f64) -> Self {
         Self { curvatures: vec![curvature; surfaces], is_stretched: false }
     }
 
-    /// Another one for surface `k`.
+    /// Returns a copy with another curvature for surface `k`.
     pub fn with(&self, k: usize, curvature: f64) -> Self {
         let mut other = self.clone();
         other.curvatures[k] = curvature;
@@ -75,7 +79,7 @@ pub fn add(
         if let Some(at) = places.poses[k] {
             let ([shift, turn], start) = (model.pose_change(k), model.start_from_first(k));
             for axis in 0..3 {
-                // A stage that is larger has its surfaces farther apart.
+                // In a larger stage the surfaces are farther apart.
                 let by_size = places.size.map(|size| (size, -start[axis]));
                 let row: Vec<(usize, f64)> = std::iter::once((at + axis, 1.0)).chain(by_size).collect();
                 system.add(&row, shift[axis] - model.growth() * start[axis], POSE_SIGMAS[0]);
@@ -101,7 +105,8 @@ pub fn add(
     }
 }
 
-/// A difference of neighbouring coefficients: columns and rows from the first, with their weights; how many it spans; the unit of the derivative that it is.
+/// A finite difference of neighbouring coefficients: offsets of columns and rows with weights; how
+/// many it spans; the unit of the derivative.
 type Difference = (&'static [(usize, usize, f64)], [usize; 2], f64);
 
 struct System<'a> {
@@ -110,7 +115,7 @@ struct System<'a> {
 }
 
 impl System<'_> {
-    /// A sum of unknowns, which is `now` before the step, is zero to a sigma.
+    /// Constrains a sum of unknowns, which is `now` before the step, to zero with a sigma.
     fn add(&mut self, row: &[(usize, f64)], now: f64, sigma: f64) {
         let information = sigma.powi(-2);
         for (i, a) in row {
@@ -121,7 +126,7 @@ impl System<'_> {
         }
     }
 
-    /// Second differences along both axes and across, as the second derivatives that they are.
+    /// Constrains second differences along both axes and mixed, as second derivatives.
     fn smooth<const N: usize>(&mut self, field: &BicubicSpline<N>, first: usize, sigma: f64) {
         let [columns, rows] = field.columns_and_rows();
         let [dx, dy] = field.spacing();
@@ -140,7 +145,7 @@ impl System<'_> {
         }
     }
 
-    /// Coefficients are near those that `expected` gives by their number.
+    /// Constrains coefficients to those that `expected` returns for their index.
     fn small<const N: usize>(&mut self, field: &BicubicSpline<N>, first: usize, sigma: f64, expected: impl Fn(usize) -> SVector<f64, N>) {
         for (k, c) in field.coefficients().iter().enumerate() {
             let off = c - expected(k);
@@ -150,8 +155,8 @@ impl System<'_> {
         }
     }
 
-    /// The surface's own frame: its mean plane, its centre and its axes. Of the first surface also the size, for no camera tells a stage from a smaller one
-    /// nearby.
+    /// Fixes the surface's own frame: its mean plane, its centre and its axes. For the first
+    /// surface also the size, since no camera can tell a stage from a smaller, nearer one.
     fn gauge(&mut self, model: &StageModel, k: usize) {
         let (surface, places) = (&model.surfaces[k], model.places());
         let Some(shape) = model.shape(k) else { return };
@@ -165,7 +170,8 @@ impl System<'_> {
             })
             .collect();
         let radius = 0.5 * surface.size_m[0].hypot(surface.size_m[1]);
-        // How a point's shift (right, up, out) enters the shift, the turn and the growth of the whole surface.
+        // How a point's shift (right, up, out) contributes to the shift, rotation and growth of the
+        // whole surface.
         let ways: [fn(f64, f64) -> Vector3<f64>; 7] = [
             |_, _| Vector3::z(),
             |x, _| Vector3::z() * x,
@@ -212,7 +218,7 @@ mod tests {
 
     /// Noise of a tile, one sigma along each axis, pixels.
     const NOISE_PX: f64 = 0.002;
-    /// A lens of which nothing is known.
+    /// Priors of an unknown lens.
     const SIGMAS: [f64; LENS_NUMBERS] = [50.0, 50.0, 40.0, 40.0, 0.3, 0.3, 0.01, 0.01];
 
     fn lens(change: f64) -> CameraModel {
@@ -226,7 +232,8 @@ mod tests {
         .unwrap()
     }
 
-    /// A stage in folds of a centimetre, whose flat stands 20 mm and a degree beside where it was measured.
+    /// A stage with folds of a centimetre, whose flat stands 20 mm and a degree off its configured
+    /// pose.
     fn truth() -> StageModel {
         let flat = StageModel::new(lens(0.0), &stage(), true, false);
         let places = flat.places().clone();
@@ -248,8 +255,8 @@ mod tests {
         camera_poses(24).into_iter().map(Motion::still).collect()
     }
 
-    /// Gauss-Newton on tiles of cameras with these motions, observed anew in every round; the model and its covariance. `readout_sigma_s`: how well the start's
-    /// readout is known.
+    /// Runs Gauss-Newton on tiles of cameras with these motions, observed anew in every round;
+    /// returns the model and its covariance. `readout_sigma_s` is the prior of the readout.
     fn adjusted(
         motions: &[Motion],
         start: StageModel,
@@ -266,7 +273,7 @@ mod tests {
             let frames = observed(truth, &model, motions, NOISE_PX, 7);
             let rows: Vec<FrameRows> = frames.iter().map(|f| FrameRows::new(f, &model, 3.0, |_| false)).collect();
             let mut equations = NormalEquations::new(&rows, model.places().count, &[1e3; 2], true).unwrap();
-            // The scale of Tukey's weights leaves all tiles in; undo what it did to the information.
+            // The large scale keeps all tiles in; undo its effect on the information.
             equations.matrix *= 1e6;
             equations.right *= 1e6;
             add(&model, &smoothness, &SIGMAS, readout_sigma_s, constraints, &mut equations.matrix, &mut equations.right);
@@ -288,7 +295,8 @@ mod tests {
         let at = found.places().lens.unwrap();
         let sigma = covariance[(at, at)].sqrt();
         assert!((lens.fx - real.fx).abs() < 5.0 * sigma && sigma < 1e-4 * real.fx, "{} {sigma}", lens.fx - real.fx);
-        // Heights where the walk sees them, beside the plane that the gauge takes for the surface's own.
+        // Heights where the walk sees them, relative to the plane that the gauge defines as the
+        // surface's own.
         let mut worst = 0.0_f64;
         for (i, j) in (-6..=6).flat_map(|i| (-4..=4).map(move |j| (i, j))) {
             let point = [0.25 * f64::from(i), 0.25 * f64::from(j)];
@@ -320,7 +328,7 @@ mod tests {
 
     #[test]
     fn a_measured_length_mends_a_stage_whose_sizes_are_all_wrong() {
-        // As configured everything is two parts in a hundred smaller than it is.
+        // As configured, everything is two hundredths smaller than it is.
         let real = stage();
         let typed: Vec<SurfaceSpec> = real
             .iter()
@@ -358,7 +366,8 @@ mod tests {
         let off = found.surfaces[1].pose.translation - real[1].pose.translation;
         assert!(off.norm() < 1e-4, "{off}");
         let place = found.point(0, corner(0, 0.5, 0.5).on_picture_m).place;
-        // The corner's height hangs on its bend, which few tiles show there; how large the stage is does not.
+        // The corner's height depends on its bend, which few tiles show there; the stage's size
+        // does not.
         assert!((place.xy() - Vector2::new(2.0, 1.5)).norm() < 1e-4 && place.z.abs() < 1e-3, "{place}");
     }
 }

@@ -1,28 +1,32 @@
-//! How far tiles may lie from the model before they count as something else, and what each surface's place rests on.
+//! The robust scale of the tiles' residuals, beyond which tiles are outliers, and the support of
+//! each surface's pose.
 
 use super::normal_equations::{FrameRows, TileRow};
 
-/// The robust scale of the residuals is taken as this at least: smaller ones are those of tiles that see the same noise.
+/// Minimum robust scale of the residuals: smaller ones come from tiles that share the same noise.
 const LEAST_SCALE: f64 = 0.4;
-/// Fewest tiles by which a surface alone says how large its noise is; with fewer, it is at least that of all surfaces. Raised, a good surface
-/// counts for less beside a bad one; lowered, a few tiles that agree by chance count for too much.
+/// Minimum number of tiles for a surface to determine its own noise; with fewer, its scale is at
+/// least that of all surfaces. Raised, a good surface counts for less next to a bad one; lowered, a
+/// few tiles that agree by chance count for too much.
 const LEAST_ROWS: usize = 20;
-/// Numbers of a surface's place that its own tiles determine: three of where it stands and three of how it is turned.
+/// Number of pose parameters of a surface that its own tiles determine: three of position and three
+/// of rotation.
 const OF_A_PLACE: usize = 6;
 
-/// Each surface's robust scale of its residuals, in sigmas; infinite where its tiles say nothing beyond its place. `None` where all surfaces
-/// together have too few tiles.
+/// Returns each surface's robust scale of its residuals, in sigmas; infinite if its tiles determine
+/// nothing beyond its pose. `None` if all surfaces together have too few tiles.
 ///
-/// It is the median residual over that of noise of one sigma in two dimensions. Each surface is judged by itself: one that stands elsewhere
-/// than the model has it would have all its tiles taken for something else by the scale of the others. `n` tiles are `2 n` numbers, of which
-/// the surface's place takes up six: what remains is smaller by that share, and nothing remains of three tiles.
+/// The scale is the median residual relative to that of two-dimensional noise of one sigma. Each
+/// surface is judged separately: if one stands elsewhere than in the model, the others' scale would
+/// reject all of its tiles. `n` tiles are `2 n` numbers, of which the surface's pose absorbs six.
+/// The residuals shrink accordingly, and three tiles leave none.
 pub(super) fn robust_scales(frames: &[FrameRows], surfaces: usize) -> Option<Vec<f64>> {
     let mut squares = vec![Vec::new(); surfaces];
     tiles(frames).for_each(|(_, row)| squares[row.surface].push(row.squared_now()));
     let all = Some(squares.concat()).filter(|all| all.len() >= LEAST_ROWS).and_then(scale)?;
     let own = squares.into_iter().enumerate().map(|(k, squares)| {
         let numbers = 2 * squares.len();
-        // The first surface's place is the stage's own.
+        // The first surface's pose defines the stage frame.
         let remaining = numbers.saturating_sub(if k == 0 { 0 } else { OF_A_PLACE });
         if remaining == 0 {
             return f64::INFINITY;
@@ -40,43 +44,43 @@ fn scale(mut squares: Vec<f64>) -> Option<f64> {
     Some((median / (2.0 * 2.0_f64.ln())).sqrt().max(LEAST_SCALE))
 }
 
-/// All tiles with the number of their frame.
+/// Returns all tiles with the index of their frame.
 fn tiles(frames: &[FrameRows]) -> impl Iterator<Item = (usize, &TileRow)> {
     frames.iter().enumerate().flat_map(|(k, frame)| frame.rows().iter().map(move |row| (k, row)))
 }
 
-/// What the place of a surface rests on.
+/// The support of a surface's pose.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Support {
-    /// Tiles that agree with it.
+    /// Number of tiles that agree with it.
     pub tiles: usize,
-    /// Keyframes that have some of them.
+    /// Number of keyframes with such tiles.
     pub keyframes: usize,
-    /// How far its tiles scatter, over the median of the surfaces.
+    /// Scatter of its tiles, relative to the median of the surfaces.
     pub scatter: f64,
 }
 
-/// Fewest keyframes of which one that is wrong is outvoted. Raised, surfaces that few views show well are doubted.
+/// Minimum number of keyframes, so that a single wrong one is outvoted. Raised, surfaces that few
+/// views show well are doubted.
 const LEAST_KEYFRAMES: usize = 3;
-/// Scatter from which on the tiles of a surface are doubted: tiles of a surface that stands elsewhere
-/// are what happens to look alike, and have 2.3 to 2.5 in a set of fifteen panels; those that are in
-/// their place at most 1.4. Raised, surfaces that were never found pass; lowered, good ones are named.
+/// Scatter above which a surface's tiles are doubted. Tiles of a surface that stands elsewhere
+/// match look-alikes, and scatter by 2.3 to 2.5 in a set of fifteen panels; correctly placed ones
+/// by at most 1.4. Raised, surfaces that were never found pass; lowered, good ones are reported.
 const STRAY_SCATTER: f64 = 2.0;
 
 impl Support {
-    /// Whether a few tiles of something else could have put the surface elsewhere unnoticed.
+    /// Whether a few tiles of something else could have displaced the surface unnoticed.
     pub fn is_little(&self) -> bool {
         self.tiles < LEAST_ROWS || self.keyframes < LEAST_KEYFRAMES
     }
 
-    /// Whether its tiles scatter so much more than those of the others that they may show something
-    /// else.
+    /// Whether its tiles scatter so much more than the others' that they may show something else.
     pub fn is_stray(&self) -> bool {
         self.scatter > STRAY_SCATTER
     }
 }
 
-/// What each surface's place rests on.
+/// Returns the support of each surface's pose.
 pub(super) fn supports(frames: &[FrameRows], scales: &[f64]) -> Vec<Support> {
     let mut supports = vec![(Support::default(), None); scales.len()];
     for (frame, row) in tiles(frames).filter(|(_, row)| row.weight(scales[row.surface]) > 0.0) {
@@ -102,7 +106,8 @@ mod tests {
     use crate::survey::stage_model::StageModel;
     use crate::survey::synthetic::{LENS, camera_poses, observed, stage};
 
-    /// Rows of a walk that shows `count` tiles of the flat, at most `most` in a frame, each shifted by `shift_px` of its number.
+    /// Rows of a walk that shows `count` tiles of the flat, at most `most` per frame, each shifted
+    /// by `shift_px` of its index.
     fn rows([count, most]: [usize; 2], shift_px: impl Fn(usize) -> f64) -> Vec<FrameRows> {
         let model = StageModel::new(CameraModel::new(LENS).unwrap(), &stage(), false, false);
         let motions: Vec<Motion> = camera_poses(12).into_iter().map(Motion::still).collect();
@@ -126,9 +131,10 @@ mod tests {
     #[test]
     fn a_surface_of_few_tiles_is_judged_by_its_own_residuals() {
         let all = robust_scales(&rows([10, 2], |_| 0.0), 2).unwrap();
-        // As good as the others, each with its own tiles' chance.
+        // As good as the others, apart from its own tiles' noise.
         assert!(all[1] >= all[0] && all[1] < 4.0 * all[0], "{all:?}");
-        // Ten tiles of a flat that stands elsewhere, and ten of which each says something else: none is cut off.
+        // Ten tiles of a flat that stands elsewhere, and ten that contradict each other: none is
+        // rejected.
         for shift_px in [|_| 8.0, |n: usize| 8.0 * (1.7 * n as f64).sin()] {
             let rows = rows([10, 2], shift_px);
             let scales = robust_scales(&rows, 2).unwrap();

@@ -1,9 +1,11 @@
-//! The shutter from a shaken clip: how long the sensor's rows take to be read, and how long each is exposed.
+//! Estimates the shutter from a shaken clip: the readout time of the sensor's rows, and the
+//! exposure time.
 //!
-//! The clip is tracked several times. Each time the shutter is taken as given, and every aligned frame is asked by how
-//! much the readout would have to change for its rows to fit better, all else being free, and the exposure for its blur
-//! to fit better. The frames' answers are averaged robustly, the shutter is changed, until nothing moves. What frames
-//! of a clip disagree about says how sure the result is.
+//! The clip is tracked several times. In each pass the shutter is assumed known, and every aligned
+//! frame yields the change of readout with which its rows would fit better, all else being free,
+//! and the change of exposure with which its blur would fit better. These changes are averaged
+//! robustly and applied, until nothing moves. The disagreement between frames gives the result's
+//! sigma.
 
 use crate::camera::Shutter;
 use crate::frame::{Frame, Timestamp};
@@ -11,65 +13,70 @@ use crate::track::agreement::{Agreement, Said, agreement, weighted_median};
 use crate::track::{Clue, MODEL_ERROR_PX, Matcher, VAGUE_READOUT_S};
 use crate::tracker::Tracker;
 
-/// Frames looked at, from the clip's first: eight seconds at 30 a second. Raised,
-/// every pass takes longer for a sigma that falls with the root.
+/// Maximum number of frames used, from the clip's start: eight seconds at 30 per second. Raised,
+/// every pass takes longer for a sigma that only falls with the root.
 pub const MOST_FRAMES: usize = 240;
-/// Passes over the clip at most: the readout goes a fifth of the frame interval in each, so five reach
-/// its bound. Raised, clips that do not settle take longer; lowered, fewer settle.
+/// Maximum number of passes: the readout moves by up to a fifth of the frame interval in each, so
+/// five reach its bound. Raised, clips that do not converge take longer; lowered, fewer converge.
 const MOST_PASSES: usize = 12;
-/// Start: a sensor that reads all rows at once, and a usual exposure, seconds. From there the
-/// readout is found in either direction; a farther start takes more passes.
+/// Start: a global shutter and a typical exposure, seconds. From there the readout is found in
+/// either direction; a farther start takes more passes.
 const FIRST: Shutter = Shutter { readout_s: 0.0, exposure_s: 0.004 };
-/// Shortest exposure that differs from none, seconds: a picture that moves by 1000 pixels a second smears by 0.3. Raised,
-/// short exposures are overstated; lowered, one that leaves no blur goes on shrinking pass after pass.
+/// Minimum exposure, seconds: a picture that moves by 1000 pixels per second smears by 0.3. Raised,
+/// short exposures are overestimated; lowered, an exposure without visible blur keeps shrinking
+/// pass after pass.
 const SHORTEST_EXPOSURE_S: f64 = 3e-4;
-/// Largest change in one pass: of the readout as a share of the time between frames, of the exposure as a share of itself.
-/// Frames answer for small changes only. Raised, the estimate may swing; lowered, it takes more passes.
+/// Maximum change per pass: of the readout as a fraction of the frame interval, of the exposure as
+/// a fraction of itself. The frames' answers are only valid for small changes. Raised, the estimate
+/// may oscillate; lowered, it takes more passes.
 const LARGEST_READOUT_STEP: f64 = 0.2;
 const LARGEST_EXPOSURE_STEP: f64 = 0.4;
-/// Done when a pass changes less: seconds of readout (or a tenth of its sigma), share of the exposure. Raised, it
-/// ends farther from where it would settle; lowered, it may not end before the last pass.
+/// Changes below which the estimate has converged: seconds of readout (or a tenth of its sigma),
+/// and fraction of the exposure. Raised, it ends farther from its limit; lowered, it may not end
+/// before the last pass.
 const SMALL_READOUT_STEP_S: f64 = 2e-5;
 const SMALL_EXPOSURE_STEP: f64 = 0.01;
-/// A velocity learnt from frames that were read otherwise hides a part of what is missing: of a change by one second, at least this share
-/// shows. Lowered, one noisy pass may ask for a huge step; raised, each pass makes up for less of what is hidden.
+/// Minimum visible fraction of a readout change: velocities learnt from frames with a wrong readout
+/// hide part of the error. Lowered, one noisy pass may ask for a huge step; raised, each pass
+/// compensates less for what is hidden.
 const LEAST_SLOPE: f64 = 0.25;
-/// Frames whose own answer is no better than this, one sigma, tell nothing of the exposure; share of it. Raised, still frames count, which only tell of the model's
-/// errors; lowered, slow clips give no answer.
+/// Sigma of a frame's own answer on the exposure, as a fraction of it, above which the frame is
+/// ignored. Raised, still frames count, which only show the model's errors; lowered, slow clips
+/// give no result.
 const VAGUE_EXPOSURE: f64 = 1.0;
-/// A time and how sure it is.
+/// A time and its uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct ShutterTime {
-    /// Seconds. A readout is negative where the rows are read from the bottom up.
+    /// Seconds. A readout is negative if the rows are read from the bottom up.
     pub seconds: f64,
     /// One standard deviation, seconds.
     pub sigma_s: f64,
-    /// Frames that say something of it.
+    /// Number of informative frames.
     pub frames: usize,
 }
 
-/// What a clip tells of the shutter.
+/// The estimated shutter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct ShutterEstimate {
-    /// First row to last; `None` where too few frames move, or where it would last longer than a frame.
+    /// First row to last; `None` if too few frames move, or if it would last longer than a frame.
     pub readout: Option<ShutterTime>,
-    /// `None` where too few frames are blurred.
+    /// `None` if too few frames are blurred.
     pub exposure: Option<ShutterTime>,
-    /// Frames looked at.
+    /// Number of frames used.
     pub frames: usize,
-    /// Frames in which the stage was aligned, in the last pass.
+    /// Number of frames in which the stage was aligned, in the last pass.
     pub aligned: usize,
-    /// Whether the last pass changed next to nothing.
+    /// Whether the estimate converged.
     pub has_settled: bool,
 }
 
-/// What the frames of a pass say, in order.
+/// The frames' answers in one pass, in order.
 #[derive(Default)]
 struct Pass {
     readout: Vec<Clue>,
-    /// Of the same frames, pixels per second.
+    /// Speeds in the same frames, pixels per second.
     speeds: Vec<f64>,
     exposure: Vec<Clue>,
     frames: usize,
@@ -79,7 +86,7 @@ struct Pass {
 }
 
 impl Pass {
-    /// Tracks the clip's first frames with a shutter that is taken as given.
+    /// Tracks the clip's first frames with an assumed shutter.
     fn over(clip: impl IntoIterator<Item = Frame>, matcher: &mut Matcher, shutter: Shutter) -> Self {
         matcher.ask_shutter(shutter);
         let mut pass = Self::default();
@@ -97,24 +104,24 @@ impl Pass {
         pass
     }
 
-    /// How far off an error of the model may lead the readout, one sigma, seconds.
+    /// Returns the error of the readout caused by model errors, one sigma, seconds.
     fn readout_by_model_s(&self) -> f64 {
         let telling = self.readout.iter().zip(&self.speeds).filter(|(clue, _)| clue.information > VAGUE_READOUT_S.powi(-2));
         let speed_px_s = weighted_median(telling.map(|(_, speed)| (*speed, 1.0)));
         MODEL_ERROR_PX / speed_px_s.max(f64::MIN_POSITIVE)
     }
 
-    /// Mean time between frames, seconds.
+    /// Returns the mean time between frames, seconds.
     fn interval_s(&self) -> f64 {
         self.first.map_or(0.0, |first| self.last.seconds_since(first)) / self.frames.saturating_sub(1).max(1) as f64
     }
 }
 
-/// Estimates readout and exposure. `open` gives the clip from its start, as often as it is asked; the tracker best has the stage alone
-/// and no shutter: it is given those that are tried.
+/// Estimates readout and exposure. `open` returns the clip from its start each time it is called.
+/// The tracker should have only the stage and no shutter, since trial shutters are set on it.
 ///
 /// # Errors
-/// What `open` gives.
+/// Those of `open`.
 pub fn estimate_shutter<I, E>(mut open: impl FnMut() -> Result<I, E>, tracker: Tracker) -> Result<ShutterEstimate, E>
 where
     I: IntoIterator<Item = Frame>,
@@ -129,7 +136,7 @@ where
         let interval_s = found.interval_s();
         let readout = agreed(&found.readout, VAGUE_READOUT_S);
         let exposure = agreed(&found.exposure, VAGUE_EXPOSURE);
-        // How much of a change shows: from the answers at two shutters.
+        // The visible fraction of a change, from the answers at two shutters.
         if let (Some(r), Some((then_s, asked))) = (readout, before.filter(|(then_s, _)| (shutter.readout_s - then_s).abs() > 2e-4)) {
             slope = ((asked - r.value) / (shutter.readout_s - then_s)).clamp(LEAST_SLOPE, 1.5);
         }
@@ -141,7 +148,8 @@ where
         shutter.readout_s = (shutter.readout_s + step_s).clamp(-interval_s, interval_s);
         shutter.exposure_s = (shutter.exposure_s * (1.0 + step)).clamp(SHORTEST_EXPOSURE_S, interval_s.max(SHORTEST_EXPOSURE_S));
         estimate = ShutterEstimate {
-            // At its bound it fits nothing: what the rows disagree about is not the shutter (a poor calibration, a picture that bends).
+            // At its bound it fits nothing: the rows disagree for another reason (a poor
+            // calibration, a picture that bends).
             readout: readout.filter(|_| shutter.readout_s.abs() < interval_s).map(|r| ShutterTime {
                 seconds: shutter.readout_s,
                 sigma_s: (r.sigma / slope).hypot(found.readout_by_model_s()),
@@ -157,7 +165,7 @@ where
             has_settled: step_s.abs() < SMALL_READOUT_STEP_S.max(0.1 * readout.map_or(0.0, |r| r.sigma))
                 && step.abs() < SMALL_EXPOSURE_STEP,
         };
-        // Frames that tell of neither will not tell of it in another pass.
+        // Frames that determine neither will not do so in another pass.
         let is_told = readout.is_some() || exposure.is_some();
         if estimate.has_settled && (pass > 0 || !is_told) {
             break;
@@ -166,7 +174,7 @@ where
     Ok(estimate)
 }
 
-/// What the changes that frames ask for agree on; `None` where too few know it to `vague` (one sigma).
+/// Returns the change on which the frames agree; `None` if too few know it to `vague` (one sigma).
 fn agreed(clues: &[Clue], vague: f64) -> Option<Agreement> {
     let tells = |c: &&Clue| c.information > vague.powi(-2) && c.score.is_finite();
     let said: Vec<Said> = clues.iter().filter(tells).map(|c| Said::new(c.score / c.information, 1.0 / c.information)).collect();
@@ -207,7 +215,8 @@ mod tests {
         let found = estimate_of(&scene(Some(Shake::new(0.02, 0.02, 6.0, 3)), 0.008));
         let readout = found.readout.unwrap();
         assert!((readout.seconds - 0.012).abs() < 3e-4, "{found:?}");
-        // The picture is small, and moves by some 200 pixels a second: errors of the model alone leave a quarter of a millisecond.
+        // The picture is small, and moves by some 200 pixels per second: model errors alone
+        // contribute a quarter of a millisecond.
         assert!(readout.frames > 30 && readout.sigma_s < 3.5e-4, "{found:?}");
     }
 

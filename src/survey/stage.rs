@@ -1,4 +1,4 @@
-//! The survey of a stage: a walk, the joint adjustment, and what came of it.
+//! The survey of a stage: takes a walk, runs the joint adjustment, and collects the results.
 
 use nalgebra::DMatrix;
 
@@ -19,87 +19,94 @@ use crate::geometry::{Body, Camera, Pose};
 use crate::track::{BodySpec, SurfaceSpec};
 use crate::tracker::TrackerSetup;
 
-/// Fewest keyframes that a survey is made from. Raised, short walks are refused; lowered, shapes rest on a few views.
+/// Minimum number of keyframes. Raised, short walks are refused; lowered, shapes rest on a few
+/// views.
 const LEAST_KEYFRAMES: usize = 8;
-/// One sigma of a lens that nothing is known of: of the focal lengths (share), the centre (share of the width), k1, k2, p1, p2.
+/// Prior of an unknown lens, one sigma: focal lengths (fraction), centre (fraction of the width),
+/// k1, k2, p1, p2.
 const UNKNOWN_LENS: [f64; 6] = [0.05, 0.03, 0.3, 0.3, 0.01, 0.01];
-/// Keyframes that know the readout no better than this, one sigma, seconds, do not tell it. Raised, a walk that hardly moved speaks for the lively part;
-/// lowered, that one, which takes the lens for granted, speaks for all.
+/// Maximum sigma of the readout from keyframes, seconds, for it to be used. Raised, a walk that
+/// hardly moved overrides the lively part; lowered, the lively part, which assumes the lens, always
+/// decides.
 const VAGUE_READOUT_S: f64 = 1e-3;
-/// The stage is adjusted anew where the readout is another one than it was adjusted with by more than this, seconds: at a metre a second and 3 m a thirtieth of a
-/// pixel. Raised, the lens makes up for what is left; lowered, surveys take longer for nothing.
+/// Change of the readout, seconds, above which the stage is readjusted: a thirtieth of a pixel at a
+/// metre per second and 3 m. Raised, the lens compensates for the remaining error; lowered, surveys
+/// take longer for nothing.
 const SAME_READOUT_S: f64 = 1e-4;
-/// How far the rates of a camera that sways are from those that its frames tell (`camera_rates`), as a share, and so a readout from what keyframes say. Raised, small
-/// slips of `readout_s` stay; lowered, a readout is believed to be known better than it is.
+/// Relative error of a swaying camera's rates as derived from its frames (`camera_rates`), and so
+/// of a readout derived from keyframes. Raised, small errors of `readout_s` stay; lowered, a
+/// readout seems more certain than it is.
 const SWAY_SHARE: f64 = 0.02;
 
-/// What to find.
+/// Options of a survey.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct SurveyOptions {
-    /// Whether the lens and the shutter are found as well.
+    /// Whether to refine the lens and the shutter, too.
     pub refines_lens: bool,
-    /// What was measured on the stage.
+    /// Measurements on the stage.
     pub constraints: Vec<Constraint>,
 }
 
-/// How large a stage is.
+/// The size of the stage.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SizeFound {
-    /// By how much it is larger than `size_m` says, as a share.
+    /// How much larger it is than `size_m` states, as a fraction.
     pub growth: f64,
-    /// One sigma of that.
+    /// One sigma of the growth.
     pub sigma: f64,
 }
 
-/// The stage as it hangs and the lens as it is.
+/// The surveyed stage and lens.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct Survey {
     /// The lens.
     pub camera: CameraModel,
-    /// The shutter: as told, but for the times that the walk shows to be others.
+    /// The shutter: as configured, except for times that the walk shows to be different.
     pub shutter: Shutter,
-    /// What the walk says of the shutter; `None` where that was not asked, or no part of it is long enough.
+    /// The shutter as estimated from the walk; `None` if that was not requested.
     pub shutter_found: Option<ShutterEstimate>,
     /// The surfaces, with their poses and shapes.
     pub surfaces: Vec<SurfaceSpec>,
-    /// Frames looked at, and those in which the stage was found.
+    /// Number of frames examined.
     pub frames: usize,
-    /// See `frames`.
+    /// Number of frames in which the stage was found.
     pub found: usize,
-    /// Keyframes, and those that bear the result out.
+    /// Number of keyframes.
     pub keyframes: usize,
-    /// See `keyframes`.
+    /// Number of keyframes that support the result.
     pub used: usize,
-    /// Root mean square residual of the tiles with the stage as configured, pixels; `None` where no keyframe could be aligned with it.
+    /// Root mean square residual of the tiles with the stage as configured, pixels; `None` if no
+    /// keyframe could be aligned with it.
     pub configured_rms_px: Option<f64>,
     /// The same as surveyed.
     pub rms_px: f64,
-    /// How far the stage as configured puts the camera beside the stage as surveyed, once one rigid motion of the whole walk is taken away: the median,
-    /// metres.
+    /// Median error of the camera positions with the stage as configured, relative to the surveyed
+    /// stage, after removing one rigid motion of the whole walk, metres.
     pub configured_error_m: Option<f64>,
-    /// Where the camera was at the keyframes that bear the result out.
+    /// The camera's poses at the keyframes that support the result.
     pub cameras: Vec<Pose<Body, Camera>>,
-    /// How large the stage is beside what `size_m` says, where something else was measured.
+    /// The size of the stage relative to `size_m`, if something else was measured.
     pub size: Option<SizeFound>,
-    /// Each measurement beside what was found.
+    /// Each measurement compared with the result.
     pub checks: Vec<ConstraintCheck>,
     /// Robust scale of the residuals, in sigmas.
     pub scale: f64,
-    /// What each surface's place rests on.
+    /// The support of each surface's pose.
     pub(super) supports: Vec<Support>,
-    /// Whether the adjustment came to rest.
+    /// Whether the adjustment converged.
     pub has_settled: bool,
-    /// Rounds of the adjustment.
+    /// Number of rounds of the adjustment.
     pub rounds: usize,
-    /// Where the unknown numbers are.
+    /// The indices of the unknowns.
     pub(super) places: Places,
     pub(super) covariance: DMatrix<f64>,
 }
 
-/// Surveys a stage from a walk around it. `again` opens the walk's clips once more; it is only asked where rows are found to be read one after the other. `progress`
-/// hears what is done; `goes_on` is asked many times a second, by several threads, and ends the work with false.
+/// Surveys a stage from a walk around it. `again` opens the walk's clips once more; it is only
+/// called if a rolling shutter is found. `progress` receives each step. `goes_on` is called many
+/// times a second from several threads, and stops the work by returning false.
 ///
 /// # Errors
 /// See [`SurveyError`].
@@ -130,7 +137,7 @@ where
     let mut adjustment = Adjustment::new(observers, lens_sigmas(&camera), options.constraints);
     let mut round = 0;
     let mut hear = |step| {
-        // The adjustment counts the rounds of each of its runs.
+        // The adjustment counts the rounds of each of its runs separately.
         let is_round = matches!(step, SurveyStep::Round(_));
         progress(if is_round { SurveyStep::Round(round) } else { step });
         round += usize::from(is_round);
@@ -204,20 +211,21 @@ where
     })
 }
 
-/// Whether the keyframes show rows that are read one after the other.
+/// Whether the keyframes show a rolling shutter.
 fn rolls(adjusted: &Adjusted) -> bool {
     adjusted.tells_readout && adjusted.model.readout_s().abs() > SAME_S
 }
 
-/// A tracker's setup with the stage, the lens and the readout of a model.
+/// Returns a tracker's setup with the stage, the lens and the readout of a model.
 fn surveyed_setup(model: &StageModel, setup: &TrackerSetup) -> TrackerSetup {
     let stage = BodySpec { surfaces: model.surfaces.clone(), ..setup.stage.clone() };
     let shutter = Shutter { readout_s: model.readout_s(), ..setup.shutter.or_zero() }.into();
     TrackerSetup { camera: model.camera, stage, shutter, ..setup.clone() }
 }
 
-/// What a walk says of the shutter: the readout by the keyframes, which are adjusted together with the lens that it bends, or, where these do not tell it, by the
-/// lively part, which tells the exposure.
+/// Combines the estimates of the shutter: the readout from the keyframes, which are adjusted
+/// jointly with the lens, or, if they do not determine it, from the lively part, which also gives
+/// the exposure.
 fn shutter_of_walk(adjusted: &Adjusted, lively: Option<ShutterEstimate>) -> ShutterEstimate {
     let (frames, aligned) = (adjusted.frames.len(), adjusted.frames.iter().flatten().count());
     let by_keyframes = adjusted.model.places().readout.filter(|_| adjusted.tells_readout).and_then(|at| {
@@ -230,7 +238,8 @@ fn shutter_of_walk(adjusted: &Adjusted, lively: Option<ShutterEstimate>) -> Shut
     ShutterEstimate { readout: by_keyframes.or(lively.readout), ..lively }
 }
 
-/// Adds to a covariance that unknown `at` is off by one more sigma, and with it all that it goes with.
+/// Adds one more sigma of error in unknown `at` to a covariance, including everything correlated
+/// with it.
 fn with_sway(covariance: DMatrix<f64>, at: usize, sigma: f64) -> DMatrix<f64> {
     let variance = covariance[(at, at)];
     if variance <= 0.0 {
@@ -240,7 +249,7 @@ fn with_sway(covariance: DMatrix<f64>, at: usize, sigma: f64) -> DMatrix<f64> {
     &covariance + &by_unknown * by_unknown.transpose() * sigma.powi(2)
 }
 
-/// 3 sigma of the lens that was found; none where it was kept.
+/// Returns 3 sigma of the refined lens; `None` if it was not refined.
 fn lens_doubt(places: &Places, covariance: &DMatrix<f64>) -> Option<LensDoubt> {
     let at = places.lens?;
     let [fx, fy, cx, cy, k1, k2, p1, p2] = std::array::from_fn(|k| 3.0 * covariance[(at + k, at + k)].max(0.0).sqrt());
@@ -248,7 +257,7 @@ fn lens_doubt(places: &Places, covariance: &DMatrix<f64>) -> Option<LensDoubt> {
     LensDoubt::of_calibration(Some(uncertainty))
 }
 
-/// How far a lens may be from what is known of it, one sigma, in the order of the model's numbers.
+/// Returns the prior of the lens, one sigma, in the order of the model's parameters.
 fn lens_sigmas(camera: &CameraModel) -> [f64; LENS_NUMBERS] {
     let i = camera.intrinsics();
     let [focal, centre, k1, k2, p1, p2] = UNKNOWN_LENS;

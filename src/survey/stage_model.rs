@@ -1,7 +1,9 @@
-//! What a survey is to find, and the place of every unknown number in one vector.
+//! The model of a survey, and the index of every unknown in one vector.
 //!
-//! Unknown are the shape of every surface (a height and a stretch at each knot), the poses of all surfaces but the first, and, if asked, the
-//! lens. The camera's motions are no part of it: they are eliminated frame by frame (`normal_equations`).
+//! Unknown are the shape of every surface (a height and a stretch at each knot), the poses of all
+//! surfaces but the first, the stage's size if something was measured, and, if requested, the lens
+//! and the readout. The camera's motions are not included: they are eliminated frame by frame
+//! (`normal_equations`).
 
 use std::sync::Arc;
 
@@ -12,29 +14,33 @@ use crate::geometry::bspline::BicubicSpline;
 use crate::geometry::{Body, Camera, Pose, skew};
 use crate::track::{BentShape, SurfaceShape, SurfaceSpec};
 
-/// Numbers of a lens that are unknown: fx, fy, cx, cy, k1, k2, p1, p2. The skew stays, and so does k3, which no stage tells from k2.
+/// Number of unknown lens parameters: fx, fy, cx, cy, k1, k2, p1, p2. The skew is fixed, and so is
+/// k3, which a stage cannot separate from k2.
 pub const LENS_NUMBERS: usize = 8;
 /// The same as columns of `Intrinsics::by_numbers`.
 pub const LENS_COLUMNS: [usize; LENS_NUMBERS] = [0, 1, 2, 3, 5, 6, 7, 8];
-/// Intervals of the heights along the longest side of all surfaces. Chosen: folds of a fifth of the width are met to a hundredth of their height.
-/// Raised, the time grows with the cube of the unknowns; lowered, fine folds stay.
+/// Number of intervals of the heights along the longest side of all surfaces. Chosen: folds of a
+/// fifth of the width are fitted to a hundredth of their height. Raised, the time grows with the
+/// cube of the unknowns; lowered, fine folds stay.
 const HEIGHT_INTERVALS: f64 = 26.0;
-/// The same of the stretch, which has no folds.
+/// The same for the stretch, which has no folds.
 const STRETCH_INTERVALS: f64 = 6.0;
-/// Knots of all heights at most; where surfaces have more together, their intervals are wider. Raised, the time grows with the cube.
+/// Maximum number of knots of all heights; if the surfaces would have more, their intervals are
+/// widened. Raised, the time grows with the cube.
 const MOST_KNOTS: usize = 900;
 
-/// The stage and the lens as they are known by now.
+/// The current estimate of stage and lens.
 #[derive(Debug, Clone)]
 pub struct StageModel {
     /// The lens.
     pub camera: CameraModel,
-    /// The surfaces, bent ones all.
+    /// The surfaces, all with a bent shape.
     pub surfaces: Vec<SurfaceSpec>,
-    /// By how much the stage is larger than `size_m` says, as a share: every surface's stretch contains it.
+    /// How much larger the stage is than `size_m` states, as a fraction; every surface's stretch
+    /// includes it.
     growth: f64,
     readout_s: f64,
-    /// Where everything began.
+    /// The start of the adjustment.
     start: Start,
     places: Places,
 }
@@ -46,40 +52,40 @@ struct Start {
     surfaces: Vec<SurfaceSpec>,
 }
 
-/// Where the unknown numbers are in the vector of all.
+/// The indices of the unknowns in the common vector.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Places {
-    /// Of each surface's heights, one a coefficient.
+    /// First index of each surface's heights, one per coefficient.
     pub heights: Vec<usize>,
-    /// Of each surface's stretch, two a coefficient.
+    /// First index of each surface's stretch, two per coefficient.
     pub stretches: Vec<usize>,
-    /// Of each surface's pose, [δp, δθ] in body axes; none of the first.
+    /// First index of each surface's pose, [δp, δθ] in body axes; `None` for the first.
     pub poses: Vec<Option<usize>>,
-    /// Of the stage's size, where something was measured; see [`StageModel::growth`].
+    /// Index of the stage's size, if something was measured; see [`StageModel::growth`].
     pub size: Option<usize>,
-    /// Of the readout, where the lens is found.
+    /// Index of the readout, if the lens is refined.
     pub readout: Option<usize>,
-    /// Of the lens, the last of all.
+    /// First index of the lens, the last of all.
     pub lens: Option<usize>,
-    /// How many there are.
+    /// Number of unknowns.
     pub count: usize,
 }
 
-/// A point of a picture in the stage.
+/// A point of a picture, in the stage.
 #[derive(Debug, Clone)]
 pub struct ModelPoint {
-    /// Where it is in the stage, metres.
+    /// Its position in the stage, metres.
     pub place: Vector3<f64>,
-    /// Place of an unknown, and how the point moves with it.
+    /// Indices of unknowns, with the point's derivative by each.
     pub by_model: Vec<(usize, Vector3<f64>)>,
 }
 
-/// From a camera to the nearest surface's centre, metres.
+/// Returns the distance from a camera to the nearest surface's centre, metres.
 pub fn distance_m(surfaces: &[SurfaceSpec], pose: &Pose<Body, Camera>) -> f64 {
     surfaces.iter().map(|s| (s.pose.translation - pose.translation).norm()).fold(f64::INFINITY, f64::min)
 }
 
-/// A surface's shape, which a survey always has.
+/// Returns a surface's bent shape, which every surface of a survey has.
 pub fn bent(surface: &SurfaceSpec) -> Option<&BentShape> {
     match &surface.shape {
         SurfaceShape::Bent(shape) => Some(shape),
@@ -88,8 +94,8 @@ pub fn bent(surface: &SurfaceSpec) -> Option<&BentShape> {
 }
 
 impl StageModel {
-    /// A stage as the config has it. Surfaces that are flat there become bent by nothing. `has_measurements`: whether something else than `size_m` says how
-    /// large it is.
+    /// Creates the model of a stage as configured. Flat surfaces become bent ones with zero bend.
+    /// `has_measurements` tells whether anything other than `size_m` determines the stage's size.
     pub fn new(camera: CameraModel, surfaces: &[SurfaceSpec], refines_lens: bool, has_measurements: bool) -> Self {
         let longest = surfaces.iter().flat_map(|s| s.size_m).fold(0.0, f64::max);
         let intervals = |surface: &SurfaceSpec, spacing: f64| surface.size_m.map(|side| (side / spacing).round().max(2.0) as usize);
@@ -115,38 +121,39 @@ impl StageModel {
         Self { camera, growth: 0.0, readout_s: 0.0, start, surfaces, places }
     }
 
-    /// The same, with rows that are read in this time, as far as known.
+    /// Sets the readout time, as far as known.
     pub fn with_readout(mut self, readout_s: f64) -> Self {
         (self.readout_s, self.start.readout_s) = (readout_s, readout_s);
         self
     }
 
-    /// From the first row to the last, seconds; below 0 where the rows are read from the bottom up.
+    /// Returns the readout time from the first row to the last, seconds; negative if the rows are
+    /// read from the bottom up.
     pub fn readout_s(&self) -> f64 {
         self.readout_s
     }
 
-    /// How far that is from where it began.
+    /// Returns the change of the readout since the start, seconds.
     pub fn readout_change_s(&self) -> f64 {
         self.readout_s - self.start.readout_s
     }
 
-    /// Where the unknown numbers are.
+    /// Returns the indices of the unknowns.
     pub fn places(&self) -> &Places {
         &self.places
     }
 
-    /// The shape of surface `k`.
+    /// Returns the shape of surface `k`.
     pub fn shape(&self, k: usize) -> Option<&BentShape> {
         bent(&self.surfaces[k])
     }
 
-    /// By how much the stage is larger than `size_m` says, as a share.
+    /// Returns how much larger the stage is than `size_m` states, as a fraction.
     pub fn growth(&self) -> f64 {
         self.growth
     }
 
-    /// A point of the picture of surface `k`, with all that moves it.
+    /// Returns a point of the picture of surface `k`, with its derivatives.
     pub fn point(&self, k: usize, on_picture_m: [f64; 2]) -> ModelPoint {
         let surface = &self.surfaces[k];
         let from_centre = surface.pose.rotation * surface.shape.at(on_picture_m).place;
@@ -169,24 +176,24 @@ impl StageModel {
         ModelPoint { place: from_centre + surface.pose.translation, by_model }
     }
 
-    /// Where surface `k` stood when it began, from the first one's centre, metres.
+    /// Returns the start position of surface `k` relative to the first one's centre, metres.
     pub fn start_from_first(&self, k: usize) -> Vector3<f64> {
         self.start.surfaces[k].pose.translation - self.start.surfaces[0].pose.translation
     }
 
-    /// How far the lens is from where it began, in the order of [`LENS_COLUMNS`].
+    /// Returns the change of the lens since the start, in the order of [`LENS_COLUMNS`].
     pub fn lens_change(&self) -> [f64; LENS_NUMBERS] {
         let (now, then) = (lens_numbers(self.camera.intrinsics()), lens_numbers(&self.start.intrinsics));
         std::array::from_fn(|k| now[k] - then[k])
     }
 
-    /// How far surface `k` is from where it began: [δp, δθ] in body axes.
+    /// Returns the change of surface `k`'s pose since the start: [δp, δθ] in body axes.
     pub fn pose_change(&self, k: usize) -> [Vector3<f64>; 2] {
         let (now, then) = (&self.surfaces[k].pose, &self.start.surfaces[k].pose);
         [now.translation - then.translation, (now.rotation * then.rotation.inverse()).scaled_axis()]
     }
 
-    /// The model after a step; `None` where that is no camera.
+    /// Returns the model after a step; `None` if the camera becomes invalid.
     pub fn stepped(&self, step: &DVector<f64>) -> Option<Self> {
         let mut next = self.clone();
         let growth = self.places.size.map_or(0.0, |at| step[at]);

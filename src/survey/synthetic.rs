@@ -1,4 +1,5 @@
-//! A stage, a walk around it, and what its frames would show of the tiles, for the tests of this room: no picture is drawn.
+//! A stage, a walk around it, and the tiles that its frames would show, for this module's tests; no
+//! picture is rendered.
 
 use image::GrayImage;
 use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
@@ -37,7 +38,8 @@ pub fn stage() -> Vec<SurfaceSpec> {
     vec![surface("backdrop", [4.0, 3.0], Pose::identity()), surface("flat", [1.0, 1.2], aside)]
 }
 
-/// Cameras on an arc of 70 degrees before the stage, higher and lower, nearer and farther, that look at its middle.
+/// Cameras on an arc of 70 degrees in front of the stage, at different heights and distances,
+/// looking at its centre.
 pub fn camera_poses(n: usize) -> Vec<Pose<Body, Camera>> {
     let pose = |k: usize| {
         let t = k as f64 / (n - 1).max(1) as f64;
@@ -54,11 +56,12 @@ pub fn camera_poses(n: usize) -> Vec<Pose<Body, Camera>> {
     (0..n).map(pose).collect()
 }
 
-/// The tiles that frames with these motions show of the true stage, each as its shift from where a model predicts it, with noise (one sigma, pixels).
+/// The tiles that frames with these motions show of the true stage, each as its shift from a
+/// model's prediction, with noise (one sigma, pixels).
 pub fn observed(truth: &StageModel, model: &StageModel, motions: &[Motion], noise_px: f64, seed: u64) -> Vec<ObservedFrame> {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut gauss = move || (0..12).map(|_| random.random_range(-0.5..0.5)).sum::<f64>();
-    // Where a model shows a place, and when its row is exposed.
+    // Where a model shows a point, and when its row is exposed.
     let seen = |model: &StageModel, motion: &Motion, surface: usize, on_picture_m: [f64; 2]| {
         let spec = &model.surfaces[surface];
         let place = spec.pose.transform(&spec.shape.at(on_picture_m).place.into());

@@ -1,4 +1,4 @@
-//! How the place where a frame shows a tile changes with all that is unknown.
+//! The derivatives of a tile's position in a frame by all unknowns.
 
 use nalgebra::{SMatrix, Vector2};
 
@@ -8,7 +8,8 @@ use crate::geometry::skew;
 use crate::motion::Motion;
 use crate::track::ObservedTile;
 
-/// Unknowns of a frame: [δp, δθ] of the pose in camera axes and, where rows are exposed one after the other, their rates and accelerations.
+/// Number of unknowns of a frame: [δp, δθ] of the pose in camera axes and, with a rolling shutter,
+/// their rates and accelerations.
 pub const FRAME_UNKNOWNS: usize = 18;
 
 /// A tile's derivatives, pixels.
@@ -16,17 +17,17 @@ pub const FRAME_UNKNOWNS: usize = 18;
 pub struct TileDerivatives {
     /// By the frame's unknowns.
     pub by_frame: SMatrix<f64, 2, FRAME_UNKNOWNS>,
-    /// By the model's: place in the vector of all, and derivative.
+    /// By the model's: index of the unknown, and derivative.
     pub by_model: Vec<(usize, Vector2<f64>)>,
 }
 
-/// How pose, rates and accelerations move a camera by some time.
+/// Returns how pose, rates and accelerations contribute to the pose after some time.
 fn powers(delay_s: f64) -> [f64; FRAME_UNKNOWNS / 6] {
     [1.0, delay_s, 0.5 * delay_s * delay_s]
 }
 
 impl TileDerivatives {
-    /// Of a tile that a camera sees; `None` behind it.
+    /// Computes the derivatives for a visible tile; `None` if it is behind the camera.
     pub fn of(tile: &ObservedTile, motion: &Motion, model: &StageModel) -> Option<Self> {
         let then = motion.after(tile.delay_s);
         let t_camera_body = then.pose.inverse();
@@ -49,7 +50,7 @@ impl TileDerivatives {
         let by_body = by_point * t_camera_body.rotation_matrix();
         let mut by_model: Vec<(usize, Vector2<f64>)> = point.by_model.iter().map(|(k, d)| (*k, by_body * d)).collect();
         if let Some(at) = model.places().readout {
-            // The later a row is read, the farther the camera has gone.
+            // The later a row is read, the farther the camera has moved.
             let height = model.camera.height();
             let share = Shutter { readout_s: 1.0, exposure_s: 0.0 }.delay_s(model.camera.project(Normalized(n)).0.y + 0.5, height);
             let passes = -(t_camera_body.rotation * then.velocity) - then.turn_rate.cross(&seen);
@@ -71,7 +72,7 @@ mod tests {
     use crate::survey::synthetic::{LENS, camera_poses, stage};
     use nalgebra::{DVector, Matrix2, UnitQuaternion, Vector3};
 
-    /// Where a model puts a tile in a frame.
+    /// Returns where a model puts a tile in a frame.
     fn seen(tile: &ObservedTile, motion: &Motion, model: &StageModel) -> Vector2<f64> {
         let surface = &model.surfaces[tile.surface];
         let in_body = surface.pose.transform(&surface.shape.at(tile.on_picture_m).place.into());
@@ -86,7 +87,7 @@ mod tests {
     #[test]
     fn derivatives_by_all_unknowns_agree_with_differences() {
         let mut model = StageModel::new(crate::camera::CameraModel::new(LENS).unwrap(), &stage(), true, true);
-        // Somewhere off flat, so that slopes are none of zero.
+        // Not flat, so that no slope is zero.
         let bend = DVector::from_fn(model.places().count, |k, _| if k < 400 { 2e-3 * (k as f64).sin() } else { 0.0 });
         model = model.stepped(&bend).unwrap();
         let motion =

@@ -1,7 +1,9 @@
-//! The walk that a survey rests on, as it is taken in from the clips before anything is adjusted: keyframes, and the part in which the picture moved most.
+//! The walk of a survey, as extracted from the clips before anything is adjusted: keyframes, and
+//! the part with the fastest motion.
 //!
-//! Every frame of the clips is looked at here, which takes as long as all that follows. A [`WalkRecord`] has what came of it, without the pictures: with it
-//! an interrupted survey goes on from here, and gives what it would have given without the interruption, to the bit.
+//! Every frame of the clips is tracked here, which takes as long as all that follows. A
+//! [`WalkRecord`] stores the result without the pictures: with it an interrupted survey continues
+//! from here, with a result that is bit-identical to that of an uninterrupted one.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector2};
 use serde::{Deserialize, Serialize};
@@ -17,29 +19,34 @@ use crate::motion::Motion;
 use crate::track::{BodySpec, KnownRates, Matcher, SurfaceMatch};
 use crate::tracker::TrackerSetup;
 
-/// Longest time between two poses that give a velocity, seconds. Raised, the velocity may span a turn; lowered, cameras with few frames a second give none.
+/// Maximum time between two poses that give a velocity, seconds. Raised, the velocity may span a
+/// turn; lowered, cameras with few frames per second give none.
 const LONGEST_GAP_S: f64 = 0.25;
-/// Frames in a row that are tracked in vain before features alone say where the camera is. More than one, as a new pose may have to be confirmed by the next frame. Raised, stages that are
-/// not as configured take longer, 0.15 s for each such frame of fifteen surfaces; lowered to 1, poses that need confirmation never get it.
+/// Number of consecutive frames tracked in vain before only features are used to find the camera.
+/// More than one, since a new pose may need confirmation by the next frame. Raised, stages that
+/// differ from their config take longer, 0.15 s for each such frame of fifteen surfaces; lowered to
+/// 1, poses that need confirmation never get it.
 const TRACKED_IN_VAIN: u32 = 3;
-/// Frames from then on that are not tracked, one second at 30 a second. Raised, a stage that people hid is tracked again later; lowered, stages that are not as
-/// configured take longer.
+/// Number of frames that are not tracked from then on, one second at 30 per second. Raised, a stage
+/// hidden by people is tracked again later; lowered, stages that differ from their config take
+/// longer.
 const UNTRACKED: u32 = 30;
-/// A recorded rotation is one when its quaternion's norm is this near to 1. Raised, a damaged record may pass; lowered, a sound one may not.
+/// Maximum deviation of a recorded quaternion's norm from 1. Raised, a damaged record may pass;
+/// lowered, a sound one may not.
 const NORM_TOLERANCE: f64 = 1e-9;
 
 /// What clips of walking around a stage showed.
 #[derive(Debug, PartialEq)]
 pub struct Walk {
     pub(super) keyframes: Vec<Keyframe>,
-    /// The liveliest part, in order; empty where the shutter is not asked for.
+    /// The part with the fastest motion, in order; empty if the shutter is not needed.
     pub(super) lively: Vec<NumberedFrame>,
-    /// Frames looked at, and those in which the stage was found.
+    /// Numbers of frames examined, and of those in which the stage was found.
     pub(super) frames: usize,
     pub(super) found: usize,
 }
 
-/// A walk without its pictures. Numbers count the frames of all clips together, from 1.
+/// A walk without its pictures. Frame numbers count the frames of all clips together, from 1.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WalkRecord {
     frames: usize,
@@ -56,14 +63,15 @@ struct KeyframeRecord {
     orientation_xyzw: [f64; 4],
     velocity: [f64; 3],
     turn_rate: [f64; 3],
-    /// Known velocity, turn rate and their accelerations, and one sigma of each.
+    /// Known velocity, angular velocity and their accelerations, and one sigma of each.
     rates: Option<[([f64; 3], f64); 4]>,
     /// Surface, metres on its picture, pixel, sigma in pixels.
     features: Vec<(usize, [f64; 2], [f64; 2], f64)>,
 }
 
 impl Walk {
-    /// Takes in clips, the lively part only if asked. `progress` hears of each frame; `goes_on` ends the work with false.
+    /// Extracts the walk from clips, with the lively part only if requested. `progress` is called
+    /// for each frame; `goes_on` stops the work by returning false.
     ///
     /// # Errors
     /// [`SurveyError::Interrupted`].
@@ -120,14 +128,14 @@ impl Walk {
         Ok(Self { keyframes: keyframes.into_kept(), lively: lively.into_frames(), frames, found })
     }
 
-    /// The same without its pictures.
+    /// Returns the walk without its pictures.
     pub fn record(&self) -> WalkRecord {
         let keyframes = self.keyframes.iter().map(KeyframeRecord::of).collect();
         WalkRecord { frames: self.frames, found: self.found, keyframes, lively: self.lively.iter().map(|f| f.number).collect() }
     }
 
-    /// A recorded walk with the pictures of its clips, which are read but not looked at. `None` where the clips have other frames, or no walk on this stage
-    /// has such a record.
+    /// Restores a recorded walk with the pictures of its clips, which are read but not tracked.
+    /// `None` if the clips have other frames, or the record cannot be one of this stage.
     ///
     /// # Errors
     /// [`SurveyError::Interrupted`].
@@ -188,7 +196,7 @@ impl KeyframeRecord {
         if !is_sound {
             return None;
         }
-        // Not normalised once more, which would change the last bit.
+        // Not normalised again, which would change the last bit.
         let pose = Pose::new(UnitQuaternion::new_unchecked(rotation), self.position_m.into());
         let motion = Motion { velocity: self.velocity.into(), turn_rate: self.turn_rate.into(), ..Motion::still(pose) };
         let feature = |(surface, on_picture_m, pixel, sigma_px): &(usize, [f64; 2], [f64; 2], f64)| MatchedFeature {
@@ -202,30 +210,30 @@ impl KeyframeRecord {
     }
 }
 
-/// Finds the stage in the frames of a clip, even where lens or layout are not as configured.
+/// Finds the stage in the frames of a clip, even if lens or layout differ from the config.
 struct StageFinder {
     matcher: Matcher,
     pause: TrackingPause,
 }
 
-/// Leaves frames untracked for a while after some that were tracked in vain.
+/// Skips tracking for a while after several frames were tracked in vain.
 #[derive(Debug, Default)]
 struct TrackingPause {
-    /// Frames in a row that were tracked in vain.
+    /// Number of consecutive frames tracked in vain.
     in_vain: u32,
-    /// Frames to go until the next one is tracked.
+    /// Number of frames until the next one is tracked.
     left: u32,
 }
 
 impl TrackingPause {
-    /// Goes on to the next frame; whether that is tracked.
+    /// Advances to the next frame; returns whether to track it.
     fn tracks_next(&mut self) -> bool {
         let tracks = self.left == 0;
         self.left = self.left.saturating_sub(1);
         tracks
     }
 
-    /// Takes whether a frame was tracked, or in vain.
+    /// Records whether tracking a frame succeeded.
     fn take(&mut self, is_tracked: bool) {
         self.in_vain = if is_tracked { 0 } else { self.in_vain + 1 };
         if self.in_vain == TRACKED_IN_VAIN {
@@ -239,16 +247,17 @@ impl StageFinder {
         Self { matcher, pause: TrackingPause::default() }
     }
 
-    /// Where a frame shows the stage.
+    /// Returns the camera's pose in a frame.
     fn pose(&mut self, frame: &Frame) -> Option<Pose<Body, Camera>> {
         self.tracked(frame).or_else(|| {
-            // With a lens or a layout that is off nothing may pass verification, and yet the stage is there.
+            // With a wrong lens or layout nothing may pass verification although the stage is
+            // there.
             let quick = self.matcher.quickly_recognised_pose(&frame.image);
             quick.or_else(|| Some(self.matcher.recognised_pose(&frame.image)?.0))
         })
     }
 
-    /// The same by tracking, where that is worth its time.
+    /// Returns the pose by tracking, if that is worth its time.
     fn tracked(&mut self, frame: &Frame) -> Option<Pose<Body, Camera>> {
         if !self.pause.tracks_next() {
             return None;
@@ -258,7 +267,7 @@ impl StageFinder {
         verified.map(|verified| verified.pose)
     }
 
-    /// The features that a frame shows of a stage.
+    /// Returns the features of a stage matched in a frame.
     fn matched_features(&mut self, frame: &Frame, stage: &BodySpec) -> Vec<MatchedFeature> {
         let feature = |m: &SurfaceMatch| MatchedFeature {
             surface: m.surface as usize,
@@ -270,7 +279,7 @@ impl StageFinder {
     }
 }
 
-/// Even motion since the last pose, or none where that is too long ago.
+/// Returns the uniform motion since the last pose, or none if that is too long ago.
 fn motion_since(before: Option<(Pose<Body, Camera>, Timestamp)>, pose: Pose<Body, Camera>, stamp: Timestamp) -> Motion {
     before
         .map(|(then, at)| (then, stamp.seconds_since(at)))
@@ -328,7 +337,7 @@ mod tests {
             (0..70).filter(is_tracked).collect::<Vec<_>>()
         };
         assert_eq!(tracked(|_| false), [0, 1, 2, 33, 34, 35, 66, 67, 68]);
-        // Two frames in a row that are lost are no reason.
+        // Two consecutive lost frames do not cause a pause.
         assert_eq!(tracked(|frame| frame % 3 == 0), (0..70).collect::<Vec<_>>());
         assert_eq!(tracked(|frame| frame > 3), [0, 1, 2].into_iter().chain(33..70).collect::<Vec<_>>());
     }

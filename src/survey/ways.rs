@@ -1,8 +1,10 @@
-//! The ways in which a surveyed stage may be off, few enough to go with its shapes.
+//! The modes of uncertainty ("ways") of a surveyed stage, few enough to be stored with its shapes.
 //!
-//! The covariance of a thousand numbers is too much to carry into every frame, and most of it never shows in a pose. What shows is what the poses of the
-//! walk's own frames depend on: with A the derivative of those poses by the model's numbers and C their covariance, the ways are the columns of
-//! C Aᵀ U D^(-1/2), where U D Uᵀ = A C Aᵀ. Together they give these poses the covariance that C gives them. Those that move poses most are kept.
+//! The covariance of a thousand unknowns is too large to process in every frame, and most of it
+//! never affects a pose. What matters is its effect on the poses of the walk's own frames: with A
+//! the derivative of those poses by the model's unknowns and C the covariance of the unknowns, the
+//! ways are the columns of C Aᵀ U D^(-1/2), where U D Uᵀ = A C Aᵀ. Together they give these poses
+//! the same covariance as C. Those with the largest effect are kept.
 
 use std::sync::Arc;
 
@@ -12,14 +14,14 @@ use super::normal_equations::NormalEquations;
 use super::stage_model::{StageModel, bent};
 use crate::track::{BentShape, ShapeWay, SurfaceShape, SurfaceSpec};
 
-/// Ways that are kept. Raised, frames cost more; lowered, covariances miss a part.
+/// Maximum number of ways kept. Raised, frames cost more; lowered, covariances are incomplete.
 const MOST_WAYS: usize = 24;
-/// Frames whose poses count, at even steps: six numbers each.
+/// Maximum number of frames whose poses are used, evenly spaced: six numbers each.
 const MOST_FRAMES: usize = 40;
-/// Ways that move no pose by more than this, metres and radians, are none.
+/// Minimum effect of a way on any pose, metres and radians, for it to be kept.
 const SMALLEST_WAY: f64 = 1e-6;
 
-/// The surfaces of a model, each with the ways in which it may be off.
+/// Returns the surfaces of a model, each with its ways.
 pub fn with_ways(model: &StageModel, covariance: &DMatrix<f64>, equations: &NormalEquations) -> Vec<SurfaceSpec> {
     let ways = ways(model, covariance, equations);
     let with = |(k, surface): (usize, &SurfaceSpec)| {
@@ -41,7 +43,8 @@ fn ways(model: &StageModel, covariance: &DMatrix<f64>, equations: &NormalEquatio
     for (row, k) in (0..frames).step_by(step).enumerate() {
         by_model.rows_mut(6 * row, 6).copy_from(&equations.pose_by_model(k).columns(0, n));
     }
-    // The lens's own uncertainty goes with the lens, in its calibration, and the shutter's with the shutter.
+    // The lens's own uncertainty is stored with the lens, in its calibration, and the shutter's
+    // with the shutter.
     let spread = covariance.view((0, 0), (n, n)) * by_model.transpose();
     let eigen = (&by_model * &spread).symmetric_eigen();
     let mut order: Vec<usize> = (0..eigen.eigenvalues.len()).filter(|k| eigen.eigenvalues[*k] > SMALLEST_WAY * SMALLEST_WAY).collect();
@@ -50,7 +53,7 @@ fn ways(model: &StageModel, covariance: &DMatrix<f64>, equations: &NormalEquatio
     order.into_iter().map(|k| &spread * eigen.eigenvectors.column(k) / eigen.eigenvalues[k].sqrt()).collect()
 }
 
-/// What a way does to surface `k`: to its shape and, as far as that is the same to first order, to its place.
+/// Returns the effect of a way on surface `k`: on its shape and, to first order, on its pose.
 fn way_of(model: &StageModel, k: usize, shape: &BentShape, way: &DVector<f64>) -> ShapeWay {
     let (places, surface) = (model.places(), &model.surfaces[k]);
     let to_surface = surface.pose.rotation_matrix().transpose();

@@ -1,4 +1,5 @@
-//! Which parts of a surface, and which of the lens's picture, a walk has left unknown: what to film again.
+//! Determines which parts of a surface, and which of the camera's picture, a walk left poorly
+//! known: what to film again.
 
 use nalgebra::{Matrix2, SMatrix, Vector2};
 
@@ -6,44 +7,46 @@ use super::stage::Survey;
 use super::stage_model::{LENS_COLUMNS, LENS_NUMBERS};
 use crate::camera::Pixel;
 
-/// The parts of a picture, three across and three down, by their names.
+/// Names of the parts of a picture, three across and three down.
 const PARTS: [&str; 9] = ["upper left", "top", "upper right", "left", "middle", "right", "lower left", "bottom", "lower right"];
-/// Points across and down a part at which it is looked at. Raised, nothing is gained; lowered, a spot speaks for its part.
+/// Points across and down a part at which it is evaluated. Raised, nothing is gained; lowered, a
+/// single spot represents its part.
 const POINTS: usize = 6;
-/// Places across and down the camera's picture at which the lens is looked at, its corners among them.
+/// Points across and down the camera's picture at which the lens is evaluated, including its
+/// corners.
 const LENS_POINTS: usize = 9;
 
-/// How well the parts of a surface are known.
+/// The uncertainty of the parts of a surface.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SurfaceParts {
-    /// One sigma of the heights of each, metres: the median of its points; in the order of the names.
+    /// Median of one sigma of the heights in each part, metres, in the order of the names.
     sigmas_m: [f64; 9],
 }
 
 impl SurfaceParts {
-    /// The least known one's sigma, metres.
+    /// Returns the sigma of the least known part, metres.
     pub fn worst_m(&self) -> f64 {
         self.sigmas_m.iter().copied().fold(0.0, f64::max)
     }
 
-    /// Those that are known worse than this, in words; all nine are "everywhere".
+    /// Names the parts whose sigma is larger than the limit; all nine are "everywhere".
     pub fn beyond(&self, limit_m: f64) -> String {
         let names: Vec<&str> = PARTS.iter().zip(self.sigmas_m).filter(|(_, sigma)| *sigma > limit_m).map(|(name, _)| *name).collect();
         if names.len() == PARTS.len() { "everywhere".to_owned() } else { names.join(", ") }
     }
 }
 
-/// Where the lens is known least.
+/// The pixel at which the lens is known least.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WeakestPixel {
-    /// 3 sigma of where it shows what it shows, pixels.
+    /// 3 sigma of a point's image position, pixels.
     pub three_sigma_px: f64,
     /// Its part of the picture.
     pub part: &'static str,
 }
 
 impl Survey {
-    /// How well the parts of surface `k` are known.
+    /// Returns the uncertainty of the parts of surface `k`.
     pub fn parts(&self, k: usize) -> SurfaceParts {
         let size = self.surfaces[k].size_m;
         let share = |n: usize| (n as f64 + 0.5) / (3 * POINTS) as f64 - 0.5;
@@ -56,7 +59,7 @@ impl Survey {
         SurfaceParts { sigmas_m: std::array::from_fn(of_part) }
     }
 
-    /// Where the lens that was found is known least; `None` where it was kept.
+    /// Returns where a refined lens is known least; `None` if it was not refined.
     pub fn weakest_pixel(&self) -> Option<WeakestPixel> {
         let at = self.places.lens?;
         let covariance: SMatrix<f64, LENS_NUMBERS, LENS_NUMBERS> =
@@ -76,7 +79,7 @@ impl Survey {
         unsure.max_by(|a, b| a.three_sigma_px.total_cmp(&b.three_sigma_px))
     }
 
-    /// Whether lens and shutter were to be found as well.
+    /// Whether lens and shutter were to be refined, too.
     pub fn refines_lens(&self) -> bool {
         self.places.lens.is_some()
     }
