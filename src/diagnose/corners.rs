@@ -1,5 +1,5 @@
-//! The shape of a rectangle from its four corners in one photograph and the lens that took it (Zhang and He, 2007), held
-//! against `size_m`; and where its corners start.
+//! Derives the shape of a rectangle from its four corners in one photograph and the lens that took
+//! it (Zhang and He, 2007), compares it with `size_m`, and checks where the list of corners starts.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -8,11 +8,11 @@ use crate::camera::{CameraModel, Pixel};
 use crate::geometry::{Homography, PointPair};
 use crate::track::{BodySpec, ReferenceKind, SurfaceSpec};
 
-/// How well corners are read off a photograph, one sigma, pixels. Chosen: a hand on a mouse and a blurred edge. Raised, crooked corners
-/// pass without a word.
+/// Accuracy with which corners are read off a photograph, one sigma, pixels (chosen: a hand on a
+/// mouse and a blurred edge). Raised, crooked corners pass unmentioned.
 const CORNER_PX: f64 = 1.5;
-/// A lens that is only known roughly moves the ratio by this much, one sigma of its logarithm. Chosen, not measured. Raised, ratios that
-/// are off pass without a word.
+/// Effect of a roughly known lens on the ratio, one sigma of its logarithm (chosen, not measured).
+/// Raised, wrong ratios pass unmentioned.
 const LENS: f64 = 0.015;
 
 /// Height over width of the rectangle, and the angle between its sides in degrees.
@@ -22,7 +22,7 @@ struct Rectangle {
     angle_deg: f64,
 }
 
-/// From the corners' raw pixels, clockwise from the top left.
+/// Computes the rectangle from the corners' raw pixels, clockwise from the top left.
 fn rectangle(camera: &CameraModel, corners: &[Vector2<f64>; 4]) -> Option<Rectangle> {
     let unit = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)].map(|(x, y)| Vector2::new(x, y));
     let mut pairs = [PointPair { from: unit[0], to: unit[0] }; 4];
@@ -35,7 +35,8 @@ fn rectangle(camera: &CameraModel, corners: &[Vector2<f64>; 4]) -> Option<Rectan
     ratio.is_finite().then(|| Rectangle { ratio, angle_deg: across.angle(&down).to_degrees() })
 }
 
-/// One sigma of the ratio's logarithm and of the angle, from corners read with [`CORNER_PX`].
+/// Returns one sigma of the ratio's logarithm and of the angle (degrees), for corners read with
+/// [`CORNER_PX`].
 fn spread(camera: &CameraModel, corners: &[Vector2<f64>; 4], found: &Rectangle) -> (f64, f64) {
     let (mut log, mut angle) = (LENS * LENS, 0.0);
     for k in 0..8 {
@@ -48,7 +49,7 @@ fn spread(camera: &CameraModel, corners: &[Vector2<f64>; 4], found: &Rectangle) 
     (log.sqrt(), angle.sqrt())
 }
 
-/// The raw corners of a photographed surface, as the config has them, and the photograph's camera.
+/// Returns the raw corners of a photographed surface, as configured, and the photograph's camera.
 pub fn corners_of(surface: &SurfaceSpec) -> Option<([Vector2<f64>; 4], &CameraModel)> {
     let ReferenceKind::Photograph { h_photo_artwork, camera, .. } = &surface.kind else { return None };
     let (w, h) = (f64::from(surface.artwork.width()) - 0.5, f64::from(surface.artwork.height()) - 0.5);
@@ -60,25 +61,27 @@ pub fn corners_of(surface: &SurfaceSpec) -> Option<([Vector2<f64>; 4], &CameraMo
     Some((corners, camera))
 }
 
-/// Which corner of the list is the top left one in the photograph, counted from 0.
+/// Returns the index of the corner that is the top left one in the photograph.
 pub fn top_left(corners: &[Vector2<f64>; 4]) -> usize {
     (0..4).min_by(|a, b| corners[*a].sum().total_cmp(&corners[*b].sum())).unwrap_or(0)
 }
 
-/// The list as it is written, begun at another corner.
+/// Returns the config line with the list starting at another corner.
 pub fn begun_at(corners: &[Vector2<f64>; 4], first: usize) -> String {
     let corner = |k: usize| list(&[0, 1].map(|axis| (corners[(first + k) % 4][axis] * 10.0).round() / 10.0));
     format!("corners_px = [{}, {}, {}, {}]", corner(0), corner(1), corner(2), corner(3))
 }
 
-/// The line that begins a photographed surface's corners at the top left one of the photograph; `None` where they do, and for artwork.
+/// Returns the config line with a photographed surface's corners starting at the top left one;
+/// `None` if they already do, and for artwork.
 pub fn corners_begun_at_top_left(surface: &SurfaceSpec) -> Option<String> {
     let (corners, _) = corners_of(surface)?;
     let first = top_left(&corners);
     (first != 0).then(|| begun_at(&corners, first))
 }
 
-/// What the corners of the photographed surfaces say of their `size_m`. Through a lens that is a guess they cannot say much: it is a warning.
+/// Compares the corners of the photographed surfaces with their `size_m`. With a guessed lens they
+/// are not conclusive, so the finding is only a warning.
 pub fn of_corners(body: &BodySpec, is_guess: bool) -> Vec<Finding> {
     let graded = |surface: &SurfaceSpec, f: Finding| match f.grade {
         Grade::Doubt if is_guess || is_assumed(surface) => Finding::warning(f.says),
@@ -87,7 +90,8 @@ pub fn of_corners(body: &BodySpec, is_guess: bool) -> Vec<Finding> {
     body.surfaces.iter().filter_map(|surface| Some(graded(surface, of_surface(surface)?))).collect()
 }
 
-/// Whether a photograph's lens looks like the one that is assumed where none is given: as long as the picture, and without distortion.
+/// Whether a photograph's lens looks like the default one: focal length equal to the longer side,
+/// and no distortion.
 fn is_assumed(surface: &SurfaceSpec) -> bool {
     let ReferenceKind::Photograph { camera, .. } = &surface.kind else { return false };
     let i = camera.intrinsics();
@@ -153,7 +157,7 @@ mod tests {
         CameraModel::pinhole(640, 480, 600.0, 600.0, 319.5, 239.5).unwrap()
     }
 
-    /// A rectangle of 2 x 1.5 m, tilted, before a chequered wall.
+    /// A rectangle of 2 x 1.5 m, tilted, in front of a chequered wall.
     fn corners() -> [Vector2<f64>; 4] {
         let turn = UnitQuaternion::from_euler_angles(0.3, 0.5, 0.05) * UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0);
         let pose = Pose::<Camera, SurfaceFrame>::new(turn, Vector3::new(0.0, 0.0, 4.0));

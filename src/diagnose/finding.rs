@@ -1,50 +1,51 @@
-//! One thing that a diagnosis has to say, and how grave it is.
+//! One finding of a diagnosis, and its severity.
 
-/// How grave a finding is, worst first.
+/// Severity of a finding, worst first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Grade {
-    /// The stage cannot be followed, or poses are wrong, until it is mended.
+    /// The stage cannot be tracked, or poses are wrong, until it is fixed.
     Fault,
-    /// The stage may be followed, and something about it is almost certainly other than meant.
+    /// The stage may be tracked, but something is almost certainly not as intended.
     Doubt,
-    /// It works, less well than it could, or by something that was assumed.
+    /// It works, but less well than it could, or by relying on an assumption.
     Warning,
     /// For information.
     Note,
 }
 
-/// What was found, with its mend.
+/// A finding, with its fix.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finding {
-    /// How grave.
+    /// Severity.
     pub grade: Grade,
-    /// A plain sentence, without its full stop: what is the matter and what to write or do instead.
+    /// A plain sentence without its full stop: what is wrong, and what to write or do instead.
     pub says: String,
 }
 
 impl Finding {
-    /// Something to mend.
+    /// Creates a finding that must be fixed.
     pub fn fault(says: impl Into<String>) -> Self {
         Self { grade: Grade::Fault, says: says.into() }
     }
 
-    /// Something to mend, though tracking goes on without.
+    /// Creates a finding that should be fixed, though tracking works without.
     pub fn doubt(says: impl Into<String>) -> Self {
         Self { grade: Grade::Doubt, says: says.into() }
     }
 
-    /// Something to look at.
+    /// Creates a finding that should be checked.
     pub fn warning(says: impl Into<String>) -> Self {
         Self { grade: Grade::Warning, says: says.into() }
     }
 
-    /// Something to know.
+    /// Creates a finding for information.
     pub fn note(says: impl Into<String>) -> Self {
         Self { grade: Grade::Note, says: says.into() }
     }
 }
 
-/// A number as one would write it into a config: four figures, without idle zeros.
+/// Formats a number as one would write it in a config: four significant digits, without trailing
+/// zeros.
 pub fn written(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return "0.0".to_owned();
@@ -55,13 +56,13 @@ pub fn written(value: f64) -> String {
     if text.contains('.') { text } else { format!("{text}.0") }
 }
 
-/// A number no finer than it is known: rounded to the decimal place of three sigmas.
+/// Rounds a number to the decimal place of three sigmas.
 pub fn known_to(value: f64, sigma: f64) -> f64 {
     let place = 10_f64.powf((3.0 * sigma).log10().floor());
     if place.is_normal() { (value / place).round() * place } else { value }
 }
 
-/// `[a, b]` as written into a config.
+/// Formats `[a, b]` as written in a config.
 pub fn list(values: &[f64]) -> String {
     format!("[{}]", values.iter().map(|v| written(*v)).collect::<Vec<_>>().join(", "))
 }

@@ -1,9 +1,10 @@
-//! What lens and what shape of a flat picture explain how it is seen: the lens' focal length and the picture's height over
-//! its width, each free where the other is known, or both.
+//! Finds the lens and the shape of a flat picture that explain its views: the focal length and the
+//! ratio of height to width, each free with the other known, or both.
 //!
-//! Seen through a known lens, four corners tell a rectangle's shape (Zhang and He, "Whiteboard scanning and image
-//! enhancement", 2007); several tilted views give both (Zhang, 2000). Here all matches of all views vote: for
-//! every trial of lens and shape each view has its best pose, and the trial with the least that is left wins.
+//! With a known lens, four corners determine a rectangle's shape (Zhang and He, "Whiteboard
+//! scanning and image enhancement", 2007); several tilted views determine both (Zhang, 2000). Here
+//! all matches of all views contribute: for each trial of lens and shape the best pose of each view
+//! is solved, and the trial with the smallest residuals wins.
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -13,61 +14,66 @@ use crate::geometry::resection::{MovingCamera, Observation, resect, squared_resi
 use crate::geometry::{Body, Camera, Homography, PointPair, Pose};
 use crate::track::SurfaceView;
 
-/// What is tried: the config's lens and shape, each times a factor.
+/// A trial: the config's lens and shape, each times a factor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shape {
-    /// Focal length over the config's.
+    /// Focal length, relative to the config's.
     pub focal: f64,
-    /// Height over width, over the config's.
+    /// Height over width, relative to the config's.
     pub ratio: f64,
-    /// Width over height of a pixel, over the config's: other than 1 where a clip was stretched.
+    /// Width over height of a pixel, relative to the config's: other than 1 if a clip was
+    /// stretched.
     pub pixel: f64,
 }
 
 /// The config's own shape and lens.
 pub const AS_CONFIGURED: Shape = Shape { focal: 1.0, ratio: 1.0, pixel: 1.0 };
 
-/// A shape that was found.
+/// The result of a search.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Found {
     /// The shape.
     pub shape: Shape,
-    /// Mean cut square of what is left of a match, in sigmas.
+    /// Mean capped square of the matches' residuals, in sigmas.
     pub left: f64,
-    /// Standard deviation of the logarithm of what was free (the larger, of two).
+    /// Standard deviation of the logarithm of the free factor (for two, of the one that was
+    /// searched last).
     pub sigma: f64,
 }
 
 /// Views of one surface.
 pub struct Views<'a> {
-    /// At the size of the frames.
+    /// The camera, at the size of the frames.
     pub camera: CameraModel,
-    /// As configured.
+    /// Size as configured, metres.
     pub size_m: [f64; 2],
-    /// Of the surface's picture.
+    /// Size of the surface's picture, pixels.
     pub artwork_px: [f64; 2],
-    /// One a frame.
+    /// One view per frame.
     pub views: Vec<&'a SurfaceView>,
 }
 
-/// A feature's place has this scatter, pixels of the level it was found on: a round figure, by which what is left is counted. Raised, all
-/// that is left shrinks, and worse shapes fit.
+/// Noise of a feature's position, pixels of its pyramid level: a round figure, the unit of the
+/// residuals. Raised, all residuals shrink, and worse shapes fit.
 const NOISE_PX: f64 = 1.0;
-/// Squares are cut at this many sigmas squared, so that a wrong match counts no more than one at four sigmas. Raised, wrong matches decide
-/// more; lowered, a wrong shape looks less wrong.
+/// Cap on squared residuals, in sigmas squared, so that a wrong match counts no more than one at
+/// four sigmas. Raised, wrong matches decide more; lowered, a wrong shape looks less wrong.
 pub(super) const CUT: f64 = 16.0;
-/// Matches of a view that are asked at most. Chosen for time: each trial solves a pose for each view. Raised, factors are known a little
-/// better, and a check takes longer.
+/// Maximum number of matches used per view. Chosen for time: each trial solves a pose for each
+/// view. Raised, factors are known a little better, and a check takes longer.
 const ASKED: usize = 60;
-/// Factors are looked for from 1 / this to this, in this many steps up and down, each e^0.12 from the next. Chosen, not tuned. The first
-/// raised, swapped sides of longer surfaces are found, for their ratio is off by its square; fewer steps may miss the best factor.
+/// Factors are searched from 1 / this to this, in this many steps up and down, each e^0.12 from the
+/// next. Chosen, not tuned. With the first raised, swapped sides of longer surfaces are found,
+/// whose ratio is off by its square; with fewer steps the best factor may be missed.
 const LARGEST_FACTOR: f64 = 2.6;
 const TRIALS: i32 = 8;
-/// Turns in which two factors are sought one after the other. Raised, a check takes longer, and long valleys are followed to their end.
+/// Maximum number of alternations when two factors are searched. Raised, a check takes longer, and
+/// long valleys are followed to their end.
 const MOST_TURNS: usize = 4;
 
 impl Views<'_> {
-    /// Mean cut square of what a free homography leaves of the matches: no lens and no shape leaves less.
+    /// Returns the mean capped square of the residuals of free homographies, which no lens and
+    /// shape can undercut.
     pub fn floor(&self) -> f64 {
         self.mean(|view| {
             let squared = |m: &&crate::track::SurfaceMatch| {
@@ -83,25 +89,26 @@ impl Views<'_> {
         self.views.iter().map(|v| cost(v)).sum::<f64>() / count.max(1) as f64
     }
 
-    /// Mean cut square of what a lens and a shape leave.
+    /// Returns the mean capped square of the residuals with a lens and a shape.
     pub fn left(&self, shape: Shape) -> f64 {
         let Some((camera, size_m)) = self.trial(shape) else { return CUT };
         self.left_by(&camera, size_m)
     }
 
-    /// As [`left`](Self::left), of a lens at hand.
+    /// Does the same as [`left`](Self::left) with a given lens and size.
     pub fn left_by(&self, camera: &CameraModel, size_m: [f64; 2]) -> f64 {
         self.mean(|view| self.pose_of(view, camera, size_m).map_or(CUT * view.matches.len().min(ASKED) as f64, |(cost, _)| cost))
     }
 
-    /// The config's lens and size, changed by a shape; the width stays.
+    /// Returns the config's lens and size, changed by a shape; the width stays.
     pub fn trial(&self, shape: Shape) -> Option<(CameraModel, [f64; 2])> {
         let i = *self.camera.intrinsics();
         let camera = CameraModel::new(Intrinsics { fx: i.fx * shape.focal, fy: i.fy * shape.focal * shape.pixel, ..i }).ok()?;
         Some((camera, [self.size_m[0], self.size_m[1] * shape.ratio]))
     }
 
-    /// What the best pose of the surface itself leaves of a view, and that pose (`T_camera_surface`).
+    /// Finds the best pose of the surface in a view; returns its cost and the pose
+    /// (`T_camera_surface`).
     pub fn pose_of(&self, view: &SurfaceView, camera: &CameraModel, size_m: [f64; 2]) -> Option<(f64, Pose<Camera, Body>)> {
         let metres = |p: Vector2<f64>| {
             let [w, h] = self.artwork_px;
@@ -126,29 +133,30 @@ impl Views<'_> {
         judged.min_by(|a, b| a.0.total_cmp(&b.0))
     }
 
-    /// The ratio that fits best with the config's lens.
+    /// Returns the ratio that fits best with the config's lens.
     pub fn free_ratio(&self) -> Found {
         self.along(|ratio| Shape { ratio, ..AS_CONFIGURED })
     }
 
-    /// The focal length that fits best with the config's shape.
+    /// Returns the focal length that fits best with the config's shape.
     pub fn free_focal(&self) -> Found {
         self.along(|focal| Shape { focal, ..AS_CONFIGURED })
     }
 
-    /// The focal length that fits best with its best ratio.
+    /// Returns the focal length and the ratio that fit best together.
     pub fn free_both(&self) -> Found {
         let shape = |focal, ratio| Shape { focal, ratio, ..AS_CONFIGURED };
         self.by_turns(self.free_ratio(), |found| found.shape.ratio, shape)
     }
 
-    /// The pixel's shape that fits best with its best focal length.
+    /// Returns the pixel's shape and the focal length that fit best together.
     pub fn free_pixel(&self) -> Found {
         let alone = self.along(|pixel| Shape { pixel, ..AS_CONFIGURED });
         self.by_turns(alone, |found| found.shape.pixel, |focal, pixel| Shape { focal, pixel, ..AS_CONFIGURED })
     }
 
-    /// From the best of one factor: the focal length with that, then the factor with that, until nothing more is gained.
+    /// Starting from the best of one factor, alternately searches the focal length and the factor
+    /// until nothing more is gained.
     fn by_turns(&self, mut best: Found, factor: impl Fn(&Found) -> f64, shape: impl Fn(f64, f64) -> Shape) -> Found {
         for _ in 0..MOST_TURNS {
             let other = factor(&best);
@@ -165,7 +173,8 @@ impl Views<'_> {
         best
     }
 
-    /// The best factor along a line of shapes: trials over the whole range, then golden sections.
+    /// Finds the best factor along a line of shapes: first trials over the whole range, then
+    /// golden-section search.
     fn along(&self, shape: impl Fn(f64) -> Shape) -> Found {
         let step = LARGEST_FACTOR.ln() / f64::from(TRIALS);
         let left = |log: f64| self.left(shape(log.exp()));
@@ -191,10 +200,11 @@ impl Views<'_> {
         Found { shape: shape(log.exp()), left: least, sigma: self.sigma(&left, log, least) }
     }
 
-    /// Standard deviation from how much worse the neighbours fit: the sum of squares rises by its own scale at one sigma.
+    /// Returns the standard deviation, from how much worse the neighbours fit: the sum of squares
+    /// rises by its own scale at one sigma.
     fn sigma(&self, left: &impl Fn(f64) -> f64, log: f64, least: f64) -> f64 {
-        /// How far aside the neighbours are, of the logarithm. Chosen: well above the residual's roughness, within the parabola. Raised,
-        /// the cut squares flatten it and sigma is too large.
+        /// Distance of the neighbours, as a logarithm. Chosen: well above the residual's roughness,
+        /// within the parabola. Raised, the cap flattens it and sigma is too large.
         const ASIDE: f64 = 0.04;
         let count: usize = self.views.iter().map(|v| v.matches.len().min(ASKED)).sum();
         let curvature = (left(log - ASIDE) + left(log + ASIDE) - 2.0 * least).max(0.0) / (ASIDE * ASIDE);
@@ -203,8 +213,8 @@ impl Views<'_> {
     }
 }
 
-/// Features of one frame err alike: no ratio is known better than this, one sigma of the logarithm. Chosen, not measured. Raised, smaller
-/// deviations pass without a word.
+/// Minimum sigma of a ratio's logarithm, since features of one frame share errors. Chosen, not
+/// measured. Raised, smaller deviations pass unmentioned.
 const LEAST_SIGMA: f64 = 0.002;
 
 #[cfg(test)]

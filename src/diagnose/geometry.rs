@@ -1,4 +1,5 @@
-//! Lens, shape and places held against how the surfaces are seen: what fits is named, and tried.
+//! Compares the configured lens, shapes and positions with how the surfaces are seen, and names and
+//! tries what would fit.
 
 use nalgebra::Vector2;
 
@@ -13,43 +14,53 @@ use crate::geometry::{Body, Pose, SurfaceFrame};
 use crate::track::{SurfaceSpec, SurfaceView};
 use crate::tracker::TrackerSetup;
 
-/// Views of a surface that are asked at most. Chosen for time, which grows with each. Raised, factors are known better.
+/// Maximum number of views used per surface. Chosen for time, which grows with each. Raised,
+/// factors are known better.
 const MOST_VIEWS: usize = 10;
-/// A trial fits where it leaves no more than the free homography does, and this much: in squared sigmas a match, and as a share of what
-/// that leaves. Chosen, not tuned. Raised, wrong shapes fit; lowered, right ones do not where the cloth has folds.
+/// Maximum excess over the free homographies for a trial to fit: in squared sigmas per match, and
+/// as a fraction of the homographies' own residual. Chosen, not tuned. Raised, wrong shapes fit;
+/// lowered, right ones do not fit if the cloth has folds.
 const SLACK: (f64, f64) = (0.12, 0.2);
-/// Ratios and focal lengths this near to the config's are not worth a word (share), nor those within this many sigmas. Chosen: a tape
-/// measure and a calibration are better than the first two. Raised, smaller mistakes pass; lowered, right configs are doubted.
+/// Minimum deviation of a ratio and of a focal length from the config's (fractions, and in sigmas)
+/// to be reported. Chosen: a tape measure and a calibration are better than the first two. Raised,
+/// smaller mistakes pass; lowered, right configs are doubted.
 const NEAR_RATIO: f64 = 0.025;
 const NEAR_FOCAL: f64 = 0.05;
 const SIGMAS: f64 = 4.0;
-/// What a better ratio or focal length must gain per match, in squared sigmas, where the config's fits already. Chosen, not tuned. Raised,
-/// only larger mistakes are named; lowered, right configs are doubted.
+/// Minimum gain per match, in squared sigmas, for a better ratio or focal length to be reported if
+/// the config's fits already. Chosen, not tuned. Raised, only larger mistakes are reported;
+/// lowered, right configs are doubted.
 const LEAST_GAIN: f64 = 0.06;
-/// Of the logarithm of a factor: beyond it no fold of a cloth and no calibration in use is meant, and the finding is a doubt instead of a
-/// warning. Chosen, not tuned. Raised, more are warnings.
+/// Logarithm of a factor above which neither folds of a cloth nor an ordinary calibration error
+/// explain it, so the finding is a doubt instead of a warning. Chosen, not tuned. Raised, more are
+/// warnings.
 const LARGE_FACTOR: f64 = 0.08;
-/// Of two explanations the one that leaves less by this much is the better one, squared sigmas a match. Raised, more are called alike.
+/// Difference of residuals, squared sigmas per match, by which one of two explanations is clearly
+/// better. Raised, more are treated as equal.
 const CLEARLY: f64 = 0.02;
-/// Share of what the best factor explains, from which a swap of width and height is the cause. Lowered, other mistakes pass for a swap.
+/// Minimum fraction of the best factor's gain that a swap of width and height must reach to be the
+/// cause. Lowered, other mistakes pass for a swap.
 const SWAPPED: f64 = 0.8;
-/// Of the logarithm: pixels that are less far from square are a lens' own. Raised, clips that are stretched by little pass.
+/// Logarithm of the pixel ratio below which pixels count as square, as a lens may cause it. Raised,
+/// slightly stretched clips pass.
 const LEAST_STRETCH: f64 = 0.03;
-/// Of the logarithm: 2.2 times. Anamorphic lenses squeeze by 2, programs by 1.33. Raised, a wrong
-/// size passes for a stretched clip.
+/// Maximum logarithm of the pixel ratio: 2.2 times. Anamorphic lenses squeeze by 2, programs by
+/// 1.33. Raised, a wrong size passes for a stretched clip.
 const MAX_STRETCH: f64 = 0.79;
-/// Two ratios are the same within this, of the logarithm: it tells a swap of width and height from a coincidence. Chosen, not tuned.
-/// Raised, more ratios are called a swap, and fewer nearly square surfaces can be.
+/// Difference of two ratios' logarithms within which they count as equal; it tells a swap of width
+/// and height from a coincidence. Chosen, not tuned. Raised, nearly square surfaces are no longer
+/// recognized as swapped.
 const SAME_RATIO: f64 = 0.06;
-/// A surface that is seen this far from its place is not where the config has it: share of the camera's distance, and degrees. Chosen: far
-/// beyond the errors of a pose. Raised, misplaced surfaces pass; lowered, right ones are called misplaced.
+/// Minimum displacement of a surface to be reported: as a fraction of the camera's distance, and in
+/// degrees. Chosen: far beyond the errors of a pose. Raised, misplaced surfaces pass; lowered,
+/// right ones are called misplaced.
 const LARGEST_SHIFT: f64 = 0.1;
 const LARGEST_TURN_DEG: f64 = 12.0;
-/// The frames agree about where it stands to this share of how far off that is. Raised, wrong matches pass for a surface that stands elsewhere; lowered, one that is
-/// seen small is not said to.
+/// Maximum scatter of the displacement between frames, as a fraction of it. Raised, wrong matches
+/// pass for a displaced surface; lowered, a displaced one that appears small is not reported.
 const LARGEST_SCATTER: f64 = 0.3;
 
-/// What the views say; `views` are those of each frame.
+/// Judges the geometry from the views; `views` holds those of each frame.
 pub fn of_views(shown: &Shown<'_>, views: &[Vec<SurfaceView>]) -> Vec<Finding> {
     let Shown { setup, frames, is_followed, is_explained, guess, .. } = *shown;
     let count = |s: usize| views.iter().flatten().filter(|v| v.surface as usize == s).count();
@@ -64,7 +75,8 @@ pub fn of_views(shown: &Shown<'_>, views: &[Vec<SurfaceView>]) -> Vec<Finding> {
     if !case.fits(left) && !is_explained {
         match case.misfit() {
             Some(finding) => return vec![finding],
-            // Where it is followed, what no shape and no lens explains is the frames' own motion, not the config's fault.
+            // If it is tracked, a misfit that no shape and no lens explains is caused by motion
+            // within the frames, not by the config.
             None if !is_followed => return vec![case.no_flat_picture()],
             None => {}
         }
@@ -78,7 +90,7 @@ pub fn of_views(shown: &Shown<'_>, views: &[Vec<SurfaceView>]) -> Vec<Finding> {
     findings
 }
 
-/// The views of one surface, no more than [`MOST_VIEWS`], spread over the frames.
+/// Returns the views of one surface, at most [`MOST_VIEWS`], spread over the frames.
 fn views_of<'a>(setup: &TrackerSetup, views: &'a [Vec<SurfaceView>], surface: usize) -> Views<'a> {
     let all: Vec<&SurfaceView> = views.iter().flatten().filter(|v| v.surface as usize == surface).collect();
     let spec = &setup.stage.surfaces[surface];
@@ -91,14 +103,14 @@ fn views_of<'a>(setup: &TrackerSetup, views: &'a [Vec<SurfaceView>], surface: us
     }
 }
 
-/// Where a frame shows a surface to stand in its body, and how far from the camera, metres.
+/// A surface's pose in its body as seen in one frame, and its distance from the camera, metres.
 struct Standing {
     pose: Pose<Body, SurfaceFrame>,
     distance: f64,
 }
 
-/// How far the frames disagree about where a surface stands, metres and degrees: the median over the frames, from the one that the others agree with most. 0 of
-/// one frame.
+/// Returns how far the frames disagree about a surface's pose, metres and degrees: the median
+/// distance of the frames from the one with which the others agree most. 0 for a single frame.
 fn scatter(seen: &[Standing]) -> [f64; 2] {
     let shift = |a: &Standing, b: &Standing| (a.pose.translation - b.pose.translation).norm();
     let turn_deg = |a: &Standing, b: &Standing| a.pose.angle_to(&b.pose).to_degrees();
@@ -109,7 +121,7 @@ fn scatter(seen: &[Standing]) -> [f64; 2] {
     [least(&shift), least(&turn_deg)]
 }
 
-/// The surface that is seen most, and how.
+/// The surface with the most views, and those views.
 struct Case<'a> {
     setup: &'a TrackerSetup,
     frames: &'a [Frame],
@@ -125,7 +137,7 @@ impl Case<'_> {
         left < self.floor + SLACK.0 + SLACK.1 * self.floor
     }
 
-    /// No pose fits as configured: which shape or lens would, if any.
+    /// No pose fits as configured: finds the shape or lens that would, if any.
     fn misfit(&self) -> Option<Finding> {
         let [w, h] = self.spec.size_m;
         let name = &self.spec.name;
@@ -173,8 +185,9 @@ impl Case<'_> {
         None
     }
 
-    /// Width and height swapped, where that explains nearly all that any one factor does (`least` is left by the best). What else is a
-    /// little off, such as a corner that was read off roughly, need not be right for that.
+    /// Returns the swap of width and height if it explains nearly all that the best single factor
+    /// does (`least` is that factor's residual). Other small errors, such as a roughly read corner,
+    /// may remain.
     fn swap(&self, least: f64) -> Option<Shape> {
         let [w, h] = self.spec.size_m;
         let swap = Shape { ratio: (w / h).powi(2), ..AS_CONFIGURED };
@@ -184,7 +197,7 @@ impl Case<'_> {
         ((w / h).ln().abs() > SAME_RATIO && explains && left - left_swapped > CLEARLY).then_some(swap)
     }
 
-    /// Pixels that are not square, and what to do about them.
+    /// Describes pixels that are not square, and what to do about them.
     fn pixel_words(&self, found: &Found) -> String {
         let i = self.setup.camera.intrinsics();
         let pixel = found.shape.pixel * i.fy / i.fx;
@@ -199,7 +212,7 @@ impl Case<'_> {
         )
     }
 
-    /// Nothing explains how it is seen.
+    /// Describes that nothing explains how it is seen.
     fn no_flat_picture(&self) -> Finding {
         let name = &self.spec.name;
         let mend = match corners_of(self.spec) {
@@ -218,7 +231,8 @@ impl Case<'_> {
         ))
     }
 
-    /// The sides are swapped: in the config, in the order of the corners, or in the picture's file.
+    /// Describes swapped sides: in the config, in the order of the corners, or in the picture's
+    /// file.
     fn swapped(&self, shape: Shape) -> Finding {
         let [w, h] = self.spec.size_m;
         let name = &self.spec.name;
@@ -259,7 +273,7 @@ impl Case<'_> {
                     LensGuess::FieldOfView(degrees) => ("fov_deg", degrees, fov),
                     LensGuess::FilmFocalLength(mm) => ("focal_35mm_mm", mm, mm * found.shape.focal),
                 };
-                // No digit that is not known.
+                // Only significant digits.
                 let better = written(known_to(better, better * found.sigma.max(0.003)));
                 (
                     format!("{key} = {} is not this camera's, or not of this zoom: it makes", written(typed)),
@@ -276,7 +290,7 @@ impl Case<'_> {
         )
     }
 
-    /// The distortion left out, or its numbers in the order of other programs.
+    /// Tries to omit the distortion, or to reorder its parameters as in other programs.
     fn other_distortion(&self) -> Option<Finding> {
         let i = *self.setup.camera.intrinsics();
         let [k1, k2, a, b, c] = i.distortion;
@@ -298,7 +312,7 @@ impl Case<'_> {
         })
     }
 
-    /// The config fits: whether another shape or lens fits clearly better.
+    /// With a config that fits, checks whether another shape or lens fits clearly better.
     fn shape_as_seen(&self, left: f64) -> Vec<Finding> {
         let [w, h] = self.spec.size_m;
         let name = &self.spec.name;
@@ -323,7 +337,7 @@ impl Case<'_> {
         vec![Finding::note(format!("{name}: {}", ratio_words(h / w * ratio.shape.ratio, &ratio, h / w)))]
     }
 
-    /// Whether another surface stands where the config has it, as far as both are seen together.
+    /// Checks whether another surface stands as configured, from frames that show both.
     fn place_of(&self, views: &[Vec<SurfaceView>], other: usize) -> Option<Finding> {
         let (spec, setup) = (&self.setup.stage.surfaces[other], self.setup);
         let (main_views, other_views) = (&self.seen, views_of(setup, views, other));
@@ -333,7 +347,8 @@ impl Case<'_> {
             let (Some(a), Some(b)) = (find(self.main), find(other)) else { continue };
             let Some((_, from)) = main_views.pose_of(a, &setup.camera, self.spec.size_m) else { continue };
             let Some((_, to)) = other_views.pose_of(b, &setup.camera, spec.size_m) else { continue };
-            // The body's frame, by the main surface: T_body_main * (T_camera_main)^-1 * T_camera_other.
+            // In the body frame, via the main surface: T_body_main * (T_camera_main)^-1 *
+            // T_camera_other.
             let in_main: Pose<SurfaceFrame, SurfaceFrame> =
                 from.inverse().renamed::<SurfaceFrame, crate::geometry::Camera>() * to.renamed();
             seen.push(Standing { pose: self.spec.pose * in_main, distance: to.translation.norm() });
@@ -347,7 +362,7 @@ impl Case<'_> {
         let turn_deg = median(&|s| s.pose.angle_to(&spec.pose)).to_degrees();
         let distance = median(&|s| s.distance);
         tracing::debug!(surface = %spec.name, shift, turn_deg, distance, ?place, frames = seen.len(), "where it stands");
-        // Wrong matches, and poses of small surfaces that features tell badly, put it elsewhere in every frame.
+        // Wrong matches, and inaccurate poses of small surfaces, put it elsewhere in every frame.
         let [scatter, scatter_deg] = scatter(&seen);
         let is_shifted = shift > LARGEST_SHIFT * distance && scatter < LARGEST_SCATTER * shift;
         let is_turned = turn_deg > LARGEST_TURN_DEG && scatter_deg < LARGEST_SCATTER * turn_deg;
@@ -384,7 +399,7 @@ impl Case<'_> {
         (45.0..135.0).contains(&top_deg(&self.seen).abs())
     }
 
-    /// What a mended config would do, by doing it.
+    /// Tries a fixed config and describes the result.
     fn tried(&self, shape: Shape) -> String {
         let Some((camera, size_m)) = self.seen.trial(shape) else { return String::new() };
         let mut stage = self.setup.stage.clone();
@@ -394,12 +409,13 @@ impl Case<'_> {
     }
 }
 
-/// A factor that is off by little may be cloth that hangs in folds, or a lens that is known roughly; by much it is a mistake.
+/// Grades a deviation: a small one may be cloth in folds or a roughly known lens; a large one is a
+/// mistake.
 fn graded(factor: f64, says: String) -> Finding {
     if factor.ln().abs() > LARGE_FACTOR { Finding::doubt(says) } else { Finding::warning(says) }
 }
 
-/// How far the picture is turned in the frames, degrees clockwise: the median over the views.
+/// Returns the median rotation of the picture in the frames, degrees clockwise.
 fn top_deg(views: &Views<'_>) -> f64 {
     let [w, h] = views.artwork_px;
     let along = |view: &SurfaceView| {

@@ -1,9 +1,11 @@
-//! Why a clip is not followed: what may be wrong is tried, and what then fits is named with the line to write instead.
+//! Diagnoses why a clip is not tracked: tries possible mistakes, and names the one that fits, with
+//! the line to write instead.
 //!
-//! `picture` looks at the frames themselves and tries them mirrored, in negative and without the mask; `geometry` asks, by
-//! `fit`, which lens and which shape of the picture would explain how it is seen, and where the other surfaces stand;
-//! `corners` asks the same of a photograph's four corners alone; `plausible` says in words what no picture shows: sizes,
-//! distances, speeds. Everything ends as a [`Finding`]. `trackability` rates each picture before the show.
+//! `picture` examines the frames themselves, and tries them mirrored, in negative and without the
+//! mask. `geometry` uses `fit` to find the lens and shape of the picture that would explain how it
+//! is seen, and the positions of the other surfaces. `corners` does the same from a photograph's
+//! four corners alone. `plausible` states what no picture shows: sizes, distances, speeds. Every
+//! result is a [`Finding`]. `trackability` rates each picture before the show.
 
 mod corners;
 mod finding;
@@ -25,17 +27,17 @@ use crate::frame::{Frame, Timestamp};
 use crate::track::{BodySpec, Matcher, Reason, SurfaceView};
 use crate::tracker::TrackerSetup;
 
-/// Matches of a view that count as seeing the surface at all; fewer may be chance. Chosen, not tuned. Raised, small and distant surfaces go
-/// unseen; lowered, chance is taken for a view.
+/// Minimum number of matches in a view of a surface; fewer may be chance. Chosen, not tuned.
+/// Raised, small and distant surfaces go unseen; lowered, chance is taken for a view.
 const LEAST_MATCHES: usize = 12;
-/// Patches of a surface that fit a pose where the surface is seen; fewer may fit by chance. Chosen, not tuned. Raised, small surfaces count
-/// as unseen.
+/// Minimum number of a surface's patches that fit a pose for the surface to count as seen; fewer
+/// may fit by chance. Chosen, not tuned. Raised, small surfaces count as unseen.
 const LEAST_PATCHES: usize = 4;
-/// Frames that a mend is tried on, at even steps. Chosen for time: each trial searches each of them. Raised, the verdict is surer and
-/// slower.
+/// Number of evenly spaced frames on which a fix is tried. Chosen for time: each trial searches
+/// each of them. Raised, the result is more certain and slower.
 const TRIED_FRAMES: usize = 8;
 
-/// What is tried on the frames: a setup like the config's, and a way to ask it.
+/// A trial setup, similar to the config's, to be tested on the frames.
 pub struct Trial {
     matcher: Matcher,
     stamp: Timestamp,
@@ -49,24 +51,26 @@ impl Trial {
         Self { matcher, stamp: Timestamp::default() }
     }
 
-    /// As configured.
+    /// Prepares a trial of the config itself.
     pub fn of(setup: &TrackerSetup) -> Self {
         Self::new(setup.camera, setup.mask.clone(), &setup.stage, setup)
     }
 
-    /// The surfaces that are recognised in a frame, before any lens or size is asked.
+    /// Recognizes the surfaces in a frame, without using a lens or a size.
     pub fn views(&mut self, image: &GrayImage) -> Vec<SurfaceView> {
         let mut views = self.matcher.recognise(image);
         views.retain(|v| v.matches.len() >= LEAST_MATCHES);
         views
     }
 
-    /// Of some frames, how many have a verified pose, each by itself; and how many were asked.
+    /// Returns in how many frames a pose is verified, each frame by itself, and how many frames
+    /// were tried.
     pub fn verified(&mut self, frames: &[Frame]) -> (usize, usize) {
         self.count(frames, |_| true)
     }
 
-    /// As [`verified`](Self::verified), where patches of a surface fit the pose as well.
+    /// Does the same as [`verified`](Self::verified), but also requires that patches of a surface
+    /// fit the pose.
     pub fn fitted(&mut self, frames: &[Frame], surface: usize) -> (usize, usize) {
         self.count(frames, |matcher| matcher.fitting_patches(surface) >= LEAST_PATCHES)
     }
@@ -75,7 +79,7 @@ impl Trial {
         let step = frames.len().div_ceil(TRIED_FRAMES).max(1);
         let (mut counted, mut asked) = (0, 0);
         for frame in frames.iter().step_by(step) {
-            // Stamps far apart: no frame knows of the one before.
+            // Stamps far apart, so that no frame depends on the one before.
             self.stamp = self.stamp.after_s(10.0);
             let sighting = self.matcher.look(&Frame { timestamp: self.stamp, ..frame.clone() });
             asked += 1;
@@ -85,23 +89,24 @@ impl Trial {
     }
 }
 
-/// Frames of a clip, and what tracking as configured made of it.
+/// Frames of a clip, and the result of tracking as configured.
 pub struct Shown<'a> {
-    /// What it was tracked with.
+    /// The setup with which it was tracked.
     pub setup: &'a TrackerSetup,
     /// Some of its frames, spread over it.
     pub frames: &'a [Frame],
-    /// Whether tracking went well.
+    /// Whether tracking succeeded.
     pub is_followed: bool,
-    /// Whether aligned pixels, which tell more finely than features, have named what is a little off.
+    /// Whether aligned pixels, which are more precise than features, have already explained a small
+    /// deviation.
     pub is_explained: bool,
-    /// The camera's way, by the poses.
+    /// The camera's path, from the poses.
     pub travel: &'a Travel,
-    /// How the lens is configured, where it is a guess.
+    /// How the lens is configured, if it is a guess.
     pub guess: Option<LensGuess>,
 }
 
-/// What is wrong with a clip, by trying.
+/// Diagnoses a clip by trials.
 pub fn of_clip(shown: &Shown<'_>) -> Vec<Finding> {
     let Shown { setup, frames, is_followed, travel, .. } = *shown;
     let mut findings = picture::of_frames(frames, is_followed);

@@ -1,4 +1,5 @@
-//! Frames as pictures: black bars, interlacing; and frames tried mirrored, in negative and without the mask.
+//! Examines frames as pictures: black bars and interlacing; and tries frames mirrored, in negative
+//! and without the mask.
 
 use image::{GrayImage, imageops};
 
@@ -9,27 +10,33 @@ use crate::geometry::robust_kernel::median;
 use crate::track::SurfaceView;
 use crate::tracker::TrackerSetup;
 
-/// Levels of a black bar, limited range included (its black is 16), and how much of one bar they may differ: codecs keep it flat. Raised, a
-/// dark house counts as a bar; lowered, bars with a codec's noise do not.
+/// Maximum grey level of a black bar, limited range included (its black is 16), and maximum
+/// difference within one bar: codecs keep it flat. Raised, a dark house counts as a bar; lowered,
+/// bars with a codec's noise do not.
 const BLACK: u8 = 24;
 const FLAT: u8 = 4;
-/// Least share of a side that a bar takes. Chosen: less is an edge of a few lines that many cameras have. Raised, narrow bars pass.
+/// Minimum fraction of a side that a bar takes. Chosen: less is an edge of a few lines that many
+/// cameras have. Raised, narrow bars pass.
 const LEAST_BAR: f64 = 0.03;
-/// Rows next to each other differ by this factor more than rows two apart where two fields far apart are woven together. In a progressive
-/// picture they differ less. Chosen, not tuned. Raised, only faster movement shows.
+/// Ratio of the difference between neighbouring rows to that between rows two apart, above which
+/// two distant fields are interlaced; it is below 1 in a progressive picture. Chosen, not tuned.
+/// Raised, only faster movement shows.
 const COMBED: f64 = 1.12;
-/// Fields of a progressive picture lie 0.03 to 0.05 px apart, which is noise; those of two moments as far as the camera moved. Raised,
-/// slow movements pass unseen.
+/// Shift between fields, pixels, above which a picture is interlaced. In a progressive picture it
+/// is 0.03 to 0.05 by noise; with two moments it is the camera's motion between them. Raised, slow
+/// movements are missed.
 const FIELDS_APART_PX: f64 = 0.2;
-/// Side of the blocks in which the fields are compared, pixels, and how many blocks with upright edges are needed. Chosen, not tuned. The
-/// first raised, a block's shift scatters less and there are fewer; the second, pictures of few edges are not judged.
+/// Side of the blocks in which the fields are compared, pixels, and minimum number of blocks with
+/// vertical edges. Chosen, not tuned. With the first raised, a block's shift scatters less, but
+/// there are fewer blocks; with the second raised, pictures with few edges are not judged.
 const BLOCK_PX: usize = 32;
 const LEAST_BLOCKS: usize = 6;
-/// Mean square of the horizontal gradient below which a block has no upright edges, levels squared: twice that of usual noise. Raised,
-/// fewer blocks are compared; lowered, noise is.
+/// Minimum mean square of the horizontal gradient for a block to have vertical edges, levels
+/// squared: twice that of typical noise. Raised, fewer blocks are compared; lowered, noise is.
 const LEAST_GRADIENT: f64 = 4.0;
 
-/// What the frames show of how they were made. Where they are followed, black lines are a dark house, or bars that do no harm.
+/// Reports how the frames were made. Black bars are not reported if the frames are tracked: they
+/// are then a dark house, or harmless.
 pub fn of_frames(frames: &[Frame], is_followed: bool) -> Vec<Finding> {
     let pictures: Vec<&GrayImage> = frames.iter().map(|f| &f.image).collect();
     let mut findings = Vec::new();
@@ -61,8 +68,8 @@ fn barred(before: u32, after: u32, where_: &str) -> Finding {
     ))
 }
 
-/// Lines that are flat black at both ends in all pictures, where the middle is not. `at` reads pixel `k` of a line; `sides` is the number
-/// of lines and their length.
+/// Finds lines that are flat black at both ends in all pictures, while the middle is not. `at`
+/// reads pixel `k` of a line; `sides` is the number of lines and their length.
 fn bars(pictures: &[&GrayImage], at: impl Fn(&GrayImage, u32, u32) -> u8, sides: impl Fn(&GrayImage) -> (u32, u32)) -> Option<[u32; 2]> {
     let (lines, length) = sides(pictures.first()?);
     let is_bar = |line: u32| {
@@ -77,7 +84,7 @@ fn bars(pictures: &[&GrayImage], at: impl Fn(&GrayImage, u32, u32) -> u8, sides:
     (before < lines && even && f64::from(before.min(after)) >= least).then_some([before, after])
 }
 
-/// Mean difference of neighbouring rows over that of rows two apart.
+/// Returns the mean difference of neighbouring rows relative to that of rows two apart.
 fn comb(picture: &GrayImage) -> f64 {
     let (width, height) = (picture.width() as usize, picture.height() as usize);
     if height < 8 {
@@ -93,10 +100,12 @@ fn comb(picture: &GrayImage) -> f64 {
     near as f64 / apart.max(1) as f64
 }
 
-/// How far the odd rows are shifted sideways against the even ones, pixels: the median over blocks; `None` without upright edges.
+/// Returns the sideways shift of the odd rows relative to the even ones, pixels: the median over
+/// blocks; `None` without vertical edges.
 ///
-/// A row that was shifted by u differs from the mean of its neighbours by u times the horizontal gradient; in a progressive picture that
-/// difference has nothing to do with the gradient. Each block has its u by least squares, with the sign of odd and even rows turned.
+/// A row shifted by u differs from the mean of its neighbours by u times the horizontal gradient;
+/// in a progressive picture the difference is unrelated to the gradient. Each block's u is found by
+/// least squares, with opposite signs for odd and even rows.
 fn fields_apart_px(picture: &GrayImage) -> Option<f64> {
     let (width, height) = (picture.width() as usize, picture.height() as usize);
     let row = |y: usize| &picture.as_raw()[y * width..][..width];
@@ -122,7 +131,8 @@ fn fields_apart_px(picture: &GrayImage) -> Option<f64> {
     median(&mut shifts).filter(|_| shifts.len() >= LEAST_BLOCKS)
 }
 
-/// What would make the picture recognised where it is not; `seen` frames were as they are.
+/// Finds a change with which the picture is recognised; `seen` is the number of frames that show it
+/// unchanged.
 pub fn of_pictures(setup: &TrackerSetup, frames: &[Frame], seen: usize) -> Vec<Finding> {
     let mut trial = Trial::of(setup);
     let mut count = |change: &dyn Fn(&GrayImage) -> GrayImage| frames.iter().filter(|f| !trial.views(&change(&f.image)).is_empty()).count();
@@ -160,17 +170,19 @@ pub fn of_pictures(setup: &TrackerSetup, frames: &[Frame], seen: usize) -> Vec<F
     Vec::new()
 }
 
-/// A surface that should fill this share of the poses' views and is recognised in no frame has another picture, or stands elsewhere.
-/// Chosen, not tuned. Raised, fewer are named; lowered, those that passed the edge of the picture are, too.
+/// Minimum fraction of the poses' views that a surface should fill to be reported if no frame shows
+/// it: its picture or its pose is wrong. Chosen, not tuned. Raised, fewer are reported; lowered,
+/// those that only passed the edge of the picture are reported, too.
 const LEAST_IN_VIEW: f64 = 0.5;
 
-/// Surfaces that should be in view, by the poses that others gave, and are neither recognised nor fit those poses.
+/// Reports surfaces that should be in view, according to the poses from other surfaces, but are
+/// neither recognised nor fit those poses.
 pub fn never_recognised(setup: &TrackerSetup, frames: &[Frame], views: &[Vec<SurfaceView>], travel: &Travel) -> Vec<Finding> {
     let is_seen = |k: usize| views.iter().flatten().any(|v| v.surface as usize == k);
     let unseen = setup.stage.surfaces.iter().enumerate().filter(|(k, spec)| !is_seen(*k) && spec.check_texture().is_ok());
     unseen
         .filter(|(_, spec)| travel.share_in_view(&setup.camera, spec) > LEAST_IN_VIEW)
-        // A small or stretched picture may be followed though no feature of it is recognised.
+        // A small or stretched picture may be tracked without any feature being recognised.
         .filter(|(k, _)| Trial::of(setup).fitted(frames, *k).0 == 0)
         .map(|(_, spec)| {
             Finding::warning(format!(

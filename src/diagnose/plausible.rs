@@ -1,6 +1,8 @@
-//! What no picture shows and no rule forbids: sizes, distances and speeds in words, and a warning of what is absurd for a stage.
+//! Checks what no picture shows and no rule forbids: states sizes, distances and speeds in words,
+//! and warns of values that are absurd for a stage.
 //!
-//! A picture tells shapes, never scale: a stage given in millimetres tracks as well as one in metres, a thousand times too large.
+//! A picture shows shape, never scale: a stage whose size is given in millimetres tracks as well as
+//! one in metres, a thousand times too large.
 
 use nalgebra::Vector3;
 
@@ -11,38 +13,41 @@ use crate::geometry::robust_kernel::median;
 use crate::geometry::{Camera, Pose, Stage};
 use crate::track::{BodySpec, SurfaceSpec};
 
-/// Sides of a surface in metres beyond which a number is likelier a mistake than a stage: a postage stamp, an opera's whole horizon. Wider,
-/// slips of a unit pass.
+/// Plausible sides of a surface, metres: from a postage stamp to an opera's cyclorama. Wider, wrong
+/// units pass.
 const SIDES_M: std::ops::RangeInclusive<f64> = 0.02..=60.0;
-/// A surface further than this from the first one, in metres and in sizes of the larger, is not on the same stage. Chosen: larger than
-/// stages are. Raised, slips of a unit pass.
+/// Maximum distance of a surface from the first one, in metres and in sizes of the larger. Chosen:
+/// larger than stages are. Raised, wrong units pass.
 const FARTHEST_M: f64 = 60.0;
 const FARTHEST_SIZES: f64 = 20.0;
-/// No camera tracks a stage from further away, metres. Chosen: a stadium's far side. Raised, slips of a unit pass.
+/// Maximum distance from which a camera tracks a stage, metres (chosen: a stadium's far side).
+/// Raised, wrong units pass.
 const LARGEST_DISTANCE_M: f64 = 150.0;
-/// No dolly, crane or runner is faster over a stage, metres per second; a camera on a wire may be. A sprinter's speed. Raised, sizes that
-/// are too large pass.
+/// Maximum speed of a camera, metres per second, a sprinter's: no dolly, crane or runner is faster
+/// on a stage; a camera on a wire may be. Raised, sizes that are too large pass.
 const LARGEST_SPEED: f64 = 12.0;
-/// Tangential distortion beyond this is no lens: it moves the picture's corner by percents. Raised, calibrations from too few views pass.
+/// Maximum tangential distortion of a real lens: more moves the picture's corner by percents.
+/// Raised, calibrations from too few views pass.
 const LARGEST_TANGENTIAL: f64 = 0.02;
 
-/// A surface that is turned further away (cosine), or whose shorter side is smaller in the picture, need not be recognised: below 60 px a
-/// frame counts as too small for a pose, and a third more leaves no doubt. Lowered, surfaces are missed that could not be seen.
+/// Minimum cosine of a surface's angle to the camera, and minimum shorter side in pixels, for it to
+/// be expected in view: below 60 px it counts as too small for a pose, and a third more is safe.
+/// Lowered, surfaces are reported that could not be seen.
 const LEAST_FACING: f64 = 0.4;
 const LEAST_SIDE_PX: f64 = 80.0;
 
-/// What a length might have been meant as, in the units that stages are measured in.
+/// Formats lengths as if they had been meant in other units.
 fn in_other_units(values: &[f64]) -> String {
     let tenth = |by: f64| list(&values.iter().map(|v| v / by).collect::<Vec<_>>());
     format!("{} if those are millimetres, {} if centimetres", tenth(1000.0), tenth(100.0))
 }
 
-/// A length or speed for a sentence: tenths, and hundredths below one.
+/// Formats a length or speed for a sentence: tenths, or hundredths below one.
 fn in_words(value: f64) -> String {
     if value < 1.0 { format!("{value:.2}") } else { format!("{value:.1}") }
 }
 
-/// Whether the sizes and places of a body's surfaces make sense, in metres.
+/// Checks the sizes and positions of a body's surfaces, in metres.
 pub fn of_layout(body: &BodySpec) -> Vec<Finding> {
     let mut findings = Vec::new();
     let Some(first) = body.surfaces.first() else { return findings };
@@ -73,7 +78,8 @@ pub fn of_layout(body: &BodySpec) -> Vec<Finding> {
     findings
 }
 
-/// Whether the distortion of a lens can be that of a camera; its other numbers were judged as they were read (`camera::plausible`).
+/// Checks the distortion of a lens; its other parameters were checked when they were read
+/// (`camera::plausible`).
 pub fn of_lens(camera: &CameraModel) -> Vec<Finding> {
     let mut findings = Vec::new();
     let [k1, k2, p1, p2, k3] = camera.intrinsics().distortion;
@@ -89,7 +95,7 @@ pub fn of_lens(camera: &CameraModel) -> Vec<Finding> {
     findings
 }
 
-/// Whether the shutter's times fit the clip's rate.
+/// Checks the shutter's times against the clip's frame interval.
 pub fn of_shutter(shutter: &Shutter, frame_s: f64) -> Vec<Finding> {
     let long = |key: &str, value: f64| {
         (value > 1.1 * frame_s).then(|| {
@@ -105,25 +111,26 @@ pub fn of_shutter(shutter: &Shutter, frame_s: f64) -> Vec<Finding> {
     [long("exposure_s", shutter.exposure_s), long("readout_s", shutter.readout_s)].into_iter().flatten().collect()
 }
 
-/// How the camera moved, from poses with their stamps.
+/// The camera's path: poses with their stamps.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Travel {
     poses: Vec<(Timestamp, Pose<Stage, Camera>)>,
 }
 
 impl Travel {
-    /// Takes a pose.
+    /// Adds a pose.
     pub fn add(&mut self, timestamp: Timestamp, pose: &Pose<Stage, Camera>) {
         self.poses.push((timestamp, *pose));
     }
 
-    /// Nearest and farthest distance from a place, metres.
+    /// Returns the minimum and maximum distance from a point, metres.
     fn distances(&self, place: &Vector3<f64>) -> Option<[f64; 2]> {
         let all = || self.poses.iter().map(|(_, pose)| (pose.translation - place).norm());
         Some([all().reduce(f64::min)?, all().reduce(f64::max)?])
     }
 
-    /// Speed that a twentieth of the steps exceed, metres per second; over steps of a tenth of a second, so that noise stays small.
+    /// Returns the speed that a twentieth of the steps exceed, metres per second, over steps of a
+    /// tenth of a second, which keeps noise small.
     fn speed(&self) -> Option<f64> {
         let mut speeds = Vec::new();
         let mut from = *self.poses.first()?;
@@ -140,7 +147,8 @@ impl Travel {
         speeds.get((speeds.len() * 95 / 100).min(speeds.len().saturating_sub(1))).copied()
     }
 
-    /// Share of the poses in which a surface's middle is in the picture, its face is turned to the camera, and it is not tiny.
+    /// Returns the fraction of the poses in which a surface's centre is in the picture, its face is
+    /// turned to the camera, and it is not tiny.
     pub fn share_in_view(&self, camera: &CameraModel, surface: &SurfaceSpec) -> f64 {
         let (centre, normal) = (surface.pose.translation, surface.pose.rotation * Vector3::z());
         let side_m = surface.size_m[0].min(surface.size_m[1]);
@@ -156,19 +164,20 @@ impl Travel {
         in_view as f64 / self.poses.len().max(1) as f64
     }
 
-    /// How far the camera is rolled about its line of sight, degrees: the median over poses that do not look straight up or down.
+    /// Returns the camera's median roll about its line of sight, degrees, over poses that do not
+    /// look straight up or down.
     pub fn roll_deg(&self) -> Option<f64> {
         let roll = |pose: &Pose<Stage, Camera>| {
             let (right, down, ahead) = (pose.rotation * Vector3::x(), pose.rotation * Vector3::y(), pose.rotation * Vector3::z());
             (ahead.z.abs() < 0.8).then(|| right.z.atan2(-down.z).to_degrees())
         };
         let mut rolls: Vec<f64> = self.poses.iter().filter_map(|(_, pose)| roll(pose)).collect();
-        // Half a turn is one place, whichever sign it has.
+        // Plus and minus half a turn are the same.
         rolls.iter_mut().filter(|r| **r < -150.0).for_each(|r| *r += 360.0);
         median(&mut rolls)
     }
 
-    /// Size, distance and speed in words, and what is absurd about them.
+    /// States size, distance and speed in words, and what is absurd about them.
     pub fn findings(&self, stage: &BodySpec) -> Vec<Finding> {
         let Some(first) = stage.surfaces.first() else { return Vec::new() };
         let [w, h] = first.size_m;
@@ -267,7 +276,7 @@ mod tests {
     fn distance_speed_and_roll_come_in_words() {
         let mut travel = Travel::default();
         for k in 0..60_i64 {
-            // Looking upstage, on its head, moving sideways at 30 m/s.
+            // Looking upstage, upside down, moving sideways at 30 m/s.
             let level = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
             let turned = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI) * level;
             travel.add(Timestamp::from_ns(k * 33_333_333), &Pose::new(turned, Vector3::new(k as f64, -40.0, 0.0)));

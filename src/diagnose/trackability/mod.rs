@@ -1,20 +1,22 @@
-//! How well each picture can be tracked, before the show: 0 to 5, with what is weak about it and where.
+//! Rates how well each picture can be tracked, before the show: 0 to 5, with its weaknesses and
+//! where they are.
 //!
-//! A picture is looked at as the camera sees it where the whole stage fills the frame: at that size, with the tracker's own features, and with the
-//! information that alignment rests on. Six things are asked, each from 0 to 5, and the weakest is the rating: a picture is no better tracked
-//! than its weakest side lets it be.
+//! A picture is examined at the size at which the whole stage fills the camera's frame, with the
+//! tracker's own features, and with the information that alignment uses. Up to seven properties are
+//! scored from 0 to 5, and the lowest score is the rating: the weakest property limits tracking.
 //!
-//! | asked | by | what is lost without |
+//! | property | measured by | what fails without it |
 //! |---|---|---|
 //! | size | its shorter side in the frame | features and tiles have no room |
-//! | corners | features that are recognised in a view from the side | it is not found |
-//! | variety | the share of features that are taken for others there | it is found one tile further, and refused |
-//! | one of its kind | features that differ from what is a period aside, where it repeats itself | nothing tells which of its copies is seen |
-//! | detail | cells in which edges run both ways | it is lost behind a person, and its tilt is unsure |
-//! | sharpness | how far off the noise leaves its place in the frame | poses scatter |
+//! | corners | features recognised in a view from the side | it is not found |
+//! | variety | the fraction of features taken for others there | it is found one tile off, refused |
+//! | uniqueness | features that differ from those one period away | copies cannot be told apart |
+//! | detail | cells with edges in both directions | people hide it, and its tilt is unsure |
+//! | sharpness | the noise of its position in the frame | poses scatter |
 //! | other pictures | features that no other surface has | it is taken for another |
 //!
-//! The steps were set by what the tracker does with graded pictures on the virtual stage (`ratings_order_pictures_by_what_the_tracker_does_with_them`).
+//! The limits were set from the tracker's results with graded pictures on the virtual stage
+//! (`ratings_order_pictures_by_what_the_tracker_does_with_them`).
 
 mod repeated;
 mod strength_map;
@@ -33,52 +35,65 @@ use crate::track::{BodySpec, LOWE_RATIO, SurfaceSpec};
 
 /// The best rating.
 pub const BEST: u8 = 5;
-/// A surface rated no better than this is worth a warning: the tracker loses it, or does not find it, in most views. From the graded pictures of
-/// the tests. Raised, good pictures are warned of.
+/// Rating up to which a surface gets a warning: the tracker loses it, or does not find it, in most
+/// views of the tests' graded pictures. Raised, good pictures are warned of.
 pub const POOR: u8 = 1;
-/// Sides below this are named as too short, and things asked that reach less than this of 5 as weak. Chosen: what rounds to 4 needs no words. Raised, good pictures
-/// are talked down.
+/// Score below which a property is reported as weak. Chosen: what rounds to 4 needs no mention.
+/// Raised, good pictures are criticised.
 const WEAK: f64 = 3.5;
-/// Features looked for in a picture. Chosen: a third of what a frame is asked for, so that comparing sixteen pictures takes a second. Raised, checks take longer;
-/// lowered, rich pictures look alike.
+/// Number of features extracted from a picture. Chosen: a third of a frame's number, so that
+/// comparing sixteen pictures takes a second. Raised, checks take longer; lowered, rich pictures
+/// look alike.
 const FEATURES: usize = 500;
-/// Views that a picture is tried in: from 48 degrees, from the side and from above. Features bear that, as they bear a usual tilt, blur and change of size.
+/// Views in which a picture is tested: from 48 degrees, from the side and from above. Features
+/// tolerate that like a typical tilt, blur and change of size.
 const TRIED: TiltedViews = TiltedViews { tilt: 1.5, count: 2 };
-/// Largest distance between a corner and the one that it is matched with, for the match to be right: pixels of the pyramid level of the coarser of the two. Chosen: acquisition bears as much. Raised,
-/// neighbouring corners of a fine pattern count as right; lowered, right matches on coarse levels count as wrong.
+/// Maximum distance between a corner and its match for a correct match, pixels of the pyramid level
+/// of the coarser of the two. Chosen: acquisition tolerates as much. Raised, neighbouring corners
+/// of a fine pattern count as correct; lowered, correct matches on coarse levels count as wrong.
 const RIGHT_PX: f64 = 4.0;
-/// Fewest corners in a view, right or wrong, of which the share that is wrong says something. Chosen, not tuned. Raised, coarse patterns are called plain.
+/// Minimum number of matched corners in a view, right or wrong, for the fraction of wrong ones to
+/// be significant. Chosen, not tuned. Raised, coarse patterns are called plain.
 const LEAST_MATCHES: f64 = 4.0;
-/// Share of its recognised corners that are taken for others of its own, of pictures rated 0 and 5. Of photographs and paintings 0.03 to 0.16, of boards before a wall 0.35; of windows, some
-/// of which are lit, 0.65, of tiles 0.9. Raised, patterns pass; lowered, pictures in one style are rated lower.
+/// Fraction of the recognised corners that are taken for others of the same picture, for scores 0
+/// and 5. Photographs and paintings have 0.03 to 0.16, boards before a wall 0.35, windows, some of
+/// them lit, 0.65, tiles 0.9. Raised, patterns pass; lowered, pictures in a uniform style are rated
+/// lower.
 const MISTAKEN: [f64; 2] = [0.65, 0.3];
-/// Longer side at which pictures are compared with each other, pixels. Chosen: as large as a prop is seen from near. Raised, fine detail that a retouched copy
-/// lacks counts as difference; lowered, few corners are left.
+/// Longer side at which pictures are compared with each other, pixels. Chosen: as large as a prop
+/// appears from near. Raised, fine detail missing from a retouched copy counts as difference;
+/// lowered, few corners remain.
 const COMPARED_PX: f64 = 400.0;
-/// Least contrast of a corner, grey levels. Twice the tracker's own, as a show has half the light now and then. Raised, faint pictures are rated lower.
+/// Minimum contrast of a corner, grey levels: twice the tracker's own, as a show sometimes has half
+/// the light. Raised, faint pictures are rated lower.
 const LEAST_CONTRAST: u8 = 12;
-/// How far the description of a corner in a frame is from the reference's, of 256 bits: the median under usual tilt and blur. A corner whose nearest rival is
-/// no further than that is mistaken for it. Raised, fewer corners count as distinct.
+/// Median distance between the descriptors of a corner in a frame and in the reference, of 256
+/// bits, with typical tilt and blur. A corner whose nearest rival is no farther than that is
+/// mistaken for it. Raised, fewer corners count as distinct.
 const USUAL_DISTANCE: f32 = 35.0;
-/// Shorter side in the frame, pixels, of a picture rated 0 and 5: features need some 60, and from 240 on there are tiles enough to lose half of them. Raised, props
-/// are rated lower.
+/// Shorter side in the frame, pixels, for scores 0 and 5: features need some 60, and from 240 on
+/// half of the tiles can be lost. Raised, props are rated lower.
 const SIDE_PX: [f64; 2] = [40.0, 240.0];
-/// Corners of a picture rated 0 and 5 that are recognised in a view. Acquisition wants eight that agree, and some are hidden; photographs and paintings have 100 to 260. Raised, plain
-/// pictures are rated lower.
+/// Number of corners recognised in a view, for scores 0 and 5. Acquisition needs eight that agree,
+/// and some are hidden; photographs and paintings have 100 to 260. Raised, plain pictures are rated
+/// lower.
 const CORNERS: [f64; 2] = [6.0, 140.0];
-/// Share of the cells with detail in both directions, of pictures rated 0 and 5. Alignment gives what half of the tiles bear out. Raised, pictures with
-/// plain parts are rated lower.
+/// Fraction of the cells with detail in both directions, for scores 0 and 5. Alignment reports what
+/// half of the tiles support. Raised, pictures with plain parts are rated lower.
 const DETAILED: [f64; 2] = [0.02, 0.5];
-/// One sigma of the picture's place in the frame, pixels, of pictures rated 0 and 5. No frame tells it better than to 0.001. Lowered, soft pictures are
-/// rated lower.
+/// One sigma of the picture's position in the frame, pixels, for scores 0 and 5. No frame
+/// determines it better than to 0.001. Lowered, soft pictures are rated lower.
 const SIGMA_PX: [f64; 2] = [0.04, 0.004];
-/// Share of its distinct corners that another surface has as well, of pictures rated 0 and 5. Two prints of one file share nearly all, one of them cropped, softer and a tenth larger two fifths. Raised, near copies pass.
+/// Fraction of the distinct corners that another surface has as well, for scores 0 and 5. Two
+/// prints of one file share nearly all; if one of them is cropped, softer and a tenth larger, two
+/// fifths. Raised, near copies pass.
 const SHARED: [f64; 2] = [0.35, 0.1];
-/// From this share on two pictures count as the same. Chosen, not tuned: prints of one file, one of them cropped or retouched, share more (see the tests). Raised, near copies
-/// are taken for two pictures.
+/// Fraction from which two pictures count as the same. Chosen, not tuned: prints of one file, one
+/// of them cropped or retouched, share more (see the tests). Raised, near copies are taken for two
+/// pictures.
 const SAME: f64 = 0.3;
 
-/// How well one surface's picture can be tracked.
+/// The rating of one surface's picture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rating {
     /// Name of its body.
@@ -87,40 +102,40 @@ pub struct Rating {
     pub surface: String,
     /// From 0, which cannot be tracked, to [`BEST`].
     pub stars: u8,
-    /// What is weak, worst first; empty where nothing is.
+    /// Its weaknesses, worst first.
     pub weaknesses: Vec<Weakness>,
-    /// Where on the picture there is something to hold on to.
+    /// Where on the picture there is trackable detail.
     pub map: StrengthMap,
-    /// Width and height in the frame, pixels, where the whole stage fills it.
+    /// Width and height, pixels, in a frame that the whole stage fills.
     pub seen_px: [u32; 2],
 }
 
-/// What is weak about a picture.
+/// A weakness of a picture.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Weakness {
-    /// It is small in the frame: its shorter side, pixels.
+    /// Small in the frame; holds its shorter side, pixels.
     Small(u32),
-    /// Few of its corners are recognised from the side: how many.
+    /// Few corners are recognised from the side; holds their number.
     FewCorners(usize),
-    /// Its corners resemble each other: share of those that are taken for others from the side.
+    /// Its corners resemble each other; holds the fraction taken for others from the side.
     Repetitive(f64),
-    /// It repeats itself: how far from each other its copies are, metres.
+    /// It repeats itself; holds the distance between its copies, metres.
     Repeats(f64),
-    /// Much of it is plain: share of its cells.
+    /// Much of it is plain; holds the fraction of its cells.
     Plain(f64),
-    /// Its edges are soft or faint: one sigma of its place in the frame, pixels.
+    /// Its edges are soft or faint; holds one sigma of its position in the frame, pixels.
     Soft(f64),
-    /// Another surface has its corners as well.
+    /// Another surface has the same corners.
     Like {
         /// Body and name of the other surface.
         other: [String; 2],
-        /// Share of the corners.
+        /// Fraction of the corners.
         share: f64,
     },
 }
 
 impl Weakness {
-    /// The other body, where that has the same picture: nothing can tell the two apart.
+    /// Returns the other body if it has the same picture, so that the two cannot be told apart.
     pub fn same_as(&self) -> Option<&[String; 2]> {
         match self {
             Self::Like { other, share } if *share >= SAME => Some(other),
@@ -155,32 +170,35 @@ impl fmt::Display for Weakness {
     }
 }
 
-/// A picture as the camera sees it, and what was found on it.
+/// A picture as the camera sees it, with its features.
 struct Seen {
     body: usize,
     names: [String; 2],
     picture: GrayImage,
     features: Vec<Feature>,
-    /// Those of the picture at a size at which pictures are compared, whatever size they are seen at.
+    /// Its features at the common size at which pictures are compared, independent of the size in
+    /// the frame.
     compared: Vec<Feature>,
     recognised: Recognised,
-    /// How far from each other its copies are, metres, where it repeats itself.
+    /// Distance between its copies, metres, if it repeats itself.
     apart_m: Option<f64>,
 }
 
-/// What becomes of a picture's corners in a view from the side, the mean of several.
+/// The fate of a picture's corners in a view from the side, averaged over several views.
 #[derive(Debug, Clone, Copy)]
 struct Recognised {
-    /// How many are recognised.
+    /// Number of corners recognised.
     right: f64,
-    /// How many are taken for others of the same picture.
+    /// Number of corners taken for others of the same picture.
     wrong: f64,
-    /// Of those that are recognised, how many the picture has once: all of them where it does not repeat itself.
+    /// Number of recognised corners that exist only once in the picture: all of them if it does not
+    /// repeat itself.
     once: f64,
 }
 
 impl Recognised {
-    /// Share of those that are taken for others, with one more of each kind, so that few say little; 0 where there are next to none.
+    /// Returns the fraction taken for others, with one more of each kind added, so that few matches
+    /// give a moderate value; 0 if there are next to none.
     fn share_wrong(&self) -> f64 {
         let all = self.right + self.wrong;
         if all < LEAST_MATCHES { 0.0 } else { (self.wrong + 1.0) / (all + 2.0) }
@@ -200,7 +218,8 @@ pub fn rate(stage: &BodySpec, objects: &[BodySpec], camera: &CameraModel) -> Vec
             let longer_m = surface.size_m[0].max(surface.size_m[1]);
             let same_size = scaled(surface, surface.size_m.map(|m| m / longer_m * COMPARED_PX));
             let [mut features, mut compared] = [Vec::new(), Vec::new()];
-            // Levels as of the references that frames are matched with: what is soft has its corners on the coarse ones.
+            // Levels as for the references to which frames are matched: soft pictures have their
+            // corners on the coarse ones.
             let options =
                 ExtractorOptions { count: FEATURES, least_threshold: LEAST_CONTRAST, levels: 16, area_power: 0.35, ..Default::default() };
             extractor.extract(&picture, None, &options, &workers, &mut features);
@@ -214,7 +233,7 @@ pub fn rate(stage: &BodySpec, objects: &[BodySpec], camera: &CameraModel) -> Vec
     (0..all.len()).map(|k| rating(&all, k, &workers)).collect()
 }
 
-/// Pixels a metre where the largest surface of the stage just fits into the frame.
+/// Returns the pixels per metre at which the largest surface of the stage just fits into the frame.
 fn whole_stage_px_per_m(stage: &BodySpec, camera: &CameraModel) -> f64 {
     let area = |s: &&SurfaceSpec| s.size_m[0] * s.size_m[1];
     let largest = stage.surfaces.iter().max_by(|a, b| area(a).total_cmp(&area(b)));
@@ -222,7 +241,7 @@ fn whole_stage_px_per_m(stage: &BodySpec, camera: &CameraModel) -> f64 {
     (f64::from(camera.width()) / width_m).min(f64::from(camera.height()) / height_m)
 }
 
-/// The picture at another size, pixels; never larger than it is, as no detail comes of that.
+/// Returns the picture at another size, pixels; never enlarged, since that adds no detail.
 fn scaled(surface: &SurfaceSpec, size_px: [f64; 2]) -> GrayImage {
     let (width, height) = surface.artwork.dimensions();
     let side = |px: f64, most: u32| (px.round() as u32).clamp(1, most.max(1));
@@ -233,12 +252,13 @@ fn scaled(surface: &SurfaceSpec, size_px: [f64; 2]) -> GrayImage {
     imageops::resize(&surface.artwork, across, down, imageops::FilterType::Triangle)
 }
 
-/// Those of the first of these features that no other place of any of them resembles.
+/// Returns those features of the first list that resemble no other place in either list.
 fn distinct(own: &[Feature], other: &[Feature], workers: &Workers) -> Vec<Match> {
     let mut index = ReferenceIndex::default();
     index.add(0, own, |p| p, 1.0);
     index.add(1, other, |p| p, 1.0);
-    // A feature finds itself, at no distance; its rival is the nearest elsewhere. One is added to both (see the index).
+    // A feature matches itself at distance zero; its rival is the nearest elsewhere. One is added
+    // to both (see the index).
     matched(own, &index, 1.0 / (1.0 + USUAL_DISTANCE), workers)
 }
 
@@ -248,7 +268,7 @@ fn matched(seen: &[Feature], index: &ReferenceIndex, ratio: f32, workers: &Worke
     matches
 }
 
-/// Looks at a picture from the side, as the tracker does, and compares that with its own corners.
+/// Views a picture from the side, as the tracker does, and matches it to its own corners.
 fn recognised(
     picture: &GrayImage,
     own: &[Feature],
@@ -298,7 +318,7 @@ fn rating(all: &[Seen], own: usize, workers: &Workers) -> Rating {
     ];
     asked.extend(apart_m.map(|apart_m| (by_ratio(recognised.once, CORNERS), Weakness::Repeats(apart_m))));
     if let Some((other, share)) = like {
-        // On one body the other features still tell: it costs at most half.
+        // On the same body the other features still help, so it costs at most half.
         let least = if all[other].body == *body { 0.5 * f64::from(BEST) } else { 0.0 };
         asked.push((by_difference(share, SHARED).max(least), Weakness::Like { other: all[other].names.clone(), share }));
     }
@@ -309,12 +329,12 @@ fn rating(all: &[Seen], own: usize, workers: &Workers) -> Rating {
     Rating { body, surface, stars, weaknesses, map, seen_px: [picture.width(), picture.height()] }
 }
 
-/// 0 to 5 by the logarithm of a value, from the one that is rated 0 to the one that is rated 5.
+/// Returns a score from 0 to 5 by the logarithm of a value, between the values that score 0 and 5.
 fn by_ratio(value: f64, [none, best]: [f64; 2]) -> f64 {
     by_difference(value.max(1e-9).ln(), [none.ln(), best.ln()])
 }
 
-/// 0 to 5 by a value, from the one that is rated 0 to the one that is rated 5.
+/// Returns a score from 0 to 5 by a value, between the values that score 0 and 5.
 fn by_difference(value: f64, [none, best]: [f64; 2]) -> f64 {
     f64::from(BEST) * ((value - none) / (best - none)).clamp(0.0, 1.0)
 }

@@ -1,4 +1,5 @@
-//! Pictures that repeat themselves, such as windows, tiles, squares in rows: which of their corners are there once.
+//! Pictures that repeat themselves, such as windows, tiles, or squares in rows: finds which of
+//! their corners exist only once.
 
 use image::GrayImage;
 use nalgebra::Vector2;
@@ -6,13 +7,15 @@ use nalgebra::Vector2;
 use crate::features::{Feature, halved};
 use crate::track::periods;
 
-/// Half the side of the part around a corner that is compared with what is a period aside, pixels of the corner's pyramid level. Chosen: as much as
-/// its description sees. Raised, corners beside something that is there once count as there once.
+/// Half the side of the area around a corner that is compared with the area one period away, pixels
+/// of the corner's pyramid level. Chosen: the area that its descriptor covers. Raised, corners next
+/// to something unique count as unique.
 const REACH: i32 = 8;
-/// Correlation from which two parts are the same. Chosen: below what noise and light leave of copies. Raised, noisy copies count as different.
+/// Correlation from which two areas are the same. Chosen: below the correlation of copies with
+/// noise and uneven light. Raised, noisy copies count as different.
 const SAME: f64 = 0.7;
 
-/// The shifts by which a picture is nearly the same; none for most pictures.
+/// The shifts under which a picture is nearly the same; none for most pictures.
 pub(super) struct Copies {
     shifts: Vec<Vector2<f64>>,
 }
@@ -24,12 +27,12 @@ impl Copies {
         Self { shifts: periods(octaves.iter()) }
     }
 
-    /// How far apart copies are, pixels; none where there are none.
+    /// Returns the distance between copies, pixels; `None` without copies.
     pub(super) fn apart_px(&self) -> Option<f64> {
         self.shifts.iter().map(Vector2::norm).reduce(f64::min)
     }
 
-    /// Whether the picture shows the same around a corner and a period aside.
+    /// Whether the picture is the same around a corner and one period away.
     pub(super) fn has(&self, picture: &GrayImage, feature: &Feature) -> bool {
         let is_same = |shift: Vector2<f64>| {
             let (here, there) = both(picture, feature, shift);
@@ -39,7 +42,8 @@ impl Copies {
     }
 }
 
-/// Greys around a corner and, in the same order, at a shift from there, as far as both lie in the picture.
+/// Returns the grey levels around a corner and, in the same order, at a shift from there, where
+/// both lie in the picture.
 fn both(picture: &GrayImage, feature: &Feature, shift: Vector2<f64>) -> (Vec<f64>, Vec<f64>) {
     let at = |p: Vector2<f64>| {
         let [x, y] = [p.x.round(), p.y.round()];
@@ -51,7 +55,7 @@ fn both(picture: &GrayImage, feature: &Feature, shift: Vector2<f64>) -> (Vec<f64
     places.filter_map(|place| Some((at(place)?, at(place + shift)?))).unzip()
 }
 
-/// Of the same number of greys, from -1 to 1; 0 where one of them is plain.
+/// Returns the correlation of equally many grey levels, from -1 to 1; 0 if one of them is constant.
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let n = a.len() as f64;
     let [mean_a, mean_b] = [a, b].map(|v| v.iter().sum::<f64>() / n);

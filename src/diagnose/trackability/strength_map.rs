@@ -1,25 +1,31 @@
-//! Where on a picture there is something to hold on to: a grid of cells, as numbers, as characters, and as a picture.
+//! Maps where a picture has trackable detail: a grid of cells, as numbers, as characters, and as a
+//! picture.
 
 use image::{GrayImage, Rgb, RgbImage, imageops};
 
-/// Cells across; as many down as make them square. Chosen: about the tiles that alignment judges a picture by. Raised, cells hold too few pixels.
+/// Number of cells across; the number down makes them square. Chosen: about the tiles by which
+/// alignment judges a picture. Raised, cells hold too few pixels.
 const COLUMNS: u32 = 16;
-/// Least pixels to a side of a cell. Lowered, a few pixels of noise make detail of it.
+/// Minimum side of a cell, pixels. Lowered, a few pixels of noise count as detail.
 const LEAST_CELL_PX: u32 = 6;
-/// How well noise lets a cell tell its own place, one sigma in the worse direction, pixels, for it to count as detailed: alignment's tiles vote by as much.
-/// Lowered, faint and soft pictures have no detail.
+/// Maximum sigma of a cell's own position due to noise, in the worse direction, pixels, for it to
+/// count as detailed: the limit for alignment's tiles. Lowered, faint and soft pictures have no
+/// detail.
 const DETAILED_PX: f64 = 0.15;
-/// Smaller eigenvalue of the structure tensor of the best cells, (grey/px)² a pixel: more makes no pose better. Raised, all pictures look weak on the map.
+/// Smaller eigenvalue of the structure tensor of the best cells, (grey/px)² per pixel: more does
+/// not improve a pose. Raised, all pictures look weak on the map.
 const RICH: f32 = 400.0;
-/// Noise of a frame, grey levels, one sigma: a usual camera's. Raised, all pictures count as softer.
+/// Noise of a frame, grey levels, one sigma: a typical camera's. Raised, all pictures count as
+/// softer.
 const NOISE: f64 = 2.0;
-/// What a cell keeps of its strength where its corners all resemble others. Alignment still holds on to it; features do not. Lowered, patterns look plain.
+/// Remaining strength of a cell whose corners all resemble others. Alignment still uses it;
+/// features do not. Lowered, patterns look plain.
 const REPEATED: f32 = 0.25;
-/// Pixels to a cell of the picture that is drawn: enough to see the artwork through it.
+/// Pixels per cell in the drawn picture: enough to see the artwork through it.
 const DRAWN_CELL_PX: u32 = 40;
-/// How much of the artwork shows through, of 256. Chosen by eye.
+/// Opacity of the artwork, of 256. Chosen by eye.
 const SHOWN: u32 = 110;
-/// Characters from nothing to hold on to up to plenty.
+/// Characters from no strength to full strength.
 const STEPS: [char; 5] = ['.', ':', '+', '*', '#'];
 
 /// The strength of every cell of a picture.
@@ -27,16 +33,16 @@ const STEPS: [char; 5] = ['.', ':', '+', '*', '#'];
 pub struct StrengthMap {
     /// Cells across and down.
     pub size: [u32; 2],
-    /// 0 to 1, row by row.
+    /// Strengths from 0 to 1, row by row.
     pub strengths: Vec<f32>,
-    /// How far off noise leaves the place of each, pixels.
+    /// One sigma of each cell's position due to noise, pixels.
     sigmas_px: Vec<f64>,
-    /// The same of the whole picture.
+    /// The same for the whole picture.
     sigma_px: f64,
 }
 
 impl StrengthMap {
-    /// Of a picture, with its corners and whether each is distinct.
+    /// Computes the map of a picture, given its corners and whether each is distinct.
     pub fn of(picture: &GrayImage, corners: impl Iterator<Item = ([f64; 2], bool)>) -> Self {
         let (width, height) = picture.dimensions();
         let across = (width / LEAST_CELL_PX).clamp(1, COLUMNS);
@@ -71,23 +77,25 @@ impl StrengthMap {
         Self { size, strengths, sigmas_px: tensors.iter().map(sigma_px).collect(), sigma_px: sigma_px(&all) }
     }
 
-    /// Share of the cells that have detail in both directions.
+    /// Returns the fraction of the cells with detail in both directions.
     pub fn share_detailed(&self) -> f64 {
         self.sigmas_px.iter().filter(|sigma| **sigma < DETAILED_PX).count() as f64 / self.sigmas_px.len().max(1) as f64
     }
 
-    /// How far off noise leaves the picture's place in the frame, one sigma in the worse direction, pixels.
+    /// Returns one sigma of the picture's position in the frame due to noise, in the worse
+    /// direction, pixels.
     pub fn sigma_px(&self) -> f64 {
         self.sigma_px
     }
 
-    /// A line of characters for every row of cells: `#` holds well, `.` not at all.
+    /// Returns a line of characters for every row of cells: `#` is strong, `.` has nothing.
     pub fn lines(&self) -> Vec<String> {
         let step = |strength: &f32| STEPS[((strength * STEPS.len() as f32) as usize).min(STEPS.len() - 1)];
         self.strengths.chunks(self.size[0].max(1) as usize).map(|row| row.iter().map(step).collect()).collect()
     }
 
-    /// The artwork, grey, under colours: red where there is nothing to hold on to, over yellow to green where there is plenty.
+    /// Draws the artwork in grey under colours: from red for no strength over yellow to green for
+    /// full strength.
     pub fn drawn_on(&self, artwork: &GrayImage) -> RgbImage {
         let [across, down] = self.size;
         let picture = imageops::resize(artwork, across * DRAWN_CELL_PX, down * DRAWN_CELL_PX, imageops::FilterType::Triangle);
@@ -100,7 +108,7 @@ impl StrengthMap {
     }
 }
 
-/// The smaller eigenvalue of a structure tensor: sums of gx², gx gy and gy².
+/// Returns the smaller eigenvalue of a structure tensor, given as sums of gx², gx gy and gy².
 fn smaller_eigenvalue([xx, xy, yy, _]: &[f64; 4]) -> f64 {
     (0.5 * (xx + yy) - (0.25 * (xx - yy).powi(2) + xy * xy).sqrt()).max(0.0)
 }

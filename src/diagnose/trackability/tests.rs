@@ -9,7 +9,7 @@ use crate::tracker::{Tracker, TrackerSetup};
 
 const SIZE: (u32, u32) = (800, 600);
 
-/// Whatever its picture: what a config refuses is rated as well.
+/// With any picture: those that a config refuses are rated as well.
 fn surface(name: &str, art: &GrayImage, size_m: [f64; 2]) -> SurfaceSpec {
     artwork_surface(name, art.clone(), size_m, upright(Vector3::zeros(), 0.0))
 }
@@ -23,7 +23,7 @@ fn alone(art: &GrayImage) -> Rating {
     rate(&BodySpec::new("stage", vec![surface("art", art, [4.0, 3.0])]), &[], &camera()).remove(0)
 }
 
-/// The ratings of a painted stage and of objects with these pictures; the sizes are in metres.
+/// The ratings of a painted stage and of objects with these pictures; sizes in metres.
 fn beside(art: &[&GrayImage], side_m: f64) -> Vec<Rating> {
     let stage = BodySpec::new("stage", vec![surface("backdrop", &painted(1), [4.0, 3.0])]);
     let object = |(k, art): (usize, &&GrayImage)| BodySpec::new(format!("object {k}"), vec![surface("prop", art, [side_m; 2])]);
@@ -73,7 +73,8 @@ fn a_pattern_that_repeats_is_named() {
     }
 }
 
-/// Equal squares in rows, as a photograph has them: uneven light, a little soft, with noise, and a margin of something else around them.
+/// Equal squares in rows, as in a photograph: with uneven light, slightly soft, with noise, and
+/// with a margin of something else around them.
 fn photographed_squares(margin: u32) -> GrayImage {
     let (mut art, mut state) = (painted_once().clone(), 5_u32);
     let squares =
@@ -114,7 +115,7 @@ fn a_picture_amidst_stripes_is_there_once() {
 
 #[test]
 fn a_picture_that_two_objects_have_tells_neither() {
-    // Photographed again: a little softer, brighter, and cut.
+    // Photographed again: slightly softer, brighter, and cropped.
     let near_copy = imageops::blur(&painted(7), 0.8);
     let near_copy =
         GrayImage::from_fn(SIZE.0 - 40, SIZE.1 - 30, |x, y| Luma([(f64::from(near_copy.get_pixel(x + 20, y + 15)[0]) * 0.9 + 12.0) as u8]));
@@ -158,7 +159,7 @@ fn the_map_shows_where_a_picture_is_plain() {
     assert!(right[0] > right[1] + 60 && left[1] > right[1], "{left:?} {right:?}");
 }
 
-/// Painted once, as painting takes its time.
+/// Painted only once, as painting is slow.
 fn painted_once() -> &'static GrayImage {
     static ART: std::sync::OnceLock<GrayImage> = std::sync::OnceLock::new();
     ART.get_or_init(|| painted(1))
@@ -174,7 +175,8 @@ fn pictures_of_any_size_are_rated() {
     }
 }
 
-/// The share of frames, each by itself, in which a stage of this picture is tracked when a frame is shown twice, and the median error of its place, mm.
+/// Returns the fraction of frames, each by itself, in which a stage of this picture is tracked when
+/// the frame is shown twice, and the median position error, mm.
 fn tracked(art: &GrayImage) -> (f64, f64) {
     let lens = CameraModel::pinhole(640, 360, 500.0, 500.0, 319.5, 179.5).expect("a lens");
     let stage = BodySpec::new("stage", vec![surface("art", art, [4.0, 3.0])]);
@@ -202,7 +204,7 @@ fn tracked(art: &GrayImage) -> (f64, f64) {
     (f64::from(found) / f64::from(VIEWS), off.get(off.len() / 2).copied().unwrap_or(f64::INFINITY))
 }
 
-/// Views of each picture: from 18 degrees to the left to as much to the right.
+/// Number of views of each picture: from 18 degrees on the left to as much on the right.
 const VIEWS: u32 = 5;
 
 #[test]
@@ -230,7 +232,7 @@ fn ratings_order_pictures_by_what_the_tracker_does_with_them() {
         ("chessboard", chessboard(40)),
         ("grey", GrayImage::from_pixel(SIZE.0, SIZE.1, Luma([128]))),
     ];
-    // What is rated 0 may be found in the best of lights, and is not where a show has half of it.
+    // A picture rated 0 may be found in the best light, but not in half of it.
     let in_half_the_light = |art: &GrayImage| GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| Luma([art.get_pixel(x, y)[0] / 2]));
     let results: Vec<_> = pictures
         .iter()
@@ -251,7 +253,8 @@ fn ratings_order_pictures_by_what_the_tracker_does_with_them() {
             _ => {}
         }
     }
-    // A clearly better rating means that it is found no less, and where it is, no worse. How far off one is that is rated 0, the rating does not say.
+    // A clearly better rating means that it is found at least as often and, where found, at least
+    // as precisely. The error of a picture rated 0 is not covered.
     for (better, worse) in results.iter().flat_map(|a| results.iter().map(move |b| (a, b))).filter(|(a, b)| a.1.stars >= b.1.stars + 2) {
         assert!(better.2.0 >= worse.2.0, "{} is found less than {}", better.0, worse.0);
         assert!(worse.1.stars == 0 || better.2.1 <= 1.2 * worse.2.1, "{} is off by more than {}", better.0, worse.0);
