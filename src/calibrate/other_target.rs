@@ -1,4 +1,4 @@
-//! Recognizes boards of other kinds, to tell the user that they are not supported.
+//! Recognises boards of other kinds, to tell the user that they are not supported.
 //!
 //! Dark spots are classified by their outlines: the ratio of extent to spread differs between an
 //! ellipse and a parallelogram. A marker is a dark square with light fields inside; a chessboard's

@@ -31,7 +31,7 @@ pub struct Inspected {
     pub origin: Origin,
 }
 
-/// Longer side of the report's thumbnails, pixels: enough to recognize the corners. Raised, the
+/// Longer side of the report's thumbnails, pixels: enough to recognise the corners. Raised, the
 /// report's file grows with its square.
 const THUMBNAIL_PX: u32 = 360;
 

@@ -1,4 +1,4 @@
-//! Recognizes unsupported picture formats by their first bytes, whatever their names, and states
+//! Recognises unsupported picture formats by their first bytes, whatever their names, and states
 //! how to convert them.
 
 use std::collections::BTreeMap;
@@ -49,7 +49,7 @@ pub fn form_of(bytes: &[u8]) -> Option<(&'static str, &'static str)> {
     FORMS.iter().find(has).map(|(.., name, mend)| (*name, *mend))
 }
 
-/// Recognizes HEIC and AVIF, which ffmpeg takes for damaged videos.
+/// Recognises HEIC and AVIF, which ffmpeg takes for damaged videos.
 pub(super) fn still_of_a_phone(bytes: &[u8]) -> Option<(&'static str, &'static str)> {
     let brand: &[u8; 4] = bytes.get(8..12)?.try_into().ok()?;
     if bytes.get(4..8)? != b"ftyp" {

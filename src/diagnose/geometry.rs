@@ -47,9 +47,9 @@ const LEAST_STRETCH: f64 = 0.03;
 /// Maximum logarithm of the pixel ratio: 2.2 times. Anamorphic lenses squeeze by 2, programs by
 /// 1.33. Raised, a wrong size passes for a stretched clip.
 const MAX_STRETCH: f64 = 0.79;
-/// Difference of two ratios' logarithms within which they count as equal; it tells a swap of width
-/// and height from a coincidence. Chosen, not tuned. Raised, nearly square surfaces are no longer
-/// recognized as swapped.
+/// Minimum |ln(width / height)| for a swap of width and height to be considered: a nearly square
+/// surface looks the same when swapped. Chosen, not tuned. Raised, fewer nearly square surfaces can
+/// be reported as swapped; lowered, a coincidence may be reported.
 const SAME_RATIO: f64 = 0.06;
 /// Minimum displacement of a surface to be reported: as a fraction of the camera's distance, and in
 /// degrees. Chosen: far beyond the errors of a pose. Raised, misplaced surfaces pass; lowered,

@@ -56,7 +56,7 @@ impl Trial {
         Self::new(setup.camera, setup.mask.clone(), &setup.stage, setup)
     }
 
-    /// Recognizes the surfaces in a frame, without using a lens or a size.
+    /// Recognises the surfaces in a frame, without using a lens or a size.
     pub fn views(&mut self, image: &GrayImage) -> Vec<SurfaceView> {
         let mut views = self.matcher.recognise(image);
         views.retain(|v| v.matches.len() >= LEAST_MATCHES);

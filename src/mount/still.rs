@@ -37,7 +37,8 @@ pub struct Unpaired(pub [usize; 2]);
 /// Returns the still views of two clips, given the measurement for each of their rows.
 ///
 /// # Errors
-/// When neither the numbers of rows nor those of standstills agree.
+/// When the clips differ in their numbers of rows and also in their numbers of standstills, or have
+/// no standstills.
 pub fn still_pairs(a: &[Option<View>], b: &[Option<View>]) -> Result<Vec<StillPair>, Unpaired> {
     if a.len() == b.len() {
         return Ok(together(a, b));

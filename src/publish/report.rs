@@ -54,9 +54,10 @@ pub struct BodyReport {
     pub name: Arc<str>,
     /// Which body it is.
     pub choice: BodyChoice,
-    /// The state of the reported pose. It is also tracking if the pose is extrapolated from a
-    /// measured one by at most one frame interval, also coasting during the return after a gap,
-    /// lost if the pose is withheld, and stale if no frame came for too long or it is too old.
+    /// The state of the reported pose. It is tracking also if the pose is extrapolated from a
+    /// measured one by at most one frame interval, coasting also during the return after a gap,
+    /// lost if the pose is withheld, and stale if no frame came for too long or what came is too
+    /// old.
     pub state: State,
     /// Why the safety limits withhold a known pose.
     pub withheld: Option<Withheld>,

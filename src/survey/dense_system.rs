@@ -1,7 +1,7 @@
 //! The large dense systems of a survey, solved by `faer` in cache-sized blocks.
 //!
 //! A set of fifteen panels has 2000 unknowns, and dozens of such systems are solved while the
-//! smoothness is chosen. There nalgebra's factorization takes eight times as long, and its inverse
+//! smoothness is chosen. There nalgebra's factorisation takes eight times as long, and its inverse
 //! sixty times.
 
 use faer::linalg::matmul::triangular::{self, BlockStructure};
@@ -23,7 +23,7 @@ pub fn subtract_square(matrix: &mut DMatrix<f64>, root: &DMatrix<f64>) {
 pub struct Factor(Llt<f64>);
 
 impl Factor {
-    /// Factorizes a matrix, of which only the lower triangle is read. `None` if it is not positive
+    /// Factorises a matrix, of which only the lower triangle is read. `None` if it is not positive
     /// definite.
     pub fn of(matrix: &DMatrix<f64>) -> Option<Self> {
         let view = MatRef::from_column_major_slice(matrix.as_slice(), matrix.nrows(), matrix.ncols());

@@ -90,7 +90,7 @@ pub(super) fn supports(frames: &[FrameRows], scales: &[f64]) -> Vec<Support> {
     }
     let mut sorted: Vec<f64> = scales.iter().copied().filter(|scale| scale.is_finite()).collect();
     sorted.sort_by(f64::total_cmp);
-    // Of two surfaces the better one.
+    // Of two surfaces, the better one's.
     let usual = sorted.get(sorted.len().saturating_sub(1) / 2).copied().unwrap_or(f64::INFINITY);
     let with_scatter = |((support, _), scale): ((Support, _), &f64)| Support { scatter: scale / usual, ..support };
     supports.into_iter().zip(scales).map(with_scatter).collect()

@@ -84,7 +84,7 @@ impl Turn {
     }
 }
 
-/// Returns the direction of the rows of corners: the normalized mean step along x.
+/// Returns the direction of the rows of corners: the normalised mean step along x.
 fn x_axis(corners: &[Option<Vector2<f64>>], columns: usize) -> Vector2<f64> {
     let rows = corners.chunks(columns).flat_map(|row| row.windows(2));
     let sum: Vector2<f64> = rows.filter_map(|pair| Some(pair[1]? - pair[0]?)).sum();

@@ -40,7 +40,7 @@ fn parted<T: Clone>(
 ) -> Option<(T, T, usize, String)> {
     let all: Vec<(T, &Inspected)> = pictures.iter().filter_map(|p| Some((said(&p.origin)?, *p))).collect();
     let count = |value: &T| all.iter().filter(|(other, _)| is_same(other, value)).count();
-    // Of equals the earliest.
+    // Of equals, the earliest wins.
     let usual = all.iter().rev().map(|(value, _)| value).max_by_key(|value| count(value))?;
     let mut others = all.iter().filter(|(value, _)| !is_same(value, usual));
     let (other, first) = others.next()?;

@@ -9,7 +9,7 @@
 //! |---|---|---|
 //! | size | its shorter side in the frame | features and tiles have no room |
 //! | corners | features recognised in a view from the side | it is not found |
-//! | variety | the fraction of features taken for others there | it is found one tile off, refused |
+//! | variety | fraction of features taken for others there | it is found one tile off, refused |
 //! | uniqueness | features that differ from those one period away | copies cannot be told apart |
 //! | detail | cells with edges in both directions | people hide it, and its tilt is unsure |
 //! | sharpness | the noise of its position in the frame | poses scatter |
