@@ -58,7 +58,7 @@ fn has_shape(offer: &Offer, (width, height): (u32, u32)) -> bool {
     a.abs_diff(b) <= u64::from(width.max(height))
 }
 
-/// Rank of an offer, compared lexicographically by size, rate, layout; larger is better.
+/// Ranks an offer by size, rate and layout, compared lexicographically; larger is better.
 fn rank(offer: &Offer, calibrated: Option<(u32, u32)>) -> (i64, u32, u32) {
     let pixels = i64::from(offer.width) * i64::from(offer.height);
     let wanted = calibrated.map_or(1280 * 720, |(w, h)| i64::from(w) * i64::from(h));

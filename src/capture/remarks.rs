@@ -1,7 +1,7 @@
 //! Remarks about clips whose pictures need attention: made once per clip, whatever its format.
 
-/// The file asks to show its pictures rotated counterclockwise by `degrees`, or mirrored; `None` if
-/// they are shown as they lie.
+/// Remarks that the file asks to show its pictures rotated counterclockwise by `degrees`, or
+/// mirrored; returns `None` if they are shown as they lie.
 pub(super) fn shown_turned(degrees: f64, is_mirrored: bool) -> Option<String> {
     let turn = degrees.rem_euclid(360.0).round();
     let turned = match turn as u32 % 360 {
@@ -23,7 +23,7 @@ pub(super) fn shown_turned(degrees: f64, is_mirrored: bool) -> Option<String> {
     ))
 }
 
-/// The pixels are not square.
+/// Remarks that the pixels are not square.
 pub(super) fn pixel_shape((width, height): (u32, u32)) -> String {
     format!(
         "the file says that its pixels are not square, {width}:{height} as wide as high (pixel aspect, SAR); pictures are tracked as they lie \
@@ -32,7 +32,7 @@ pub(super) fn pixel_shape((width, height): (u32, u32)) -> String {
     )
 }
 
-/// The pictures hold two fields.
+/// Remarks that the pictures hold two fields.
 pub(super) fn interlaced(row: u64) -> String {
     format!(
         "row {row}: the video is interlaced: every other line of a picture was taken at another time, which costs accuracy while the camera \
@@ -40,7 +40,7 @@ pub(super) fn interlaced(row: u64) -> String {
     )
 }
 
-/// The stamps are only derived from a rate.
+/// Remarks that the stamps are only derived from a rate.
 pub(super) fn rate_made_up(rate: &str) -> String {
     format!("the clip has no time stamps; {rate} frames a second are taken for it; give --fps where the camera had another rate")
 }

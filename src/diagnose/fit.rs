@@ -155,8 +155,8 @@ impl Views<'_> {
         self.by_turns(alone, |found| found.shape.pixel, |focal, pixel| Shape { focal, pixel, ..AS_CONFIGURED })
     }
 
-    /// Starting from the best of one factor, alternately searches the focal length and the factor
-    /// until nothing more is gained.
+    /// Alternately searches the focal length and another factor, starting from the best of the
+    /// latter, until nothing more is gained.
     fn by_turns(&self, mut best: Found, factor: impl Fn(&Found) -> f64, shape: impl Fn(f64, f64) -> Shape) -> Found {
         for _ in 0..MOST_TURNS {
             let other = factor(&best);

@@ -137,7 +137,7 @@ impl Case<'_> {
         left < self.floor + SLACK.0 + SLACK.1 * self.floor
     }
 
-    /// No pose fits as configured: finds the shape or lens that would, if any.
+    /// Finds the shape or lens with which a pose would fit, given that none fits as configured.
     fn misfit(&self) -> Option<Finding> {
         let [w, h] = self.spec.size_m;
         let name = &self.spec.name;
@@ -312,7 +312,7 @@ impl Case<'_> {
         })
     }
 
-    /// With a config that fits, checks whether another shape or lens fits clearly better.
+    /// Checks whether another shape or lens fits clearly better than the config, which fits too.
     fn shape_as_seen(&self, left: f64) -> Vec<Finding> {
         let [w, h] = self.spec.size_m;
         let name = &self.spec.name;

@@ -41,7 +41,7 @@ pub(super) struct Known {
 }
 
 impl Known {
-    /// No pose, for this reason.
+    /// Creates an entry without a pose, for this reason.
     pub fn nothing(state: State) -> Self {
         Self { state, pose: None, is_predicted: false }
     }

@@ -402,7 +402,7 @@ fn is_rest(step_px: f64, before_px: f64) -> bool {
     step_px < REST_PX || step_px < SMALL_STEP_PX && step_px > NO_LONGER_SHRINKS * before_px
 }
 
-/// A fixed pseudo-random choice by frame, tile and surface.
+/// Whether a tile is held out: a fixed pseudo-random choice by frame, tile and surface.
 fn is_held_out(frame: usize, tile: &ObservedTile) -> bool {
     let mixed = (frame as u32).wrapping_mul(0x9e37_79b1)
         ^ (tile.number + 1).wrapping_mul(0x85eb_ca77)

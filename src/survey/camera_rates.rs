@@ -23,9 +23,9 @@ const LARGEST_JITTER: f64 = 0.1;
 /// Maximum time between two frames, seconds: a camera's motion is not uniform for longer. Raised,
 /// slow cameras yield wrong rates.
 const LONGEST_STEP_S: f64 = 0.05;
-/// Weights of the poses one and two frames away in a first derivative (positive after, negative
-/// before), and in a second derivative (all positive). Source: Abramowitz and Stegun, *Handbook of
-/// Mathematical Functions*, table 25.2.
+/// Weights of the poses one and two frames away: in a first derivative with this sign after and the
+/// opposite before, in a second derivative with this sign on both sides. Source: Abramowitz and
+/// Stegun, *Handbook of Mathematical Functions*, table 25.2.
 const FIRST: [f64; 2] = [2.0 / 3.0, -1.0 / 12.0];
 const SECOND: [f64; 2] = [4.0 / 3.0, -1.0 / 12.0];
 /// Scatter of the derivatives, in frames, for poses that scatter by 1: roots of the weights' sums
@@ -64,12 +64,12 @@ pub struct RecentPoses {
 }
 
 impl RecentPoses {
-    /// For a stage as configured.
+    /// Creates the collector for a stage as configured.
     pub fn as_configured() -> Self {
         Self { poses: Vec::with_capacity(5), trust: Trust::AS_CONFIGURED }
     }
 
-    /// For a surveyed stage.
+    /// Creates the collector for a surveyed stage.
     pub fn as_surveyed() -> Self {
         Self { trust: Trust::AS_SURVEYED, ..Self::as_configured() }
     }

@@ -34,7 +34,7 @@ pub struct FreeNumbers {
 }
 
 impl Default for FreeNumbers {
-    /// Everything except skew and k3 is free, as in Bouguet's toolbox.
+    /// Frees everything except skew and k3, as in Bouguet's toolbox.
     fn default() -> Self {
         let mut free = [true; LENS_NUMBERS];
         (free[4], free[9]) = (false, false);
