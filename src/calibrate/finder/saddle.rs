@@ -105,8 +105,8 @@ fn is_peak(determinant: &[f32], w: usize, index: usize) -> bool {
     above && below
 }
 
-/// Returns the grey levels on the ring around a position. The ring must lie inside the picture:
-/// bounds are not checked per point.
+/// Returns the grey levels on the ring around a position. The ring must lie inside the picture, so
+/// that its points need no clamping.
 fn on_ring(smooth: &Level, position: Vector2<f64>, ring: &Ring) -> [f32; 2 * HALF_RING] {
     let (middle_x, middle_y, w) = (position.x as f32, position.y as f32, smooth.width);
     let mut around = [0.0; 2 * HALF_RING];
