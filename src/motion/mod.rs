@@ -21,3 +21,7 @@ pub use process_noise::ProcessNoise;
 pub use reach::Reach;
 pub use recent::Recent;
 pub use state::{Motion, MotionError, MotionMatrix};
+
+/// Maximum acceleration of a camera or a body, m/s²: ten times gravity, which no hand reaches.
+/// Raised, nearer copies pass for a motion; lowered, a shaken camera jumps.
+pub const MAX_ACCELERATION: f64 = 100.0;

@@ -12,6 +12,7 @@ use super::acquire::{
     Candidate, FEW_INLIERS, SurfaceMatch, SurfaceView, add_candidates_of_few, agreeing_matches, candidates, surface_view,
 };
 use super::align::{CameraRays, FrameLevels};
+use super::expected_candidate::{FIRST_SHIFT, FIRST_TURN};
 use super::expected_candidate::{expected_candidate, prefer_expected_tilt, put_first};
 use super::feature_search::{FeatureSearch, Look};
 use super::frame_look::FrameLook;
@@ -20,7 +21,7 @@ use super::reason::Reason;
 use super::registration::SearchPicture;
 use super::row_motion::RowMotion;
 use super::settings::TrackerSettings;
-use super::tracked_body::{FIRST_SHIFT, FIRST_TURN, TrackedBody, is_near};
+use super::tracked_body::{TrackedBody, is_near};
 use super::unexplained::Unexplained;
 use super::verify::{Verified, VerifyBuffers, View, verify};
 use crate::camera::{CameraModel, Shutter};

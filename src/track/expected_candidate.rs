@@ -7,10 +7,14 @@ use nalgebra::{Matrix2, Vector2, Vector3};
 
 use super::acquire::{Candidate, FEATURE_NOISE_PX, SurfaceMatch, nearly_same};
 use super::reference::PreparedBody;
-use super::tracked_body::{FIRST_SHIFT, FIRST_TURN};
 use crate::camera::{CameraModel, Normalized};
 use crate::geometry::local_affinities::{LocalAffinity, robust_shift};
 use crate::geometry::{Body, Camera, PointPair, Pose};
+
+/// How far off a pose that features found may be, one sigma: of the distance, and radians (three pixels at a focal length of 1000). Chosen,
+/// not tuned. Raised, alignment begins at coarser levels than it needs; lowered, such a pose pulls the aligned one.
+pub const FIRST_SHIFT: f64 = 0.003;
+pub const FIRST_TURN: f64 = 0.003;
 
 /// How far off where it was expected a body is looked for, of the frame's width. Chosen: a prop that went behind another was off by up to 45 pixels of 1280 after a third of a second. Raised, wrong matches agree by
 /// chance; lowered, bodies whose motion changed are found later.

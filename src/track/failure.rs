@@ -33,7 +33,7 @@ impl Reason {
 
     /// Why no pose was verified in a frame: what was recognised, what verification refused, and how the frame looks.
     pub(super) fn of_failure(seen: &Recognition, refusal: Option<Refusal>, look: &FrameLook, width_px: u32) -> Self {
-        let of_frame = look.fault();
+        let of_frame = look.fault().map(Self::from);
         if seen.agreeing < LEAST_RECOGNISED {
             return of_frame.unwrap_or(Self::NotRecognised);
         }

@@ -5,9 +5,9 @@
 
 use super::row_motion::RowMotion;
 use super::tile_residuals::TileResiduals;
-use super::track_state::LARGEST_ACCELERATION;
 use crate::geometry::resection::{Twist, perturbed};
 use crate::geometry::{Body, Camera, Pose};
+use crate::motion::MAX_ACCELERATION;
 
 /// A jump is larger than this share of the distance, and so many times the usual error of the prediction. Raised, small zooms from ahead go unnoticed; lowered, jolts put the lens in doubt.
 const LEAST_STEP: f64 = 0.01;
@@ -39,7 +39,7 @@ impl Jump {
         let step = off.dot(&by_focal) / by_focal.norm_squared();
         let share = (step * by_focal.norm() / size.max(f64::MIN_POSITIVE)).abs();
         // A camera that starts or stops moves off its prediction by no more than this.
-        let reach_m = 0.5 * LARGEST_ACCELERATION * dt_s * dt_s;
+        let reach_m = 0.5 * MAX_ACCELERATION * dt_s * dt_s;
         let is_step = step.abs() > LEAST_STEP && step.abs() * distance_m > reach_m && size > USUAL_TIMES * usual && share > LEAST_SHARE;
         self.usual = REMEMBERED * usual + (1.0 - REMEMBERED) * if is_step { usual } else { size };
         is_step.then_some(step)

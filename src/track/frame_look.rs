@@ -2,7 +2,18 @@
 
 use image::GrayImage;
 
-use super::reason::Reason;
+/// What may be wrong with a frame as a picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PictureFault {
+    /// It is nearly black.
+    TooDark,
+    /// It is mostly white.
+    TooBright,
+    /// It is blurred.
+    TooBlurred,
+    /// It shows a plain area.
+    Blank,
+}
 
 /// Light, contrast and sharpness of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -76,15 +87,15 @@ impl FrameLook {
     }
 
     /// What is wrong with the frame as a picture, worst first.
-    pub fn fault(&self) -> Option<Reason> {
+    pub fn fault(&self) -> Option<PictureFault> {
         if self.bright < DARK {
-            Some(Reason::TooDark)
+            Some(PictureFault::TooDark)
         } else if self.middle > WHITE {
-            Some(Reason::TooBright)
+            Some(PictureFault::TooBright)
         } else if self.brightest - self.darkest < PLAIN {
-            Some(Reason::Blank)
+            Some(PictureFault::Blank)
         } else {
-            (self.sharpness < BLURRED).then_some(Reason::TooBlurred)
+            (self.sharpness < BLURRED).then_some(PictureFault::TooBlurred)
         }
     }
 }
@@ -121,15 +132,15 @@ mod tests {
 
     #[test]
     fn light_is_judged() {
-        assert_eq!(FrameLook::at(&changed(|v| 0.1 * v)).fault(), Some(Reason::TooDark));
-        assert_eq!(FrameLook::at(&changed(|v| 4.0 * v + 150.0)).fault(), Some(Reason::TooBright));
-        assert_eq!(FrameLook::at(&changed(|_| 120.0)).fault(), Some(Reason::Blank));
+        assert_eq!(FrameLook::at(&changed(|v| 0.1 * v)).fault(), Some(PictureFault::TooDark));
+        assert_eq!(FrameLook::at(&changed(|v| 4.0 * v + 150.0)).fault(), Some(PictureFault::TooBright));
+        assert_eq!(FrameLook::at(&changed(|_| 120.0)).fault(), Some(PictureFault::Blank));
     }
 
     #[test]
     fn blur_is_judged() {
         let blurred = blur(&half(), 5.0);
-        assert_eq!(FrameLook::at(&blurred).fault(), Some(Reason::TooBlurred), "{:?}", FrameLook::at(&blurred));
+        assert_eq!(FrameLook::at(&blurred).fault(), Some(PictureFault::TooBlurred), "{:?}", FrameLook::at(&blurred));
     }
 
     #[test]
@@ -139,7 +150,7 @@ mod tests {
             let sum: u32 = (0..20).map(|k| u32::from(sharp.get_pixel(x + k, y)[0])).sum();
             Luma([(sum / 20) as u8])
         });
-        assert_eq!(FrameLook::at(&streaked).fault(), Some(Reason::TooBlurred), "{:?}", FrameLook::at(&streaked));
+        assert_eq!(FrameLook::at(&streaked).fault(), Some(PictureFault::TooBlurred), "{:?}", FrameLook::at(&streaked));
     }
 
     #[test]

@@ -11,7 +11,20 @@
 use tracing::{info, warn};
 
 use super::focal_clue::{FocalClue, MAX_CHANGE, RIGHT_SIGMAS};
-use super::matched_focal::MatchedFocal;
+
+/// What matches say of the focal length.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum MatchedFocal {
+    /// Another one than the calibrated one fits clearly better: logarithm of their ratio.
+    Changed(f64),
+    /// Another one would fit better, but so would pictures that are askew or surfaces off their
+    /// places: no evidence against the lens, and a doubt.
+    Contested(f64),
+    /// The calibrated one fits clearly better than the one that was suspected.
+    Calibrated,
+    /// Nothing: they are too few, or the view is from ahead, or something else does not fit.
+    Unclear,
+}
 
 /// Frames in a row that say so, before the lens counts as moved. Chosen: one may be a torn frame. Raised, a zoom is named later; the frames
 /// until then are withheld all the same.

@@ -12,6 +12,7 @@ use tracing::debug;
 
 use super::acquire::AgreeingMatch;
 use super::focal_clue::{DIRECTION_SIGMA, FIXED_SIGMA, MAX_CHANGE, PLACE_SIGMA_M};
+use super::lens_watch::MatchedFocal;
 use super::model_unknowns::{CORNERS, fill_corners, fill_place};
 use super::reference::PreparedBody;
 use crate::camera::{CameraModel, Intrinsics};
@@ -46,20 +47,6 @@ const ASKEW_SIGMA: f64 = 0.005;
 /// How far the camera may move while the rows are read, one sigma: metres and radians. A webcam that
 /// is carried at 1 m/s and turned at 1 rad/s. Raised, wrong lenses of moving cameras are found later.
 const MOVED_SIGMA: [f64; 2] = [0.02, 0.02];
-
-/// What matches say of the focal length.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum MatchedFocal {
-    /// Another one than the calibrated one fits clearly better: logarithm of their ratio.
-    Changed(f64),
-    /// Another one would fit better, but so would pictures that are askew or surfaces off their
-    /// places: no evidence against the lens, and a doubt.
-    Contested(f64),
-    /// The calibrated one fits clearly better than the one that was suspected.
-    Calibrated,
-    /// Nothing: they are too few, or the view is from ahead, or something else does not fit.
-    Unclear,
-}
 
 /// Asks matches for the focal length.
 ///

@@ -70,7 +70,7 @@ pub use acquire::{SurfaceMatch, SurfaceView};
 pub use align::{AlignKernels, Alignment, Clue, UsedPixel};
 pub(crate) use feature_search::LOWE_RATIO;
 #[cfg(feature = "calibrate")]
-pub(crate) use frame_look::FrameLook;
+pub(crate) use frame_look::{FrameLook, PictureFault};
 pub use learnt_camera::{LARGEST_LEARNT_BYTES, LearntCamera, LearntError, LearntTime};
 pub use learnt_readout::{MODEL_ERROR_PX, VAGUE_READOUT_S};
 pub use lens_doubt::covariance_by_lens;

@@ -2,6 +2,8 @@
 //!
 //! `failure` finds the reason; no pose depends on one.
 
+use super::frame_look::PictureFault;
+
 /// Why a body is not tracked in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
@@ -40,6 +42,17 @@ pub enum Reason {
     Repeated,
     /// The frame shows two moments at once: fields that are woven, frames that are blended or torn.
     Mixed,
+}
+
+impl From<PictureFault> for Reason {
+    fn from(fault: PictureFault) -> Self {
+        match fault {
+            PictureFault::TooDark => Self::TooDark,
+            PictureFault::TooBright => Self::TooBright,
+            PictureFault::TooBlurred => Self::TooBlurred,
+            PictureFault::Blank => Self::Blank,
+        }
+    }
 }
 
 impl Reason {

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::frame::Timestamp;
 use crate::geometry::{Body, Camera, Pose};
+use crate::motion::MAX_ACCELERATION;
 
 /// What is known of a body in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -93,9 +94,6 @@ const LONGEST_GAP_S: f64 = 0.5;
 /// Fastest motion since the last given pose, m/s, where that is more than `FASTEST_SHIFT_PER_S`: a
 /// thrown prop. Raised, nearer copies pass for a motion.
 const FASTEST_M_PER_S: f64 = 10.0;
-/// Largest acceleration of a camera, m/s²: ten times gravity, which no hand gives it. Raised, nearer
-/// copies pass for a motion; lowered, a shaken camera jumps.
-pub const LARGEST_ACCELERATION: f64 = 100.0;
 /// Poses must agree for so long, seconds, where the body cannot have come there: a cut, or a wrong
 /// pose before. Raised, a cut costs more; lowered, a pan to a copy is believed sooner.
 const JUMP_CONFIRMED_S: f64 = 3.0;
@@ -224,7 +222,7 @@ fn is_reachable(from: &Pose<Body, Camera>, to: &Pose<Body, Camera>, dt_s: f64, v
     let (distance, dt_s) = (nearest_m(from, to), dt_s.max(0.0));
     let slack = SLACK_SHIFT * distance;
     let reach = slack + (FASTEST_SHIFT_PER_S * distance).max(FASTEST_M_PER_S) * dt_s;
-    let of_way = slack + 0.5 * LARGEST_ACCELERATION * dt_s * dt_s;
+    let of_way = slack + 0.5 * MAX_ACCELERATION * dt_s * dt_s;
     // A camera that turns on the spot stays where it is in the body, and a prop that does stays
     // where it is before the camera.
     ways(from, to)

@@ -30,7 +30,7 @@ use nalgebra::Vector2;
 use thiserror::Error;
 
 use super::board::Board;
-use crate::track::{FrameLook, Reason};
+use crate::track::{FrameLook, PictureFault};
 use lattice::Lattice;
 use level::Level;
 use neighbours::Margin;
@@ -308,7 +308,7 @@ fn is_blurred(picture: &GrayImage) -> bool {
     let (width, height) = picture.dimensions();
     let part = width.div_ceil(LOOKED_AT_PX).max(2);
     let small = image::imageops::thumbnail(picture, (width / part).max(1), (height / part).max(1));
-    FrameLook::at(&small).fault() == Some(Reason::TooBlurred)
+    FrameLook::at(&small).fault() == Some(PictureFault::TooBlurred)
 }
 
 #[cfg(test)]

@@ -8,11 +8,11 @@
 //! a still camera aside by more than its noise; measured in docs/alignment.md.) While the shutter is open the texel
 //! moves along a short curve; under motion blur the samples are shared out along it.
 
-use super::AlignSurface;
 use super::lanes::{LANES, Lanes, TILE_COLUMNS, Tile, dispatch, load_at, resize_with_room, store_at};
 use super::level_spec::LevelSpec;
 use super::pixels::Pixels;
 use super::sight::{Sight, SightPath};
+use super::surface::AlignSurface;
 use super::texture::TILE_STEP;
 use super::touching_planes::MapLanes;
 use crate::motion::Motion;

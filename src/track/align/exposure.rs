@@ -1,6 +1,6 @@
 //! How long the shutter is open, where nobody said: learnt from blurred frames.
 
-use super::system::schur_complement::Clue;
+use super::clue::Clue;
 use crate::camera::Shutter;
 
 /// Exposure that an unknown camera is begun with, seconds. Chosen, not tuned: learning only begins there, and found the 12 ms of d-handheld

@@ -4,8 +4,8 @@
 //! half, since blur by focus and blur by motion look alike along one direction. Many frames that
 //! agree are not. Nothing is changed by it: what is configured is used, and contradicted in words.
 
+use super::clue::Clue;
 use super::exposure::TELLING_BLUR_PX;
-use super::system::schur_complement::Clue;
 
 /// Frames that must have shown blur, by how much they show. Raised, a wrong exposure is named
 /// later; lowered, a few unusual frames contradict a right one.

@@ -4,12 +4,40 @@ use nalgebra::{Vector2, Vector3};
 
 use super::frame_levels::{FINEST, LEVELS};
 use super::noise::Noise;
+use super::rays::CameraRays;
 use super::slow_estimates::SlowEstimates;
-use super::system::TileTime;
-use super::{AlignSurface, CameraRays};
+use super::surface::AlignSurface;
 use crate::camera::Shutter;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
+
+/// Frames with less motion blur than this, pixels of the frame, tell of the point spread, of the noise, and by what their patches leave of the model. Chosen, not tuned: such blur is
+/// no wider than a pixel. Raised, blur passes for point spread; lowered, a camera that always moves never teaches its noise.
+pub const SHARP_FRAME_PX: f64 = 1.0;
+
+/// Powers of time that a motion acts by: position, velocity, acceleration.
+pub const POWERS: usize = 3;
+
+/// Times of a tile: what a change of motion means for its pose.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TileTime {
+    /// Seconds from the stamp.
+    pub delay_s: f64,
+    /// Mean square of the times at which the tile's pixels were open, s².
+    pub mean_square_s2: f64,
+}
+
+impl TileTime {
+    /// What the powers of a motion (position, velocity, acceleration) do to the pose at the middle of the tile.
+    pub fn factors(&self) -> [f64; POWERS] {
+        [1.0, self.delay_s, 0.5 * self.mean_square_s2]
+    }
+
+    /// And to how it grows from row to row, per second.
+    pub fn rates(&self) -> [f64; POWERS] {
+        [0.0, 1.0, self.delay_s]
+    }
+}
 
 /// Pixels asked at each level, from full size down, of a frame 1280 pixels wide; wider ones are asked more in proportion. Median errors
 /// with 4,000 to 30,000 are in docs/alignment.md ("How many pixels"): with 8,000 instead of 15,000, d-1080p is 0.027 instead of 0.023 mm
@@ -72,7 +100,7 @@ impl<'a> LevelSpec<'a> {
         level: usize,
         motion: &Motion,
     ) -> Self {
-        let wider = (f64::from(rays.camera.width()) / USUAL_WIDTH_PX).max(1.0);
+        let wider = (f64::from(rays.camera().width()) / USUAL_WIDTH_PX).max(1.0);
         let mut spec = Self {
             surfaces,
             rays,
@@ -135,7 +163,7 @@ impl<'a> LevelSpec<'a> {
     /// level.
     pub fn moved_px(&self, before: &Motion, after: &Motion) -> f64 {
         let table = self.rays.table(self.level);
-        let focal = self.rays.camera.intrinsics().fx / f64::from(1u32 << self.level);
+        let focal = self.rays.camera().intrinsics().fx / f64::from(1u32 << self.level);
         let mut most = 0.0f64;
         for (a, b) in [(2, 2), (1, 1), (3, 1), (1, 3), (3, 3)] {
             let [x, y] = table.rays[table.height * b / 4 * table.width + table.width * a / 4];

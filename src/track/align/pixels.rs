@@ -85,7 +85,7 @@ pub struct Pixels {
 impl Pixels {
     /// Lays out a choice, in the light that is remembered.
     pub fn arrange(&mut self, chosen: &[Chosen], spec: &LevelSpec, level: &Level, light: &RememberedLight) {
-        let (table, height) = (spec.rays.table(spec.level), spec.rays.camera.height());
+        let (table, height) = (spec.rays.table(spec.level), spec.rays.camera().height());
         let grid = TileGrid::covering(chosen);
         grid.places(0, &mut self.columns);
         grid.places(1, &mut self.rows);

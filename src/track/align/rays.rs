@@ -4,11 +4,38 @@
 use image::GrayImage;
 use nalgebra::Vector2;
 
+use super::frame_levels::LEVELS;
 use crate::camera::{CameraModel, Pixel};
 
 /// Side of the squares of pixels that share the derivatives of their rays: these shape a pixel's footprint, and change slowly. Chosen, not
 /// tuned. Raised, footprints near the edge of a wide lens are off; lowered, the table grows by the square and leaves the cache.
 const SQUARE: usize = 8;
+
+/// The camera's part of alignment, shared by all bodies.
+#[derive(Debug)]
+pub struct CameraRays {
+    camera: CameraModel,
+    /// Rays of levels 1 and up.
+    tables: [RayTable; LEVELS - 1],
+}
+
+impl CameraRays {
+    /// Finds the rays of a camera's pixels. `mask`: pixels to leave out (0), of the frame's size.
+    pub fn new(camera: CameraModel, mask: Option<GrayImage>) -> Self {
+        let tables = std::array::from_fn(|k| RayTable::new(&camera, k + 1, mask.as_ref()));
+        Self { camera, tables }
+    }
+
+    /// Rays of a level, from 1.
+    pub fn table(&self, level: usize) -> &RayTable {
+        &self.tables[level - 1]
+    }
+
+    /// The lens.
+    pub fn camera(&self) -> &CameraModel {
+        &self.camera
+    }
+}
 
 /// Derivatives of a ray by pixels of the level.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -6,9 +6,9 @@
 
 use nalgebra::Vector3;
 
-use super::AlignSurface;
 use super::level_spec::LevelSpec;
 use super::rays::RayTable;
+use super::surface::AlignSurface;
 use super::texture::BLOCK;
 use super::tile_grid::Chosen;
 use crate::geometry::{Body, Camera, Pose};
@@ -207,11 +207,11 @@ fn see(surface: &AlignSurface, motion: &Motion, spec: &LevelSpec, point: [f64; 2
     let scale = spec.frame_px();
     let place = surface.at(point);
     let from = |pose: &Pose<Body, Camera>| {
-        let seen = surface.rectangle.see_place(pose, &spec.rays.camera, &place, LEAST_COSINE)?;
+        let seen = surface.rectangle.see_place(pose, spec.rays.camera(), &place, LEAST_COSINE)?;
         Some((seen.in_smaller(scale), pose.translation))
     };
     let at_rest = from(&motion.pose)?;
-    let tau = spec.shutter.delay_s(spec.frame_y(at_rest.0.pixel.y), spec.rays.camera.height());
+    let tau = spec.shutter.delay_s(spec.frame_y(at_rest.0.pixel.y), spec.rays.camera().height());
     if tau == 0.0 { Some(at_rest) } else { from(&motion.after(tau).pose) }
 }
 

@@ -1,6 +1,6 @@
 //! What aligned frames say of the shutter: clues that are gathered over many frames, never used within one.
 
-use super::system::schur_complement::Clue;
+use super::clue::Clue;
 use crate::motion::MotionError;
 
 /// What a frame says of the shutter it was taken with.

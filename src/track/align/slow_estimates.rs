@@ -3,13 +3,13 @@
 //! A frame is solved with the estimates as they stand, and collects what it would teach them ([`Lessons`]). They learn that only when its
 //! pose is accepted: a frame that shows something else says nothing of the camera or the light.
 
+use super::clue::Clue;
 use super::exposure::{USUAL_EXPOSURE_S, UnknownExposure};
 use super::exposure_watch::ExposureWatch;
 use super::frame_levels::FINEST;
 use super::gradient_gain::{ChangeSums, GradientGain};
 use super::light::RememberedLight;
 use super::noise::{CameraNoise, NoiseSums};
-use super::system::schur_complement::Clue;
 use crate::camera::Shutter;
 use crate::motion::UniformMotion;
 

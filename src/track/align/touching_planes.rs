@@ -6,11 +6,11 @@
 //!
 //! All of it is done in `f32`: of places metres away it keeps half a micrometre, a thousandth of what a pixel covers, and the kernel takes the maps so.
 
-use super::AlignSurface;
 use super::lanes::{LANES, Lanes, dispatch, load_at, resize_with_room, store_at, total};
 use super::level_spec::LevelSpec;
 use super::plane_table::{PlaneTable, TablePoint};
 use super::sight::{Sight, SightPath};
+use super::surface::AlignSurface;
 use crate::motion::Motion;
 
 /// Steps by which a ray's meeting point is found: each squares what is left. Raised, nothing is gained; lowered to 1, steep views of deep folds are off by a part of a millimetre.

@@ -301,7 +301,7 @@ fn turn_by_velocity(rotation: &Matrix3<f64>, point: &Vector3<f64>) -> Option<Mat
 
 /// Focal length, pixels of the level.
 fn focal_px(spec: &LevelSpec) -> f64 {
-    spec.rays.camera.intrinsics().fx / spec.frame_px()
+    spec.rays.camera().intrinsics().fx / spec.frame_px()
 }
 
 /// A level with samples along the blur of this motion, and some where there is none, so that blur can be held against none.

@@ -7,6 +7,7 @@ use tracing::debug;
 
 use super::acquire::Recognition;
 use super::align::{AlignSurface, Aligner, Alignment, CameraRays, FrameLevels, Patch, ReadoutQuestion, ShutterClue, is_sharp};
+use super::expected_candidate::{FIRST_SHIFT, FIRST_TURN};
 use super::fitted_anchor::FittedAnchor;
 use super::focal_clue::{FocalClue, RowDisplacement, focal_clue, is_suspect};
 use super::focal_step::Jump;
@@ -36,10 +37,6 @@ use crate::motion::{MotionError, MotionEstimate, ProcessNoise};
 /// An aligned body is followed over gaps up to this, seconds, and always to the next frame. Chosen: three frames at 30 a second. Raised,
 /// alignment begins from starts beyond its basin, in vain; lowered, a dropped frame costs a search by features.
 const LONGEST_FOLLOWED_GAP_S: f64 = 0.1;
-/// How far off a pose that features found may be, one sigma: of the distance, and radians (three pixels at a focal length of 1000). Chosen,
-/// not tuned. Raised, alignment begins at coarser levels than it needs; lowered, such a pose pulls the aligned one.
-pub const FIRST_SHIFT: f64 = 0.003;
-pub const FIRST_TURN: f64 = 0.003;
 /// Residuals of an alignment that fits, sigmas: those of noise are 1. Chosen, not tuned: of bodies that were seen in part they were 0.9 to 1.2, of those tilted the wrong way 1.9 to 6. Raised, the right
 /// one of two planar poses may not be tried; lowered, the wrong one costs several followed bodies.
 const FITTING_SCALE: f64 = 1.5;

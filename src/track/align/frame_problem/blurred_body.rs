@@ -5,7 +5,7 @@
 use super::super::frame_levels::{FINEST, LEVELS};
 use super::super::level_problem::Expected;
 use super::super::level_spec::LevelSpec;
-use super::super::nearest_centre;
+use super::super::surface::nearest_centre;
 use super::super::velocity_by_blur::{KnownBlur, VelocityByBlur, velocity_by_blur};
 use super::{Buffers, CLOSE_SCALE, FrameProblem, LevelFit, PSF_VARIANCE_SIGMA};
 

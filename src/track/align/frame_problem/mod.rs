@@ -9,6 +9,7 @@ mod still_camera;
 
 use nalgebra::{Vector2, Vector6};
 
+use super::clue::Clue;
 use super::exposure::{KnownPsfVariance, exposure_clue};
 use super::frame_levels::{FINEST, FrameLevels, LEVELS};
 use super::gradient_gain::ChangeSums;
@@ -16,14 +17,16 @@ use super::jump_instant::{Expectation, RowBands};
 use super::level_problem::solution::Conclusion;
 use super::level_problem::{Corrected, Expected, LevelProblem};
 use super::level_spec::LevelSpec;
+use super::level_spec::SHARP_FRAME_PX;
 use super::light::RememberedLight;
+use super::rays::CameraRays;
 use super::selection::Selector;
 use super::shutter_clue::{ReadoutQuestion, ShutterClue};
 use super::slow_estimates::{Lessons, SlowEstimates};
-use super::system::schur_complement::{Clue, SchurComplement};
+use super::surface::{AlignSurface, distance_m};
+use super::system::schur_complement::SchurComplement;
 use super::velocity_jump::{by_bend, by_start, is_unexpected, jumped};
 use super::verdict::{Alignment, squared_mahalanobis};
-use super::{AlignSurface, CameraRays, SHARP_FRAME_PX, distance_m};
 use crate::motion::{Continuation, Motion, MotionEstimate, MotionMatrix, UniformMotion};
 
 /// One sigma about the slow estimate of the point spread's variance in such frames, and in others, where it must not pass for motion; in
@@ -522,7 +525,7 @@ impl<'a> FrameProblem<'a> {
 
     /// How far off the start may be in the frame, two sigmas, pixels.
     fn uncertain_px(&self) -> f64 {
-        let focal = self.rays.camera.intrinsics().fx;
+        let focal = self.rays.camera().intrinsics().fx;
         let c = &self.expected.covariance;
         let sigma = |k: usize| (c[(k, k)] + c[(k + 1, k + 1)] + c[(k + 2, k + 2)]).max(0.0).sqrt();
         2.0 * focal * (sigma(3).min(1.0) + sigma(0) / distance_m(self.surfaces, &self.expected.motion.pose))

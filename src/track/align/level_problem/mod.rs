@@ -13,13 +13,14 @@ use super::appearance::{Appearance, Predicted, predict, predict_by_velocity};
 use super::evidence::RunEvidence;
 use super::frame_levels::{FINEST, FrameLevels};
 use super::gradient_gain::{ChangeSums, PredictedChange};
+use super::level_spec::TileTime;
 use super::level_spec::{LevelSpec, moved};
 use super::light::{RememberedLight, TileLight};
 use super::noise::Noise;
 use super::normal::{Residuals, RobustWeighting, RunView, moments, residuals, squares_after};
 use super::pixels::{Pixels, Run};
 use super::selection::Selector;
-use super::system::{Prior, System, TileTime};
+use super::system::{Prior, System};
 use super::tile_correlation::{TileCorrelation, median};
 use super::tile_equations::{TileEquations, TileStep};
 use super::tile_products::{ProductBuffer, tile_equations};
@@ -367,7 +368,7 @@ impl LevelProblem {
 
     /// Largest movement of a tile's middle between two motions, pixels of the level.
     pub fn moved_px(&self, spec: &LevelSpec, before: &Motion, after: &Motion) -> f64 {
-        let focal = spec.rays.camera.intrinsics().fx / f64::from(1u32 << spec.level);
+        let focal = spec.rays.camera().intrinsics().fx / f64::from(1u32 << spec.level);
         let pixels = self.pixels();
         let mut most = 0.0f64;
         for RunAtWork { run, .. } in &self.runs {

@@ -2,12 +2,12 @@
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
-use super::super::AlignSurface;
-use super::super::SHARP_FRAME_PX;
 use super::super::appearance::predict;
 use super::super::columns::COLUMNS;
 use super::super::evidence::{RunEvidence, evidence};
+use super::super::level_spec::SHARP_FRAME_PX;
 use super::super::normal::RobustWeighting;
+use super::super::surface::AlignSurface;
 use super::solution::LevelSolution;
 use super::{Corrected, LevelProblem, LevelSpec, RunAtWork};
 use crate::motion::Motion;

@@ -159,7 +159,7 @@ impl LevelSolution<'_> {
         for r in runs.iter().filter(|r| r.gate.is_open) {
             let time = picture.time(spec, &r.run);
             let row = picture.pixels.place[1][((r.run.start + r.run.end) / 2) as usize];
-            let share = slow.delay_s(spec.frame_y(row as f64), spec.rays.camera.height());
+            let share = slow.delay_s(spec.frame_y(row as f64), spec.rays.camera().height());
             let velocity = motion.velocity + motion.acceleration * time.delay_s;
             let turn_rate = motion.turn_rate + motion.turn_acceleration * time.delay_s;
             // Later rows of the tile are delayed the more, by the share of a readout that lies between them.

@@ -8,6 +8,7 @@ use nalgebra::SVector;
 
 use self::banded_cholesky::{Band, back_substitute, factor};
 use super::columns::{BIAS, COLUMNS, GAINS, LIGHT, POSE, POSE_ENTRIES, PSF_VARIANCE, entry};
+use super::level_spec::{POWERS, TileTime};
 use super::light::Light;
 use super::rows::RowSums;
 use super::tile_equations::{TileEquations, TileScore, TileStep};
@@ -31,27 +32,6 @@ const ROUGHNESS: f64 = 0.15;
 /// nearly one grey trade bias for gain; lowered, haze pulls the gain.
 const BIAS_SIGMA: f64 = 60.0;
 
-/// Times of a tile: what a change of motion means for its pose.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TileTime {
-    /// Seconds from the stamp.
-    pub delay_s: f64,
-    /// Mean square of the times at which the tile's pixels were open, s².
-    pub mean_square_s2: f64,
-}
-
-impl TileTime {
-    /// What the powers of a motion (position, velocity, acceleration) do to the pose at the middle of the tile.
-    fn factors(&self) -> [f64; POWERS] {
-        [1.0, self.delay_s, 0.5 * self.mean_square_s2]
-    }
-
-    /// And to how it grows from row to row, per second.
-    fn rates(&self) -> [f64; POWERS] {
-        [0.0, 1.0, self.delay_s]
-    }
-}
-
 /// What is known beforehand.
 pub struct Prior<'a> {
     /// Information of the motion.
@@ -63,9 +43,6 @@ pub struct Prior<'a> {
     /// See `psf_variance`.
     pub psf_variance_sigma: f64,
 }
-
-/// Powers of time that a motion acts by: position, velocity, acceleration.
-const POWERS: usize = 3;
 
 /// What the tiles say of the pose at their own time, by powers of time.
 #[derive(Debug)]

@@ -4,18 +4,11 @@
 //! information, and the pull of the residuals that the step left. Quantities that no single frame may change, as the
 //! time in which a sensor is read, are learnt from these over many frames.
 
+use super::super::clue::Clue;
+use super::super::level_spec::TileTime;
 use super::super::tile_equations::{TileEquations, TileStep};
-use super::{SHARED, System, TileTime};
+use super::{SHARED, System};
 use crate::motion::MotionError;
-
-/// What one frame says of an unknown that it did not solve for.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Clue {
-    /// Information times the change that the residuals ask for.
-    pub score: f64,
-    /// Inverse variance of that change, all other unknowns being free.
-    pub information: f64,
-}
 
 /// Sums over tiles for the unknown; keeps its buffers.
 #[derive(Debug, Default)]
