@@ -8,22 +8,22 @@
 use image::GrayImage;
 use tracing::{debug, debug_span};
 
-use super::acquire::{
+use super::acquire::candidate::{
     Candidate, FEW_INLIERS, SurfaceMatch, SurfaceView, add_candidates_of_few, agreeing_matches, candidates, surface_view,
 };
+use super::acquire::expected_candidate::{FIRST_SHIFT, FIRST_TURN};
+use super::acquire::expected_candidate::{expected_candidate, prefer_expected_tilt, put_first};
+use super::acquire::feature_search::{FeatureSearch, Look};
+use super::acquire::unexplained::Unexplained;
 use super::align::{CameraRays, FrameLevels};
-use super::expected_candidate::{FIRST_SHIFT, FIRST_TURN};
-use super::expected_candidate::{expected_candidate, prefer_expected_tilt, put_first};
-use super::feature_search::{FeatureSearch, Look};
-use super::frame_look::FrameLook;
-use super::misfit::ModelNews;
-use super::reason::Reason;
-use super::registration::SearchPicture;
-use super::row_motion::RowMotion;
+use super::body::reason::Reason;
+use super::body::tracked_body::{TrackedBody, is_near};
+use super::frame::frame_look::FrameLook;
+use super::model_error::misfit::ModelNews;
+use super::patches::registration::SearchPicture;
+use super::patches::row_motion::RowMotion;
+use super::patches::verify::{Verified, VerifyBuffers, View, verify};
 use super::settings::TrackerSettings;
-use super::tracked_body::{TrackedBody, is_near};
-use super::unexplained::Unexplained;
-use super::verify::{Verified, VerifyBuffers, View, verify};
 use crate::camera::{CameraModel, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::features::Workers;

@@ -4,11 +4,11 @@
 //! whether any pose explains them; verification knows what its anchors lacked; the track state knows which poses disagree; and
 //! the frame itself is dark, blank or blurred (`frame_look`).
 
-use super::acquire::Recognition;
-use super::frame_look::FrameLook;
-use super::reason::Reason;
-use super::track_state::Doubt;
-use super::verify::Refusal;
+use super::acquire::candidate::Recognition;
+use super::body::reason::Reason;
+use super::body::track_state::Doubt;
+use super::frame::frame_look::FrameLook;
+use super::patches::verify::Refusal;
 
 /// Matches that agree on one homography from here on are no chance. Chance agrees on 8 now and then where a frame is full of detail.
 /// Raised, a picture that is hardly seen counts as not recognised. Only the reason that is given depends on it.

@@ -3,9 +3,9 @@
 use image::{GrayImage, Luma};
 use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 
-use super::fitted_anchor::FittedAnchor;
-use super::reference::PreparedBody;
-use super::surface::{BodySpec, SurfaceSpec};
+use super::patches::fitted_anchor::FittedAnchor;
+use super::scene::reference::PreparedBody;
+use super::scene::surface::{BodySpec, SurfaceSpec};
 use crate::camera::{CameraModel, Intrinsics, Normalized, Pixel, Shutter};
 use crate::geometry::resection::Observation;
 use crate::geometry::{Body, Camera, Pose};

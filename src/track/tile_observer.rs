@@ -7,10 +7,10 @@ use image::GrayImage;
 use nalgebra::{Matrix2, Vector2, Vector3};
 
 use super::align::{Aligner, CameraRays, FrameLevels, Patch};
-use super::rectangle::Rectangle;
-use super::reference::PreparedBody;
-use super::registration::{Registered, SearchPicture, Target, register, visible_targets};
-use super::surface::{BodySpec, SurfaceSpec};
+use super::patches::registration::{Registered, SearchPicture, Target, register, visible_targets};
+use super::scene::rectangle::Rectangle;
+use super::scene::reference::PreparedBody;
+use super::scene::surface::{BodySpec, SurfaceSpec};
 use crate::camera::{CameraModel, Shutter};
 use crate::features::Workers;
 use crate::geometry::resection::{MovingCamera, Observation, resect, residual_and_jacobian};

@@ -3,10 +3,10 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use super::fitted_anchor::FittedAnchor;
-use super::reference::PreparedBody;
-use super::surface::ReferenceKind;
-use super::verify::Verified;
+use super::patches::fitted_anchor::FittedAnchor;
+use super::patches::verify::Verified;
+use super::scene::reference::PreparedBody;
+use super::scene::surface::ReferenceKind;
 use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::geometry::distances::squared_sampson;
 use crate::geometry::essential::essential_candidates;

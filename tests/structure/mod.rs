@@ -79,6 +79,47 @@ fn every_room_uses_only_rooms_above_it() {
     assert!(back.is_empty(), "arrows back: {back:?}");
 }
 
+/// The rooms of `track` from the top, and the files that run them; each uses only those above it.
+const TRACK: [&str; 14] = [
+    "scene",
+    "frame",
+    "patches",
+    "align",
+    "model_error",
+    "acquire",
+    "body",
+    // The order of a frame.
+    "settings",
+    "failure",
+    "two_view",
+    "tile_observer",
+    "body_search",
+    "matcher",
+    "synthetic",
+];
+/// The rooms of `track::align`, likewise.
+const ALIGN: [&str; 10] = ["lanes", "picture", "learned", "pixels", "kernel", "solve", "hypotheses", "kernels", "frame_problem", "aligner"];
+
+/// Holds the modules directly inside `parent` to an order.
+fn assert_order(parent: &[&str], order: &[&str]) {
+    let modules = read();
+    let depth = parent.len();
+    let below = |name: &Name| (name.len() > depth && name.iter().zip(parent).all(|(a, b)| a == b)).then(|| name[depth].clone());
+    let place = |room: &String| order.iter().position(|r| r == room).unwrap_or_else(|| panic!("`{room}` has no place in {parent:?}"));
+    let uses = modules.uses();
+    let arrows: BTreeSet<(String, String)> =
+        uses.iter().filter_map(|(user, used)| Some((below(user)?, below(used)?))).filter(|(user, used)| user != used).collect();
+    assert!(arrows.len() > order.len(), "the reader sees only {} arrows in {parent:?}", arrows.len());
+    let back: Vec<_> = arrows.iter().filter(|(user, used)| place(used) >= place(user)).collect();
+    assert!(back.is_empty(), "arrows back in {parent:?}: {back:?}");
+}
+
+#[test]
+fn every_room_of_track_uses_only_rooms_above_it() {
+    assert_order(&["track"], &TRACK);
+    assert_order(&["track", "align"], &ALIGN);
+}
+
 #[test]
 fn only_the_codecs_the_two_views_and_the_diagnostics_are_public_modules() {
     let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/lib.rs")).expect("lib.rs is there");

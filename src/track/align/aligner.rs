@@ -5,22 +5,22 @@
 //! solved for together (`system`), coarse to fine (`frame_problem`), and the tiles say how well the solution agrees (`verdict`). Who
 //! accepts the pose says so with [`Solution::accept`], and only then the slow estimates learn.
 
-use super::frame_levels::{FINEST, FrameLevels};
 use super::frame_problem::{Buffers, FrameProblem};
-use super::level_problem::patches::Patch;
-use super::level_problem::solution::UsedPixel;
-use super::level_spec::LevelSpec;
-use super::rays::CameraRays;
-use super::shutter_clue::{ReadoutQuestion, ShutterClue};
-use super::slow_estimates::{Lessons, SlowEstimates};
-use super::surface::{AlignSurface, distance_m};
-use super::tile_grid::MOST_TILES;
-use super::verdict::Alignment;
+use super::learned::slow_estimates::{Lessons, SlowEstimates};
+use super::picture::surface::{AlignSurface, distance_m};
+use super::pixels::level_spec::LevelSpec;
+use super::solve::level_problem::patches::Patch;
+use super::solve::level_problem::solution::UsedPixel;
+use super::solve::shutter_clue::{ReadoutQuestion, ShutterClue};
+use super::solve::verdict::Alignment;
 use crate::camera::Shutter;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::{Motion, MotionError, MotionEstimate};
-use crate::track::reference::PreparedBody;
-use crate::track::surface::SurfaceSpec;
+use crate::track::frame::frame_levels::{FINEST, FrameLevels};
+use crate::track::frame::rays::CameraRays;
+use crate::track::frame::tile_grid::MOST_TILES;
+use crate::track::scene::reference::PreparedBody;
+use crate::track::scene::surface::SurfaceSpec;
 
 /// Aligns one body. Its state is in three places.
 #[derive(Debug)]

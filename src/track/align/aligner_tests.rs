@@ -2,12 +2,12 @@ use image::GrayImage;
 use nalgebra::{Vector3, Vector6};
 
 use super::super::CameraRays;
-use super::super::frame_levels::FrameLevels;
-use super::super::slow_estimates::{FIRST_TRIAL, TRIAL_FRAMES};
+use super::super::learned::slow_estimates::{FIRST_TRIAL, TRIAL_FRAMES};
 use super::*;
 use crate::geometry::resection::perturbed;
 use crate::motion::{Motion, MotionEstimate, ProcessNoise};
-use crate::track::shape::tests::folds;
+use crate::track::frame::frame_levels::FrameLevels;
+use crate::track::scene::shape::tests::folds;
 use crate::track::synthetic::{cloth, facing, lens, prepared, texture, view};
 
 fn truth() -> Pose<Camera, Body> {

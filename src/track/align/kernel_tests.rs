@@ -2,27 +2,27 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::appearance::{Appearance, Predicted, predict, predict_by_velocity, predict_by_velocity_lanes, predict_lanes};
-use super::columns::{BIAS, COLUMNS, GAINS, POSE, PSF_VARIANCE, entry};
-use super::evidence::{RunEvidence, evidence, evidence_lanes};
-use super::frame_levels::FrameLevels;
+use super::kernel::columns::{BIAS, COLUMNS, GAINS, POSE, PSF_VARIANCE, entry};
+use super::kernel::evidence::{RunEvidence, evidence, evidence_lanes};
+use super::kernel::noise_sums::{noise_sums, noise_sums_lanes};
+use super::kernel::normal::{Residuals, RobustWeighting, RunView, columns, less_step, moments, residuals, weight};
+use super::kernel::tile_equations::TileEquations;
+use super::kernel::tile_products::{ProductBuffer, tile_equations, tile_equations_lanes};
 use super::lanes::{LANES, Lanes, Plain, load_at};
-use super::level_spec::LevelSpec;
-use super::light::{RememberedLight, TileLight};
-use super::noise::Noise;
-use super::noise_sums::{noise_sums, noise_sums_lanes};
-use super::normal::{Residuals, RobustWeighting, RunView, columns, less_step, moments, residuals, weight};
-use super::pixels::{Pixels, Run};
-use super::rays::CameraRays;
-use super::selection::Selector;
-use super::slow_estimates::SlowEstimates;
-use super::surface::AlignSurface;
-use super::tile_equations::TileEquations;
-use super::tile_products::{ProductBuffer, tile_equations, tile_equations_lanes};
+use super::learned::light::{RememberedLight, TileLight};
+use super::learned::noise::Noise;
+use super::learned::slow_estimates::SlowEstimates;
+use super::picture::surface::AlignSurface;
+use super::pixels::appearance::{Appearance, Predicted, predict, predict_by_velocity, predict_by_velocity_lanes, predict_lanes};
+use super::pixels::level_spec::LevelSpec;
+use super::pixels::runs::{Pixels, Run};
+use super::pixels::selection::Selector;
 use crate::camera::Shutter;
 use crate::motion::{Motion, MotionError};
-use crate::track::shape::tests::folds;
-use crate::track::surface::SurfaceSpec;
+use crate::track::frame::frame_levels::FrameLevels;
+use crate::track::frame::rays::CameraRays;
+use crate::track::scene::shape::tests::folds;
+use crate::track::scene::surface::SurfaceSpec;
 use crate::track::synthetic::{cloth, facing, lens, view};
 
 struct Scene {

@@ -2,24 +2,24 @@
 
 use image::GrayImage;
 
-use super::appearance::{Appearance, Predicted, predict};
-use super::columns::COLUMNS;
-use super::evidence::evidence;
-use super::frame_levels::{FINEST, FrameLevels};
-use super::level_spec::LevelSpec;
-use super::light::RememberedLight;
-use super::noise_sums::noise_sums;
-use super::normal::{Residuals, RobustWeighting, RunView, residuals};
-use super::pixels::{Pixels, Run};
-use super::rays::CameraRays;
-use super::selection::Selector;
-use super::slow_estimates::SlowEstimates;
-use super::surface::AlignSurface;
-use super::tile_products::{ProductBuffer, tile_equations};
+use super::kernel::columns::COLUMNS;
+use super::kernel::evidence::evidence;
+use super::kernel::noise_sums::noise_sums;
+use super::kernel::normal::{Residuals, RobustWeighting, RunView, residuals};
+use super::kernel::tile_products::{ProductBuffer, tile_equations};
+use super::learned::light::RememberedLight;
+use super::learned::slow_estimates::SlowEstimates;
+use super::picture::surface::AlignSurface;
+use super::pixels::appearance::{Appearance, Predicted, predict};
+use super::pixels::level_spec::LevelSpec;
+use super::pixels::runs::{Pixels, Run};
+use super::pixels::selection::Selector;
 use crate::camera::{CameraModel, Shutter};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
-use crate::track::surface::SurfaceSpec;
+use crate::track::frame::frame_levels::{FINEST, FrameLevels};
+use crate::track::frame::rays::CameraRays;
+use crate::track::scene::surface::SurfaceSpec;
 
 /// Exposure of a frame with blur, seconds; the benches' alone. What a prediction costs depends on its number of places, not on this.
 const EXPOSURE_S: f64 = 0.01;

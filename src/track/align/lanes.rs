@@ -404,4 +404,4 @@ macro_rules! dispatch {
         }
     };
 }
-pub(super) use dispatch;
+pub(in crate::track::align) use dispatch;

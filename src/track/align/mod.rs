@@ -1,78 +1,50 @@
-//! Alignment: the pose that makes the reference, as the camera should see it, agree with the frame pixel by pixel.
+//! Alignment: the pose at which the reference pictures, as the camera should see them, agree with the
+//! frame pixel by pixel.
 //!
-//! From where the motion filter expects the camera, pixels are chosen where the reference is steep (`selection`), their
-//! grey is predicted with its derivatives (`appearance`), and pose, motion, light and point spread are solved for
-//! together (`normal`, `system`), from small copies of the frame to its half size. Every frame is compared with the
-//! reference; earlier frames only give the start and the motion.
+//! Pixels are chosen where the reference is steep. Their grey is predicted with its derivatives, and
+//! pose, motion, light and point spread are solved for together, from small copies of the frame up
+//! to its half size. Each frame is compared with the reference; earlier frames only give the start
+//! and the predicted motion.
 //!
-//! Source: direct alignment in the manner of Lucas and Kanade (1981) and Baker and Matthews (2004), iteratively
-//! reweighted; the joint state follows the continuous-time rolling-shutter literature (Hedborg et al. 2012).
+//! Each room uses only the rooms above it:
+//!
+//! - `picture`: the reference picture as alignment reads it
+//! - `learned`: light, noise and exposure, learnt over many frames
+//! - `pixels`: which pixels are compared, and what they should show
+//! - `kernel`: the inner loops: residuals and their products, per tile
+//! - `solve`: one level: all tiles together
+//! - `hypotheses`: motions that the prediction does not contain
+//!
+//! `frame_problem` takes one frame through all of it, `aligner` is what the rest of `track` uses,
+//! `lanes` has the vector registers of the inner loops, and `kernels` opens these to benches.
+//!
+//! Source: direct alignment in the manner of Lucas and Kanade (1981) and Baker and Matthews (2004),
+//! iteratively reweighted; the joint state follows the continuous-time rolling-shutter literature
+//! (Hedborg et al. 2012).
 
 mod aligner;
-mod aperture;
-// Index loops: what closures do would not be compiled for the wider registers of the function around them.
-#[allow(clippy::needless_range_loop)]
-mod appearance;
-mod clue;
-#[allow(clippy::needless_range_loop)]
-mod columns;
-mod enlarge;
-#[allow(clippy::needless_range_loop)]
-mod evidence;
-mod exposure;
-mod exposure_watch;
-mod frame_levels;
 mod frame_problem;
-#[allow(clippy::needless_range_loop)]
-mod gradient_gain;
-mod jump_instant;
+mod hypotheses;
+mod kernel;
 mod kernels;
 mod lanes;
-mod level_problem;
-mod level_spec;
-mod light;
-mod noise;
-#[allow(clippy::needless_range_loop)]
-mod noise_sums;
-#[allow(clippy::needless_range_loop)]
-mod normal;
+mod learned;
+mod picture;
 mod pixels;
-#[allow(clippy::needless_range_loop)]
-mod plane_table;
-mod rays;
-mod rows;
-mod selection;
-mod shutter_clue;
-#[allow(clippy::needless_range_loop)]
-mod sight;
-mod slow_estimates;
-mod surface;
-#[allow(clippy::needless_range_loop)]
-mod system;
-mod texture;
-mod tile_correlation;
-mod tile_equations;
-mod tile_grid;
-#[allow(clippy::needless_range_loop)]
-mod tile_products;
-#[allow(clippy::needless_range_loop)]
-mod touching_planes;
-mod velocity_by_blur;
-mod velocity_jump;
-mod verdict;
+mod solve;
 
+pub use crate::track::frame::frame_levels::{FrameLevels, LEVELS};
+pub use crate::track::frame::rays::CameraRays;
 pub use aligner::Aligner;
-pub use clue::Clue;
-pub use frame_levels::{FrameLevels, LEVELS};
 pub use kernels::AlignKernels;
-pub use level_problem::patches::Patch;
-pub use level_problem::solution::UsedPixel;
-pub use rays::CameraRays;
+pub use learned::clue::Clue;
+pub use picture::surface::AlignSurface;
+pub use solve::level_problem::patches::Patch;
+pub use solve::level_problem::solution::UsedPixel;
 #[cfg(test)]
-pub use shutter_clue::ReadoutClue;
-pub use shutter_clue::{ReadoutQuestion, ShutterClue};
-pub use surface::AlignSurface;
-pub use verdict::{Alignment, is_sharp};
+pub use solve::shutter_clue::ReadoutClue;
+pub use solve::shutter_clue::{ReadoutQuestion, ShutterClue};
+pub use solve::verdict::{Alignment, is_sharp};
 
 #[cfg(test)]
 mod kernel_tests;

@@ -2,12 +2,12 @@
 //!
 //! One frame does not show how a body moves, but how it is smeared. Not every body is asked; where the blur shows a velocity, the finest level is solved once more with it.
 
-use super::super::frame_levels::{FINEST, LEVELS};
-use super::super::level_problem::Expected;
-use super::super::level_spec::LevelSpec;
-use super::super::surface::nearest_centre;
-use super::super::velocity_by_blur::{KnownBlur, VelocityByBlur, velocity_by_blur};
+use super::super::hypotheses::velocity_by_blur::{KnownBlur, VelocityByBlur, velocity_by_blur};
+use super::super::picture::surface::nearest_centre;
+use super::super::pixels::level_spec::LevelSpec;
+use super::super::solve::level_problem::Expected;
 use super::{Buffers, CLOSE_SCALE, FrameProblem, LevelFit, PSF_VARIANCE_SIGMA};
+use crate::track::frame::frame_levels::{FINEST, LEVELS};
 
 /// Pixels that are asked for their blur. Chosen: of a body that is just found, an alignment asks six times as many. Raised, the frame that finds it takes
 /// longer; lowered, the velocity is less sure.

@@ -3,10 +3,10 @@
 //! A level reaches a start that is a few of its pixels off, and costs four times as much as the one above it. So the way begins at the level that usually does. Where what it finds is
 //! not clearly right, another way begins further up. If it comes to where the first one was, it would end there, too, and is left: behind a person a body fits badly wherever the way begins.
 
-use super::super::frame_levels::FINEST;
-use super::super::level_problem::Corrected;
+use super::super::solve::level_problem::Corrected;
 use super::{CLOSE_SCALE, CLOSE_SHARE, FrameProblem, HOPELESS_SCALE, LevelFit, level_for};
 use crate::motion::Motion;
+use crate::track::frame::frame_levels::FINEST;
 
 /// Search radius = `START_ERRORS` x the decaying maximum of the start error, px. Raised, levels are solved that the start does not need; lowered,
 /// more frames are solved twice.
@@ -121,14 +121,14 @@ mod tests {
     use image::GrayImage;
     use nalgebra::{Vector3, Vector6};
 
-    use super::super::super::frame_levels::FrameLevels;
-    use super::super::super::slow_estimates::SlowEstimates;
+    use super::super::super::learned::slow_estimates::SlowEstimates;
     use super::super::super::{AlignSurface, CameraRays};
     use super::super::{Buffers, FINE_STEP_PX, LARGEST_LAST_STEP_PX};
     use super::*;
     use crate::camera::Shutter;
     use crate::geometry::resection::perturbed;
     use crate::motion::{Motion, MotionEstimate};
+    use crate::track::frame::frame_levels::FrameLevels;
     use crate::track::synthetic::{cloth, facing, lens, moving_view, view};
 
     /// The cloth where the columns are open and another one beside, from a start that is so far off, metres to the side.

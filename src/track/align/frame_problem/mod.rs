@@ -9,25 +9,25 @@ mod still_camera;
 
 use nalgebra::{Vector2, Vector6};
 
-use super::clue::Clue;
-use super::exposure::{KnownPsfVariance, exposure_clue};
-use super::frame_levels::{FINEST, FrameLevels, LEVELS};
-use super::gradient_gain::ChangeSums;
-use super::jump_instant::{Expectation, RowBands};
-use super::level_problem::solution::Conclusion;
-use super::level_problem::{Corrected, Expected, LevelProblem};
-use super::level_spec::LevelSpec;
-use super::level_spec::SHARP_FRAME_PX;
-use super::light::RememberedLight;
-use super::rays::CameraRays;
-use super::selection::Selector;
-use super::shutter_clue::{ReadoutQuestion, ShutterClue};
-use super::slow_estimates::{Lessons, SlowEstimates};
-use super::surface::{AlignSurface, distance_m};
-use super::system::schur_complement::SchurComplement;
-use super::velocity_jump::{by_bend, by_start, is_unexpected, jumped};
-use super::verdict::{Alignment, squared_mahalanobis};
+use super::hypotheses::velocity_jump::{by_bend, by_start, is_unexpected, jumped};
+use super::learned::clue::Clue;
+use super::learned::exposure::{KnownPsfVariance, exposure_clue};
+use super::learned::gradient_gain::ChangeSums;
+use super::learned::light::RememberedLight;
+use super::learned::slow_estimates::{Lessons, SlowEstimates};
+use super::picture::surface::{AlignSurface, distance_m};
+use super::pixels::level_spec::LevelSpec;
+use super::pixels::level_spec::SHARP_FRAME_PX;
+use super::pixels::selection::Selector;
+use super::solve::jump_instant::{Expectation, RowBands};
+use super::solve::level_problem::solution::Conclusion;
+use super::solve::level_problem::{Corrected, Expected, LevelProblem};
+use super::solve::shutter_clue::{ReadoutQuestion, ShutterClue};
+use super::solve::system::schur_complement::SchurComplement;
+use super::solve::verdict::{Alignment, squared_mahalanobis};
 use crate::motion::{Continuation, Motion, MotionEstimate, MotionMatrix, UniformMotion};
+use crate::track::frame::frame_levels::{FINEST, FrameLevels, LEVELS};
+use crate::track::frame::rays::CameraRays;
 
 /// One sigma about the slow estimate of the point spread's variance in such frames, and in others, where it must not pass for motion; in
 /// the kernel's unit. The first is 0.04 pixels²: sharp clips had -0.03 to -0.01 in a prototype. Raised, the second lets motion pass for

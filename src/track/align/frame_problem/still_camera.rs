@@ -2,10 +2,10 @@
 //!
 //! Laying them out takes several frames' time, so a camera must have stood for some frames first. Each frame is still solved by itself; only what it shows is renewed.
 
-use super::super::frame_levels::{FINEST, LEVELS};
-use super::super::level_problem::Corrected;
-use super::super::level_spec::LevelSpec;
+use super::super::pixels::level_spec::LevelSpec;
+use super::super::solve::level_problem::Corrected;
 use super::{FrameProblem, level_for};
+use crate::track::frame::frame_levels::{FINEST, LEVELS};
 
 /// Pixels asked while nothing moves: their prediction is kept from frame to frame. More than the steep pixels of d-still (105,000); with
 /// 62,000 its scatter was 0.0134 mm instead of 0.0119. Raised, only the frames of larger cameras cost more.

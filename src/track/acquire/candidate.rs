@@ -1,0 +1,377 @@
+//! Acquisition: from descriptor matches of one frame, without any earlier knowledge, to candidate poses of a
+//! body.
+//!
+//! Every surface's matches vote for a homography; each homography allows two planar poses; each of those is
+//! refined over the matches of all surfaces of the body, with distortion. Both survive until the picture
+//! decides.
+
+use nalgebra::{Matrix2, Vector2};
+
+use crate::camera::{CameraModel, Pixel};
+use crate::features::Feature;
+use crate::geometry::covariance::covariance_of_inverse;
+use crate::geometry::local_affinities::{LocalAffinity, most_agreeing, robust_affine};
+use crate::geometry::planar_pose::planar_poses;
+use crate::geometry::ransac::Order;
+use crate::geometry::resection::{MovingCamera, Observation, Resection, resect, squared_residual};
+use crate::geometry::robust::RobustOptions;
+use crate::geometry::robust_homography::robust_homography;
+use crate::geometry::{Body, Camera, Homography, PointPair, Pose};
+use crate::matching::{Match, ReferenceFeature};
+use crate::track::scene::reference::PreparedBody;
+
+/// A feature of the frame that was matched with a place on a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SurfaceMatch {
+    /// Surface index in its body.
+    pub surface: u32,
+    /// On the artwork, pixels.
+    pub artwork: Vector2<f64>,
+    /// In the frame, raw pixels.
+    pub pixel: Vector2<f64>,
+    /// In the frame, undistorted pixels of the same K.
+    pub undistorted: Vector2<f64>,
+    /// Frame pixels per pixel of the level it was found on.
+    pub scale: f64,
+    /// How the surface is seen there: derivative of the frame's pixels by the artwork's.
+    pub derivative: Matrix2<f64>,
+}
+
+/// A pose that the matches speak for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Candidate {
+    /// `T_camera_body`.
+    pub pose: Pose<Camera, Body>,
+    /// Matches within reach of it.
+    pub inliers: usize,
+    /// Robust cost over all matches; lower is better.
+    pub cost: f64,
+    /// How far off the matches' noise leaves `T_body_camera`, one sigma: metres and radians, over all axes.
+    pub off: [f64; 2],
+}
+
+/// What the matches of a frame say of a body before any lens or size is asked.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Recognition {
+    /// Matches that agree on one homography of a surface: the most over the surfaces.
+    pub agreeing: usize,
+    /// What the best pose leaves of the agreeing matches of all surfaces over what their homographies leave: mean cut squares, in sigmas. About 0
+    /// where lens, sizes and places are right, however noisy the matches; `None` without a pose.
+    pub misfit: Option<f64>,
+    /// Root of the area that the surface with the most matches takes of the frame, pixels; `None` beyond its horizon.
+    pub outline_px: Option<f64>,
+    /// The matches that agree on the homography of their surface.
+    pub matches: Vec<AgreeingMatch>,
+}
+
+/// A match that agrees on the homography of its surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AgreeingMatch {
+    /// Surface index in its body.
+    pub surface: u32,
+    /// On the surface's picture, metres from its centre.
+    pub on_picture_m: Vector2<f64>,
+    /// What the configured body makes of it.
+    pub observation: Observation,
+    /// Cut square that the homography leaves, in sigmas.
+    pub floor: f64,
+}
+
+/// Fewest inliers of a homography that is worth a look: twice the four that define it. Chance agrees on as many now and then, and
+/// verification refuses it. Raised, small or dim pictures are not found; lowered, frames without the stage cost more.
+const LEAST_INLIERS: usize = 8;
+/// Fewest places that agree on an affine map that is worth a look: two more than define one. Raised, weak pictures are not found; lowered, frames without them cost more.
+const LEAST_AFFINE_INLIERS: usize = 5;
+/// Matches that speak for a pose without doubt: then affine maps are not asked. Chosen, not tuned. Raised, bodies that are seen well cost more; lowered, a homography through wrong matches is the
+/// only one tried.
+pub const FEW_INLIERS: usize = 20;
+/// Candidates at most: both planar poses of a homography, and of an affine map. Raised, wrong ones cost more.
+const MOST_CANDIDATES: usize = 4;
+/// Where the affine map of a surface is looked at to tell its planar poses, pixels of a match's level from it. The map is the same everywhere; as near as this, a plane has no perspective.
+const AFFINE_REACH_PX: f64 = 10.0;
+/// Noise of a feature's position, pixels of the level it was found on, one sigma. A round figure. Raised, wrong matches come within reach
+/// of a pose; lowered, right ones of a start that is a little off do not.
+pub const FEATURE_NOISE_PX: f64 = 1.0;
+/// How near a match must be to enter the refinement of a pose, sigmas: first by the start, then by the refined pose. Without, no candidate
+/// survived 160 wrong matches beside 80 right ones. Raised, wrong matches pull the pose; lowered, right ones of other surfaces are left
+/// out.
+const REFINED_WITHIN: [f64; 2] = [20.0, 8.0];
+/// Steps of either refinement at most: after five the best candidate is less than a hundredth of its noise off where it would come to rest, though another one may still creep; alignment goes on
+/// from there. Raised, candidates cost more: with 15 up to a quarter more.
+const REFINING_STEPS: usize = 5;
+/// The other planar pose is left out where the first one explains this many matches, and fewer than this share of them are within reach of the other. Few matches hardly tell the
+/// two apart before both are refined: with no least number, a small prop was found a frame later. `LEAST_EXPLAINED` raised, the right one of two may be left out; lowered, poses that the picture
+/// cannot show cost as much as the first.
+const TELLING_MATCHES: usize = 60;
+const LEAST_EXPLAINED: f64 = 0.5;
+/// A squared residual in sigmas counts as this at most: four sigmas, within which a match is an inlier. Raised, wrong matches decide
+/// between candidates.
+const LARGEST_SQUARED: f64 = 16.0;
+/// Samples of the robust homography at most: enough to find one among 72 % of wrong matches, to 99.99 %. Raised, frames without the stage
+/// cost more.
+const SAMPLES: usize = 1500;
+
+/// Sorts matches to the surfaces of a body; `surfaces` is the range of index surfaces that the body owns. The order (best
+/// first) stays.
+pub fn surface_matches(
+    matches: &[Match],
+    frame: &[Feature],
+    reference: &[ReferenceFeature],
+    surfaces: std::ops::Range<u32>,
+    camera: &CameraModel,
+) -> Vec<SurfaceMatch> {
+    let of_body = |m: &Match| {
+        let r = &reference[m.reference as usize];
+        if !surfaces.contains(&r.surface) {
+            return None;
+        }
+        let f = &frame[m.frame as usize];
+        let normalized = camera.unproject(Pixel(f.position))?;
+        Some(SurfaceMatch {
+            surface: r.surface - surfaces.start,
+            artwork: r.position,
+            pixel: f.position,
+            undistorted: camera.undistorted_pixel(normalized),
+            scale: f.scale,
+            derivative: f.shape() * r.shape.try_inverse()?,
+        })
+    };
+    matches.iter().filter_map(of_body).collect()
+}
+
+/// Candidate poses of a body, best first, at most four; and what was recognised of it. `sampled`: those of the matches that homographies are sought among.
+pub fn candidates(
+    body: &PreparedBody,
+    matches: &[SurfaceMatch],
+    sampled: &[SurfaceMatch],
+    camera: &CameraModel,
+    seed: u64,
+) -> (Vec<Candidate>, Recognition) {
+    let mut seen = Recognition::default();
+    let observations: Vec<Observation> = matches.iter().map(|m| observation(body, m)).collect();
+    let still = MovingCamera::still(camera);
+    let mut found: Vec<Candidate> = Vec::new();
+    let mut poses: Vec<Pose<Camera, Body>> = Vec::new();
+    for surface in 0..body.surfaces.len() as u32 {
+        let Some(view) = surface_view(surface, sampled, camera, seed) else { continue };
+        seen.matches.extend(view.observed(body));
+        // Matches that the poses of this surface explain, at most.
+        let mut explained = 0;
+        for start in surface_poses(body, &view, camera, &mut seen) {
+            // Seen from nearby or far aside, a plane that is tilted the other way explains little.
+            let near = || within_reach(&start, &still, &observations, REFINED_WITHIN[1]).count() as f64;
+            if explained >= TELLING_MATCHES && near() < LEAST_EXPLAINED * explained as f64 {
+                continue;
+            }
+            let Some(candidate) = refined_candidate(&start, &still, &observations) else { continue };
+            poses.push(candidate.pose);
+            explained = explained.max(candidate.inliers);
+            if candidate.inliers >= LEAST_INLIERS {
+                add_new(&mut found, candidate);
+            }
+        }
+    }
+    keep_best(&mut found);
+    seen.misfit = misfit(&poses, &still, &seen.matches);
+    (found, seen)
+}
+
+/// Adds the poses that a handful of matches speak for, where those that were found have little support. Of small, blurred and weak pictures so few matches are right that no sample of four is; but each
+/// match by itself tells how its surface is seen.
+pub fn add_candidates_of_few(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, found: &mut Vec<Candidate>) {
+    if found.iter().any(|candidate| candidate.inliers >= FEW_INLIERS) {
+        return;
+    }
+    let observations: Vec<Observation> = matches.iter().map(|m| observation(body, m)).collect();
+    let still = MovingCamera::still(camera);
+    for surface in 0..body.surfaces.len() as u32 {
+        let starts = affine_poses(body, surface, matches, camera);
+        let refined = starts.iter().filter_map(|start| refined_candidate(start, &still, &observations));
+        refined.filter(|candidate| candidate.inliers >= LEAST_AFFINE_INLIERS).for_each(|candidate| add_new(found, candidate));
+    }
+    keep_best(found);
+}
+
+/// Those with the least cost, best first.
+fn keep_best(found: &mut Vec<Candidate>) {
+    found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    found.truncate(MOST_CANDIDATES);
+}
+
+/// Adds a candidate that is not there yet.
+fn add_new(found: &mut Vec<Candidate>, candidate: Candidate) {
+    if !found.iter().any(|c| nearly_same(&c.pose, &candidate.pose)) {
+        found.push(candidate);
+    }
+}
+
+/// The start refined, and what speaks for it.
+fn refined_candidate(start: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, observations: &[Observation]) -> Option<Candidate> {
+    let found = refined(start, camera, observations)?;
+    let inliers = within_reach(&found.pose, camera, observations, LARGEST_SQUARED.sqrt()).count();
+    Some(Candidate { pose: found.pose, inliers, cost: truncated_cost(&found.pose, camera, observations), off: off(&found) })
+}
+
+/// The start refined over the matches near it. Most matches may be wrong, and resection bears only a minority of them.
+fn refined(start: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, observations: &[Observation]) -> Option<Resection> {
+    let near = |pose: &Pose<Camera, Body>, sigmas: f64| -> Vec<Observation> {
+        within_reach(pose, camera, observations, sigmas).copied().collect()
+    };
+    let [rough, fine] = REFINED_WITHIN;
+    let pose = resect(start, camera, &near(start, rough), REFINING_STEPS)?.pose;
+    resect(&pose, camera, &near(&pose, fine), REFINING_STEPS)
+}
+
+/// See [`Candidate::off`]; infinite where the matches leave a direction free.
+fn off(found: &Resection) -> [f64; 2] {
+    let Some(noise) = found.normal.cholesky() else { return [f64::INFINITY; 2] };
+    let covariance = covariance_of_inverse(&found.pose, &(noise.inverse() * found.scale.powi(2)));
+    [0, 3].map(|first| covariance.fixed_view::<3, 3>(first, first).trace().sqrt())
+}
+
+/// The observations within a number of sigmas of where the pose puts them.
+fn within_reach<'a>(
+    pose: &Pose<Camera, Body>,
+    camera: &MovingCamera<'a, CameraModel>,
+    observations: &'a [Observation],
+    sigmas: f64,
+) -> impl Iterator<Item = &'a Observation> {
+    let (pose, camera) = (*pose, *camera);
+    observations.iter().filter(move |o| squared_residual(&pose, &camera, o).is_some_and(|s| s < sigmas * sigmas))
+}
+
+fn observation(body: &PreparedBody, m: &SurfaceMatch) -> Observation {
+    let information = Matrix2::identity() / (FEATURE_NOISE_PX * m.scale).powi(2);
+    Observation { point: body.surfaces[m.surface as usize].spec.body_point(m.artwork), pixel: m.pixel, information, delay_s: 0.0, group: 0 }
+}
+
+/// Sum of squared residuals in sigmas, each cut at 16.
+fn truncated_cost(pose: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, observations: &[Observation]) -> f64 {
+    let squared = |o: &Observation| squared_residual(pose, camera, o).unwrap_or(f64::INFINITY);
+    observations.iter().map(|o| squared(o).min(LARGEST_SQUARED)).sum()
+}
+
+/// Whether one of two candidates is enough: they are within a hundredth of the distance and half a degree.
+pub fn nearly_same(a: &Pose<Camera, Body>, b: &Pose<Camera, Body>) -> bool {
+    a.angle_to(b) < 0.01 && (a.translation - b.translation).norm() < 0.01 * a.translation.norm()
+}
+
+/// A surface as the matches of a frame show it, before any size is asked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SurfaceView {
+    /// Its index in its body.
+    pub surface: u32,
+    /// From the artwork's pixels to undistorted pixels of the frame.
+    pub homography: Homography,
+    /// The matches that agree on it, best first.
+    pub matches: Vec<SurfaceMatch>,
+}
+
+impl SurfaceView {
+    /// The matches as observations of the body.
+    pub fn observed(&self, body: &PreparedBody) -> impl Iterator<Item = AgreeingMatch> {
+        let spec = &body.surfaces[self.surface as usize].spec;
+        self.matches.iter().map(move |m| AgreeingMatch {
+            surface: self.surface,
+            on_picture_m: spec.to_metres(m.artwork),
+            observation: observation(body, m),
+            floor: self.squared_error(m),
+        })
+    }
+
+    /// What the homography leaves of a match, in sigmas, squared and cut.
+    fn squared_error(&self, m: &SurfaceMatch) -> f64 {
+        let pair = PointPair { from: m.artwork, to: m.undistorted };
+        (self.homography.squared_error(&pair) / (FEATURE_NOISE_PX * m.scale).powi(2)).min(LARGEST_SQUARED)
+    }
+}
+
+/// See [`Recognition::misfit`].
+fn misfit(poses: &[Pose<Camera, Body>], camera: &MovingCamera<CameraModel>, agreeing: &[AgreeingMatch]) -> Option<f64> {
+    let squared =
+        |pose: &Pose<Camera, Body>, o: &Observation| squared_residual(pose, camera, o).map_or(LARGEST_SQUARED, |s| s.min(LARGEST_SQUARED));
+    let over =
+        |pose: &Pose<Camera, Body>| agreeing.iter().map(|m| squared(pose, &m.observation) - m.floor).sum::<f64>() / agreeing.len() as f64;
+    poses.iter().map(over).min_by(f64::total_cmp).filter(|m| m.is_finite())
+}
+
+/// The homography that most matches of a surface agree with. A mirror image is no view of the surface's front.
+pub fn surface_view(surface: u32, matches: &[SurfaceMatch], camera: &CameraModel, seed: u64) -> Option<SurfaceView> {
+    let own: Vec<SurfaceMatch> = matches.iter().filter(|m| m.surface == surface).copied().collect();
+    if own.len() < LEAST_INLIERS {
+        return None;
+    }
+    let pairs: Vec<PointPair> = own.iter().map(|m| PointPair { from: m.artwork, to: m.undistorted }).collect();
+    let threshold = 4.0 * (f64::from(camera.width().max(camera.height())) / 1280.0).max(0.75);
+    let order = Order::BestFirst { even_after: SAMPLES, draws_each: 1, stops_by_best: false };
+    let options = RobustOptions { threshold, max_samples: SAMPLES, confidence: 0.9999, order, weighs_alike: false, seed };
+    let found = robust_homography(&pairs, &options).filter(|f| f.inliers.len() >= LEAST_INLIERS && f.model.keeps_orientation())?;
+    let matches = found.inliers.iter().map(|&k| own[k]).collect();
+    Some(SurfaceView { surface, homography: found.model, matches })
+}
+
+/// Both planar poses of a view; what was recognised is noted.
+fn surface_poses(body: &PreparedBody, view: &SurfaceView, camera: &CameraModel, seen: &mut Recognition) -> Vec<Pose<Camera, Body>> {
+    let spec = &body.surfaces[view.surface as usize].spec;
+    if view.matches.len() > seen.agreeing {
+        (seen.agreeing, seen.outline_px) = (view.matches.len(), outline_px(&view.homography, spec.artwork.dimensions()));
+    }
+    let metric: Vec<PointPair> = view
+        .matches
+        .iter()
+        .map(|m| PointPair { from: spec.to_metres(m.artwork), to: camera.from_undistorted_pixel(m.undistorted).0 })
+        .collect();
+    let Some(homography) = Homography::from_pairs(&metric, None) else { return Vec::new() };
+    planar_poses(&homography, &metric).into_iter().map(|p| p * spec.pose.inverse()).collect()
+}
+
+/// How the matches of a surface say by themselves that it is seen, and these matches.
+fn affinities(surface: u32, matches: &[SurfaceMatch]) -> (Vec<&SurfaceMatch>, Vec<LocalAffinity>) {
+    let affinity = |m: &SurfaceMatch| LocalAffinity {
+        pair: PointPair { from: m.artwork, to: m.undistorted },
+        derivative: m.derivative,
+        noise: FEATURE_NOISE_PX * m.scale,
+    };
+    matches.iter().filter(|m| m.surface == surface).map(|m| (m, affinity(m))).unzip()
+}
+
+/// Of each surface of a body the matches that agree on how it is seen, where these are enough for a pose to be worth a search: of bodies that are small before their distance, whose perspective does
+/// not show.
+pub fn agreeing_matches(body: &PreparedBody, matches: &[SurfaceMatch]) -> Vec<SurfaceMatch> {
+    let of_surface = |surface: u32| {
+        let (own, affinities) = affinities(surface, matches);
+        most_agreeing(&affinities, LEAST_AFFINE_INLIERS).unwrap_or_default().into_iter().map(move |k| *own[k])
+    };
+    (0..body.surfaces.len() as u32).flat_map(of_surface).collect()
+}
+
+/// Both planar poses of the affine map that a few matches of a surface agree with.
+fn affine_poses(body: &PreparedBody, surface: u32, matches: &[SurfaceMatch], camera: &CameraModel) -> Vec<Pose<Camera, Body>> {
+    let spec = &body.surfaces[surface as usize].spec;
+    let (own, affinities) = affinities(surface, matches);
+    let Some((map, agreeing)) = robust_affine(&affinities, LEAST_AFFINE_INLIERS) else { return Vec::new() };
+    let steps = [Vector2::x(), -Vector2::x(), Vector2::y(), -Vector2::y()];
+    let around = |m: &SurfaceMatch| {
+        let back = m.derivative.try_inverse().unwrap_or_default() * (AFFINE_REACH_PX * m.scale);
+        steps.map(|step| m.artwork + back * step)
+    };
+    let metric = |artwork: Vector2<f64>| {
+        let seen = map.map(artwork)?;
+        Some(PointPair { from: spec.to_metres(artwork), to: camera.from_undistorted_pixel(seen).0 })
+    };
+    let pairs: Vec<PointPair> = agreeing.iter().flat_map(|&k| around(own[k])).filter_map(metric).collect();
+    let Some(homography) = Homography::from_pairs(&pairs, None) else { return Vec::new() };
+    planar_poses(&homography, &pairs).into_iter().map(|p| p * spec.pose.inverse()).collect()
+}
+
+/// Root of the area that a picture of a size takes of the frame.
+fn outline_px(homography: &Homography, (width, height): (u32, u32)) -> Option<f64> {
+    let (w, h) = (f64::from(width), f64::from(height));
+    let corners = [(0.0, 0.0), (w, 0.0), (w, h), (0.0, h)].map(|(x, y)| homography.map(Vector2::new(x, y)));
+    let [a, b, c, d] = [corners[0]?, corners[1]?, corners[2]?, corners[3]?];
+    Some((0.5 * (c - a).perp(&(d - b))).abs().sqrt())
+}
+
+#[cfg(test)]
+#[path = "candidate_tests.rs"]
+mod tests;

@@ -1,0 +1,324 @@
+//! Features of a frame, and which places of the reference pictures they are.
+//!
+//! Each picture's part of the [bank of views](super::view_bank) has features of the picture as it is, which are asked with the strongest features of a frame;
+//! where a body is not found by them, the frame is looked at closely, with more features and the whole bank.
+
+use std::sync::Arc;
+
+use image::GrayImage;
+
+use super::candidate::{SurfaceMatch, surface_matches};
+use super::unexplained::Unexplained;
+use super::view_bank::{BankBuilder, PictureCopy, ViewStore, view_shapes};
+use crate::camera::CameraModel;
+use crate::features::{ContrastStretch, ExtractorOptions, Feature, FeatureExtractor, Workers};
+use crate::matching::{Match, MatchBuffers, ReferenceFeature, ReferenceIndex};
+use crate::track::scene::reference::PreparedSurface;
+
+/// Lowe's ratio (2004, section 7.1): a match counts where its distance is less than this share of the second nearest's. He took 0.8; more
+/// are let through here, as acquisition bears a majority of wrong matches. Raised, more of them are wrong; lowered, dim stages keep too
+/// few.
+pub const LOWE_RATIO: f32 = 0.85;
+/// Strongest features of a frame that a quick look asks. Chosen, not tuned: a third of what a close look asks. Raised, every frame of a search takes
+/// longer; lowered, covered stages need the close look more often.
+const QUICK_FEATURES: usize = 600;
+/// Strongest features of a frame that a glance asks. Chosen: half of a quick look's; of a stage that is seen well, 200 of them match. Raised, every frame of a search takes longer;
+/// lowered, more of them take a quick look as well.
+const GLANCE_FEATURES: usize = QUICK_FEATURES / 2;
+/// Matches of a body at a glance that are enough. Chosen, not tuned: half of them may be wrong, and alignment still reaches from the start that the others give. Raised, more frames
+/// take a quick look as well; lowered, starts are further off.
+const ENOUGH_MATCHES: usize = 60;
+/// Levels of a frame that a quick look leaves out are larger than this, pixels across. Chosen: at half its size in pixels a frame of 1280 shows a stage as well, in a third of the time. Raised, every
+/// frame of a search takes longer; lowered, stages that are seen small need the close look.
+const QUICK_PX: u32 = 800;
+
+/// Comparisons of a slice: features of the frame by those of the missing bodies' views. Chosen, not tuned: about a millisecond. Raised, frames in which a
+/// body is missing take longer; lowered, props are found less often.
+const SLICE_COMPARISONS: usize = 3_000_000;
+/// Features of a slice at least, however many bodies are missing, and at most. A prop that is found has a dozen matches among them: in five clips of three objects 400 found
+/// them in as many frames as 600 did, and 350 in fewer. Raised, slices take longer; lowered, small and dim props are not found.
+const LEAST_SLICE_FEATURES: usize = 150;
+const MOST_SLICE_FEATURES: usize = 400;
+
+/// Most missing surfaces that one slice is compared with; the others wait for their turn. Chosen: with five, a slice can afford some 300 features. When every slice was compared
+/// with all of sixteen objects, it could afford 150, and ten objects were not found within a second. Raised, slices have too few features; lowered, each surface waits longer.
+const SURFACES_OF_SLICE: usize = 5;
+
+/// How closely a frame is looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Look {
+    /// Half as many features as a quick look: enough for a stage that is seen well.
+    Glance,
+    /// The strongest features, against the pictures as they are.
+    Quick,
+    /// All features, against the pictures as they are: for studies.
+    Frontal,
+}
+
+/// Finds features and matches them; keeps its buffers.
+#[derive(Debug, Default)]
+pub struct FeatureSearch {
+    /// Features wanted of a frame at most.
+    count: usize,
+    /// The pictures as they are.
+    frontal: ReferenceIndex,
+    /// These, and the tilted views.
+    all_views: ReferenceIndex,
+    extractor: FeatureExtractor,
+    contrast: ContrastStretch,
+    features: Vec<Feature>,
+    matches: Vec<Match>,
+    buffers: MatchBuffers,
+    /// All views of the surfaces that are missing while others are followed, and the numbers of these surfaces.
+    missing_views: ReferenceIndex,
+    missing: Vec<u32>,
+    /// Slices so far.
+    slices: usize,
+    /// What the last look was compared with.
+    asked: Asked,
+}
+
+/// A part of the bank.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+enum Asked {
+    #[default]
+    Frontal,
+    AllViews,
+    MissingViews,
+}
+
+impl FeatureSearch {
+    /// Describes all surfaces, in the order of their numbers, but for those that the store has, and gives them their anchors. `count`: features wanted of a frame at most.
+    pub fn new<'a>(
+        surfaces: impl Iterator<Item = &'a mut PreparedSurface>,
+        count: usize,
+        store: Option<Arc<dyn ViewStore>>,
+        workers: &Workers,
+    ) -> Self {
+        let mut surfaces: Vec<&mut PreparedSurface> = surfaces.collect();
+        let mut builder = BankBuilder::new(surfaces.len(), store, workers);
+        let mut banks: Vec<_> = surfaces.iter().map(|surface| builder.bank(surface)).collect();
+        for (surface, bank) in surfaces.iter_mut().zip(&mut banks) {
+            surface.take_anchors(std::mem::take(&mut bank.anchors));
+        }
+        let mut search = Self { count, ..Self::default() };
+        for (number, (surface, bank)) in surfaces.iter().zip(&banks).enumerate() {
+            let copy = PictureCopy::frontal(surface);
+            search.frontal.add(number as u32, &bank.frontal, copy.in_artwork(), copy.scale);
+        }
+        search.all_views = search.frontal.clone();
+        for (number, (surface, bank)) in surfaces.iter().zip(&banks).enumerate() {
+            let copy = PictureCopy::tilted(surface);
+            let views = bank.tilted.iter().zip(view_shapes()).map(|(features, shape)| (features.as_slice(), shape * copy.scale));
+            search.all_views.add_views(number as u32, views, copy.in_artwork());
+        }
+        search
+    }
+
+    /// Takes the features of a frame and their matches; where `mask` is 0, none is taken.
+    pub fn look(&mut self, image: &GrayImage, mask: Option<&GrayImage>, look: Look, workers: &Workers) {
+        let options = self.options(look);
+        let image = self.contrast.stretched(image).unwrap_or(image);
+        self.extractor.extract(image, mask, &options, workers, &mut self.features);
+        self.compare(Asked::Frontal, workers);
+    }
+
+    /// Looks once more, and with more features, at the frame that was looked at last.
+    pub fn look_again(&mut self, image: &GrayImage, mask: Option<&GrayImage>, look: Look, workers: &Workers) {
+        self.take_more(image, mask, &self.options(look), workers);
+        self.compare(Asked::Frontal, workers);
+    }
+
+    /// Compares the features that were taken last with all views, which show the pictures tilted, too.
+    pub fn compare_with_all_views(&mut self, workers: &Workers) {
+        self.compare(Asked::AllViews, workers);
+    }
+
+    /// Looks more closely at the frame that was looked at last: takes all features, and compares them with all views.
+    pub fn look_closer(&mut self, image: &GrayImage, mask: Option<&GrayImage>, workers: &Workers) {
+        self.take_more(image, mask, &self.options(Look::Frontal), workers);
+        self.compare(Asked::AllViews, workers);
+    }
+
+    /// Takes the features of a part of a frame, where `mask` is not 0, and compares them with all
+    /// views: for a second copy of what was found.
+    pub fn look_for_copies(&mut self, image: &GrayImage, mask: &GrayImage, workers: &Workers) {
+        let options = ExtractorOptions { count: self.count.min(QUICK_FEATURES), ..Default::default() };
+        self.extractor.extract(image, Some(mask), &options, workers, &mut self.features);
+        self.compare(Asked::AllViews, workers);
+    }
+
+    /// The same where the frame that was looked at last is unexplained, with all views of the missing surfaces, in ascending order of their numbers. It takes
+    /// about the same in each frame, as many missing surfaces take turns.
+    pub fn look_beside(
+        &mut self,
+        image: &GrayImage,
+        mask: Option<&GrayImage>,
+        unexplained: &mut Unexplained,
+        missing: impl Iterator<Item = u32> + Clone,
+        workers: &Workers,
+    ) {
+        let in_turn = in_turn(missing.clone().count(), self.slices);
+        let missing = missing.enumerate().filter(|(k, _)| in_turn(*k)).map(|(_, surface)| surface);
+        self.slices = self.slices.wrapping_add(1);
+        if !missing.clone().eq(self.missing.iter().copied()) {
+            self.missing.clear();
+            self.missing.extend(missing);
+            self.missing_views.take_from(&self.all_views, |surface| self.missing.binary_search(&surface).is_ok());
+        }
+        let entries = self.missing_views.features().len().max(1);
+        let count = (SLICE_COMPARISONS / entries).clamp(LEAST_SLICE_FEATURES, MOST_SLICE_FEATURES).min(self.count);
+        // Where all is explained there is nothing to spread the contrast of.
+        let stretched = if unexplained.is_anything() { self.contrast.stretched(image) } else { None };
+        let image = stretched.unwrap_or(image);
+        unexplained.extract(image, mask, count, &mut self.extractor, workers, &mut self.features);
+        self.compare(Asked::MissingViews, workers);
+    }
+
+    fn options(&self, look: Look) -> ExtractorOptions {
+        let all = ExtractorOptions { count: self.count, ..Default::default() };
+        let strongest = |count: usize| ExtractorOptions { count: self.count.min(count), largest_px: QUICK_PX, ..all };
+        match look {
+            Look::Glance => strongest(GLANCE_FEATURES),
+            Look::Quick => strongest(QUICK_FEATURES),
+            Look::Frontal => all,
+        }
+    }
+
+    fn take_more(&mut self, image: &GrayImage, mask: Option<&GrayImage>, options: &ExtractorOptions, workers: &Workers) {
+        let image = self.contrast.last().unwrap_or(image);
+        self.extractor.extract_more(image, mask, options, workers, &mut self.features);
+    }
+
+    /// Whether the last look matched so much of a body with these surfaces that more features would tell nothing new.
+    pub fn is_enough(&self, surfaces: std::ops::Range<u32>) -> bool {
+        let reference = self.reference();
+        let own = self.matches.iter().filter(|m| surfaces.contains(&reference[m.reference as usize].surface));
+        own.count() >= ENOUGH_MATCHES
+    }
+
+    fn compare(&mut self, asked: Asked, workers: &Workers) {
+        self.asked = asked;
+        let Self { frontal, all_views, missing_views, features, buffers, matches, .. } = self;
+        let index = part(asked, frontal, all_views, missing_views);
+        index.match_features(features, LOWE_RATIO, workers, buffers, matches);
+    }
+
+    /// Those that the surfaces of a body take part in, best first.
+    pub fn of_body(&self, surfaces: std::ops::Range<u32>, camera: &CameraModel) -> Vec<SurfaceMatch> {
+        surface_matches(&self.matches, &self.features, self.reference(), surfaces, camera)
+    }
+
+    /// The last frame's features.
+    pub fn features(&self) -> &[Feature] {
+        &self.features
+    }
+
+    /// What they were matched with.
+    fn reference(&self) -> &[ReferenceFeature] {
+        part(self.asked, &self.frontal, &self.all_views, &self.missing_views).features()
+    }
+}
+
+/// Tells which of `number` missing surfaces a slice is compared with. The first of them moves on by one more after each round, so that the same surfaces do not always meet the same
+/// part of the frame.
+fn in_turn(number: usize, slice: usize) -> impl Fn(usize) -> bool + Clone {
+    let round = number.div_ceil(SURFACES_OF_SLICE).max(1);
+    let first = (slice * SURFACES_OF_SLICE + slice / round) % number.max(1);
+    move |k| number <= SURFACES_OF_SLICE || (k + number - first) % number < SURFACES_OF_SLICE
+}
+
+fn part<'a>(
+    asked: Asked,
+    frontal: &'a ReferenceIndex,
+    all_views: &'a ReferenceIndex,
+    missing_views: &'a ReferenceIndex,
+) -> &'a ReferenceIndex {
+    match asked {
+        Asked::Frontal => frontal,
+        Asked::AllViews => all_views,
+        Asked::MissingViews => missing_views,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::track::scene::surface::SurfaceSpec;
+    use crate::track::synthetic::{prepared, texture};
+    use nalgebra::{Matrix2, Vector2};
+
+    use super::*;
+    use crate::geometry::Pose;
+
+    /// The cloth as a camera far to its side sees it: every new column is the mean of a few.
+    fn squeezed(picture: &GrayImage, columns: u32) -> GrayImage {
+        GrayImage::from_fn(picture.width() / columns, picture.height(), |x, y| {
+            let sum: u32 = (0..columns).map(|k| u32::from(picture.get_pixel(columns * x + k, y)[0])).sum();
+            image::Luma([(sum / columns) as u8])
+        })
+    }
+
+    #[test]
+    fn many_missing_surfaces_take_turns() {
+        assert!((0..5).all(in_turn(5, 3)) && !in_turn(6, 0)(5));
+        for number in [6_usize, 7, 10, 16, 33] {
+            // Each has its turn within two rounds from any slice on, and five at a time.
+            let round = number.div_ceil(SURFACES_OF_SLICE);
+            for slice in 0..40 {
+                assert!((0..number).all(|k| (slice..slice + 2 * round).any(|slice| in_turn(number, slice)(k))), "{number} {slice}");
+                assert_eq!((0..number).filter(|k| in_turn(number, slice)(*k)).count(), SURFACES_OF_SLICE);
+            }
+        }
+    }
+
+    #[test]
+    fn a_glance_is_enough_of_what_is_seen_well_and_more_is_what_a_quick_look_takes() {
+        let [shown, other] = [5, 6].map(|seed| texture(1200, 800, seed));
+        let mut body =
+            prepared(vec![SurfaceSpec::from_artwork("cloth".into(), shown, [3.0, 2.0], Pose::identity()).expect("texture enough")]);
+        let workers = Workers::new(1);
+        let mut search = FeatureSearch::new(body.surfaces.iter_mut(), 1500, None, &workers);
+        search.look(&body.surfaces[0].octaves[0].image, None, Look::Glance, &workers);
+        assert!(search.is_enough(0..1) && !search.is_enough(1..2));
+        assert!(search.features().len() <= GLANCE_FEATURES + 8, "{}", search.features().len());
+        search.look(&other, None, Look::Glance, &workers);
+        assert!(!search.is_enough(0..1), "{} matches", search.matches.len());
+        search.look_again(&other, None, Look::Quick, &workers);
+        let (features, matches) = (search.features().to_vec(), search.matches.clone());
+        search.look(&other, None, Look::Quick, &workers);
+        assert!(search.features() == features && search.matches == matches);
+    }
+
+    #[test]
+    fn a_steep_view_is_recognised_by_a_close_look() {
+        let artwork = texture(2400, 480, 5);
+        let mut body =
+            prepared(vec![SurfaceSpec::from_artwork("cloth".into(), artwork, [20.0, 4.0], Pose::identity()).expect("texture enough")]);
+        let workers = Workers::new(1);
+        let mut search = FeatureSearch::new(body.surfaces.iter_mut(), 1500, None, &workers);
+        let picture = &body.surfaces[0].octaves[0].image;
+        let columns = 5;
+        let frame = squeezed(picture, columns);
+        let is_right = |search: &FeatureSearch, m: &Match| {
+            let seen = search.features()[m.frame as usize].position;
+            let off = search.reference()[m.reference as usize].position - Vector2::new((seen.x + 0.5) * f64::from(columns) - 0.5, seen.y);
+            off.x.abs() < 4.0 * f64::from(columns) && off.y.abs() < 4.0
+        };
+        let right = |search: &FeatureSearch| search.matches.iter().filter(|m| is_right(search, m)).count();
+        search.look(&frame, None, Look::Frontal, &workers);
+        let frontal = right(&search);
+        search.look_closer(&frame, None, &workers);
+        let close = right(&search);
+        assert!(close >= 30 && close > 3 * frontal, "{close} with tilted views, {frontal} without, of {}", search.features().len());
+        // Each match by itself tells how the picture is squeezed: by five along its rows, and not across.
+        let squeeze = Matrix2::new(1.0 / f64::from(columns), 0.0, 0.0, 1.0);
+        let mut off: Vec<f64> = (search.matches.iter().filter(|m| is_right(&search, m)))
+            .map(|m| {
+                let shape = search.reference()[m.reference as usize].shape;
+                (search.features()[m.frame as usize].shape() * shape.try_inverse().expect("regular") - squeeze).norm()
+            })
+            .collect();
+        off.sort_by(f64::total_cmp);
+        assert!(off[off.len() / 2] < 0.2, "{off:?}");
+    }
+}

@@ -1,0 +1,319 @@
+//! What of a frame no followed body explains: where a body that is missing can be.
+//!
+//! Once the stage's pose is known, so is what each pixel should show of it. Where the frame shows that, nothing else stands; where it does not, a
+//! prop, a person or a body that is looked for does. A prop takes a hundredth of the frame, and of 1500 features that are spread over all of it a
+//! dozen fall on it: too few to find it by. Looked for in what is left unexplained alone, it has hundreds, its faint corners count as well, and a
+//! frame that is explained everywhere costs no search at all.
+//!
+//! The comparison is made at a quarter of the frame's size, in every second row, in squares of [`CELL`] pixels, gain and bias free: light may change.
+
+use image::GrayImage;
+use nalgebra::Vector2;
+
+use super::expected_view::{ExpectedView, ROW_STEP};
+use super::search_windows::{Extent, SearchWindows, Window};
+use super::unexplained_cells::{MARGIN_PX, SIDE_PX, UnexplainedCells};
+use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
+use crate::geometry::{Body, Camera, Pose};
+use crate::simd::multiversion;
+use crate::track::align::{CameraRays, FrameLevels};
+use crate::track::scene::reference::PreparedBody;
+
+/// The level of the frame that is compared: a quarter of its size. Raised, small props vanish in it; lowered, the comparison costs four times as much.
+const LEVEL: usize = 2;
+/// Side of a cell, pixels of the level. Three by three cells are judged together.
+const CELL: usize = (SIDE_PX >> LEVEL) as usize;
+/// Rows of a cell that are compared.
+const CELL_ROWS: usize = CELL / ROW_STEP;
+/// A cell is explained where it correlates with its prediction by this. A followed stage has above 0.97 wherever it has detail, as the pose is known to a
+/// tenth of a pixel; something else by chance rarely more than 0.8. Raised, moving shadows and folds are searched as well, which costs time; lowered, a prop that looks like
+/// what is behind it is not.
+const EXPLAINED_CORRELATION: f32 = 0.9;
+/// Least standard deviation of a cell, grey levels, for it to be worth a search: corners stand out by more. Chosen, not tuned: a few times the noise at
+/// this level. Raised, faint pictures are not found; lowered, plain walls are searched.
+const LEAST_CONTRAST: f32 = 3.0;
+/// Fewest pixels of three by three cells by which these are judged: a quarter of them. Chosen, not tuned. Raised, what stands at the border of the stage is
+/// overlooked; lowered, a few pixels decide.
+const LEAST_JUDGED: f32 = (9 * CELL * CELL_ROWS / 4) as f32;
+/// Features of a window where a body should be, over those of another one that is as large. Chosen. Raised, what is new beside it is found later; lowered, what was covered for a moment is.
+const EXPECTED_SHARE: f64 = 2.0;
+
+/// A part of the frame that no followed body explains.
+#[derive(Debug, Clone, Default)]
+struct Region {
+    /// First column and row of its rectangle, pixels of the frame.
+    origin: [u32; 2],
+    /// Of its rectangle: 255 where it is unexplained, 0 elsewhere.
+    mask: GrayImage,
+    /// Its cells.
+    cells: usize,
+}
+
+impl Region {
+    fn size(&self) -> [u32; 2] {
+        [self.mask.width(), self.mask.height()]
+    }
+
+    /// Copies a window of the frame, and of its mask what the frame's own mask leaves.
+    fn cut_out(&self, window: &Window, frame: &GrayImage, closed: Option<&GrayImage>, picture: &mut GrayImage, mask: &mut GrayImage) {
+        let [width, height] = window.size;
+        let row_of = |image: &'_ GrayImage, [x, y]: [u32; 2], v: u32| -> std::ops::Range<usize> {
+            let first = (y + v) as usize * image.width() as usize + x as usize;
+            first..first + width as usize
+        };
+        let in_region = [0, 1].map(|k| window.origin[k] - self.origin[k]);
+        let copy = |from: &GrayImage, origin: [u32; 2], to: &mut Vec<u8>| {
+            to.clear();
+            (0..height).for_each(|v| to.extend_from_slice(&from.as_raw()[row_of(from, origin, v)]));
+        };
+        let mut raw = std::mem::take(picture).into_raw();
+        copy(frame, window.origin, &mut raw);
+        // There is one byte for each pixel, here and below.
+        *picture = GrayImage::from_raw(width, height, raw).unwrap_or_default();
+        let mut raw = std::mem::take(mask).into_raw();
+        copy(&self.mask, in_region, &mut raw);
+        if let Some(closed) = closed {
+            for (v, own) in raw.chunks_exact_mut(width.max(1) as usize).enumerate() {
+                let seen = &closed.as_raw()[row_of(closed, window.origin, v as u32)];
+                own.iter_mut().zip(seen).for_each(|(open, seen)| *open &= seen);
+            }
+        }
+        *mask = GrayImage::from_raw(width, height, raw).unwrap_or_default();
+    }
+}
+
+/// Finds what is unexplained; keeps its buffers.
+#[derive(Debug, Default)]
+pub struct Unexplained {
+    expected: ExpectedView,
+    /// For a row of cells, sums over its rows of pixels; as [`Moments`] has them.
+    columns: [Vec<f32>; MOMENTS],
+    moments: Vec<Moments>,
+    /// Sums over three rows of cells.
+    triples: Vec<Moments>,
+    /// Whether each cell is unexplained.
+    open: Vec<bool>,
+    cells: UnexplainedCells,
+    regions: Vec<Region>,
+    windows: SearchWindows,
+    /// See [`search_first`](Self::search_first).
+    expected_places: Vec<Extent>,
+    /// The picture, the mask and the features of one window.
+    picture: GrayImage,
+    mask: GrayImage,
+    features: Vec<Feature>,
+}
+
+/// Sums over the pixels of a cell: of those that a surface covers their number, the grey, its square, the prediction, its square, the product; of those that
+/// none covers their number, the grey and its square.
+#[derive(Debug, Clone, Copy, Default)]
+struct Moments([f32; MOMENTS]);
+
+/// Six sums of covered pixels, and three of open ones.
+const MOMENTS: usize = 9;
+
+impl Moments {
+    fn add(&mut self, other: &Self) {
+        self.0.iter_mut().zip(other.0).for_each(|(sum, more)| *sum += more);
+    }
+
+    /// Whether something is to be seen that is not what should be: where surfaces are expected, or where none is.
+    fn is_unexplained(&self) -> bool {
+        let has_detail = |n: f32, s: f32, ss: f32| n >= LEAST_JUDGED && ss / n - (s / n).powi(2) > LEAST_CONTRAST.powi(2);
+        let [n, s, ss, p, pp, sp, m, t, tt] = self.0;
+        let differs = || {
+            let (seen, expected, both) = (ss - s * s / n, pp - p * p / n, sp - s * p / n);
+            both <= 0.0 || both * both < EXPLAINED_CORRELATION.powi(2) * seen * expected
+        };
+        has_detail(m, t, tt) || (has_detail(n, s, ss) && differs())
+    }
+}
+
+multiversion! {
+    /// Adds a row of pixels to the sums of its columns, but for its ends and for pixels on an edge, which show both sides of it. `owners`: of the row above, this one and
+    /// the one below.
+    fn add_row(seen: &[u16], expected: &[f32], owners: [&[u16]; 3], columns: &mut [Vec<f32>; MOMENTS]); ["avx2"] => add_row_plain, else add_row_plain
+}
+
+#[inline(always)]
+fn add_row_plain(seen: &[u16], expected: &[f32], owners: [&[u16]; 3], columns: &mut [Vec<f32>; MOMENTS]) {
+    let n = seen.len().saturating_sub(2);
+    let [above, here, below] = owners;
+    let (left, right, own) = (&here[..n], &here[2..][..n], &here[1..][..n]);
+    let (above, below, seen, expected) = (&above[1..][..n], &below[1..][..n], &seen[1..][..n], &expected[1..][..n]);
+    let [c, s, ss, p, pp, sp, m, t, tt] = columns.each_mut().map(|sums| &mut sums[1..][..n]);
+    for u in 0..n {
+        let owner = own[u];
+        let is_inside = (left[u] == owner) & (right[u] == owner) & (above[u] == owner) & (below[u] == owner);
+        let covered = if is_inside & (owner > 0) { 1.0 } else { 0.0 };
+        let open = if is_inside & (owner == 0) { 1.0 } else { 0.0 };
+        let (grey, prediction) = (f32::from(seen[u]) * GREY, expected[u]);
+        c[u] += covered;
+        s[u] += covered * grey;
+        ss[u] += covered * grey * grey;
+        p[u] += covered * prediction;
+        pp[u] += covered * prediction * prediction;
+        sp[u] += covered * grey * prediction;
+        m[u] += open;
+        t[u] += open * grey;
+        tt[u] += open * grey * grey;
+    }
+}
+
+/// Greys in a sum of the level.
+const GREY: f32 = 1.0 / (1u32 << (2 * LEVEL)) as f32;
+
+impl Unexplained {
+    /// Looks at a frame of which these bodies are known to be where their poses say; each with the number of its first surface among all.
+    pub fn look<'a>(
+        &mut self,
+        known: impl Iterator<Item = (u32, &'a PreparedBody, Pose<Body, Camera>)>,
+        levels: &mut FrameLevels,
+        rays: &CameraRays,
+    ) {
+        self.expected.clear(rays, LEVEL);
+        for (first, body, pose) in known {
+            (first as usize..).zip(&body.surfaces).for_each(|(number, surface)| self.expected.draw(number, surface, &pose, rays));
+        }
+        self.compare(levels.level(LEVEL).sums());
+        self.cells.number_regions();
+        self.collect_regions([rays.camera().width(), rays.camera().height()]);
+    }
+
+    /// Whether anything of the frame that was looked at last is unexplained.
+    pub fn is_anything(&self) -> bool {
+        !self.regions.is_empty()
+    }
+
+    /// Where the frame that was looked at last is unexplained, 255, elsewhere 0; of the frame's
+    /// size. `closed`: the frame's own mask.
+    pub fn mask(&mut self, [width, height]: [u32; 2], closed: Option<&GrayImage>) -> &GrayImage {
+        let mut raw = std::mem::take(&mut self.mask).into_raw();
+        raw.clear();
+        raw.resize(width as usize * height as usize, 0);
+        for Region { origin, mask, .. } in &self.regions {
+            let columns = origin[0] as usize..(origin[0] + mask.width()) as usize;
+            for (open, y) in mask.as_raw().chunks_exact(mask.width().max(1) as usize).zip(origin[1] as usize..) {
+                let row = &mut raw[y * width as usize..][columns.clone()];
+                row.iter_mut().zip(open).for_each(|(own, open)| *own |= open);
+            }
+        }
+        if let Some(closed) = closed {
+            raw.iter_mut().zip(closed.as_raw()).for_each(|(own, seen)| *own &= seen);
+        }
+        // There is one byte for each pixel.
+        self.mask = GrayImage::from_raw(width, height, raw).unwrap_or_default();
+        &self.mask
+    }
+
+    /// The next search begins at one of these places, where bodies that were just lost should be by now.
+    pub fn search_first(&mut self, expected_places: impl Iterator<Item = Extent>) {
+        self.expected_places.clear();
+        self.expected_places.extend(expected_places);
+    }
+
+    /// The features of the regions of the frame that was looked at last, at most about so many; where there is much to search, of its most urgent
+    /// parts. `closed`: the frame's own mask.
+    pub fn extract(
+        &mut self,
+        frame: &GrayImage,
+        closed: Option<&GrayImage>,
+        count: usize,
+        extractor: &mut FeatureExtractor,
+        workers: &Workers,
+        features: &mut Vec<Feature>,
+    ) {
+        features.clear();
+        let Self { regions, windows, cells, expected_places, picture, mask, features: own, .. } = self;
+        let extents = || regions.iter().map(|r| [r.origin, [0, 1].map(|k| r.origin[k] + r.size()[k])]);
+        let expected = windows.begin_slice(extents(), expected_places.iter().copied(), |window| cells.content(window));
+        // What lies there is no more urgent than the rest of the frame.
+        expected.iter().for_each(|window| cells.note_searched(window));
+        let expected = expected.first().copied();
+        let slice = windows.fill_slice(extents(), |window| cells.content(window));
+        slice.iter().for_each(|window| cells.note_searched(window));
+        // A small region gets more than its part: what is in it is seen small, and has the fewest corners.
+        let weight = |window: &Window| {
+            let region = &regions[window.region];
+            let whole: u64 = region.size().iter().map(|n| u64::from(*n)).product();
+            let part = (region.cells as f64 * window.area() as f64 / whole as f64).sqrt();
+            if expected == Some(*window) { EXPECTED_SHARE * part } else { part }
+        };
+        let total: f64 = slice.iter().map(weight).sum();
+        for window in slice {
+            let count = (count as f64 * weight(window) / total).round() as usize;
+            regions[window.region].cut_out(window, frame, closed, picture, mask);
+            extractor.extract(picture, Some(mask), &ExtractorOptions { count, ..Default::default() }, workers, own);
+            let origin = Vector2::from(window.origin.map(f64::from));
+            features.extend(own.iter().map(|f| Feature { position: f.position + origin, ..*f }));
+        }
+        tracing::debug!(regions = regions.len(), ?slice, features = features.len(), "unexplained");
+    }
+
+    /// Finds the cells that are unexplained.
+    fn compare(&mut self, sums: &[u16]) {
+        let Self { expected, columns, moments, triples, open, cells, .. } = self;
+        let [width, height] = expected.size();
+        let [across, down] = [width / CELL, height / CELL_ROWS];
+        moments.clear();
+        moments.resize(across * down, Moments::default());
+        columns.iter_mut().for_each(|sums| sums.resize(width, 0.0));
+        for (row, line_of_cells) in moments.chunks_exact_mut(across.max(1)).enumerate() {
+            columns.iter_mut().for_each(|sums| sums.fill(0.0));
+            // The rim of the level is left out: its pixels have no neighbours.
+            for v in (row * CELL_ROWS).max(1)..((row + 1) * CELL_ROWS).min(height - 1) {
+                let line = |v: usize| v * width..(v + 1) * width;
+                let owners = [v - 1, v, v + 1].map(|v| &expected.owners()[line(v)]);
+                add_row(&sums[line(v * ROW_STEP)], &expected.grey()[line(v)], owners, columns);
+            }
+            for (k, cell) in line_of_cells.iter_mut().enumerate() {
+                cell.0 = columns.each_ref().map(|sums| sums[k * CELL..][..CELL].iter().sum());
+            }
+        }
+        open.clear();
+        for row in 0..down {
+            // Sums over three rows, then over three columns of these.
+            let (first, last) = (row.saturating_sub(1), (row + 1).min(down - 1));
+            triples.clear();
+            triples.extend_from_slice(&moments[first * across..][..across]);
+            for beside in first + 1..=last {
+                triples.iter_mut().zip(&moments[beside * across..]).for_each(|(sum, more)| sum.add(more));
+            }
+            open.extend((0..across).map(|column| {
+                let mut window = Moments::default();
+                triples[column.saturating_sub(1)..(column + 2).min(across)].iter().for_each(|sums| window.add(sums));
+                window.is_unexplained()
+            }));
+        }
+        cells.renew([across, down], open.iter().copied());
+    }
+
+    /// Cuts the regions out, each with a margin.
+    fn collect_regions(&mut self, frame: [u32; 2]) {
+        let Self { cells, regions, .. } = self;
+        regions.resize_with(cells.regions().len(), Region::default);
+        for ((size, number), region) in cells.regions().iter().zip(regions) {
+            let [low, high] = cells.extent(*number);
+            let origin = low.map(|v| v.saturating_sub(MARGIN_PX));
+            let end = [0, 1].map(|k| (high[k] + MARGIN_PX).min(frame[k]));
+            let mut raw = std::mem::take(&mut region.mask).into_raw();
+            raw.clear();
+            let [width, height] = [0, 1].map(|k| end[k] - origin[k]);
+            let mut y = origin[1];
+            while y < end[1] {
+                // Rows of one line of cells are the same.
+                let next = end[1].min(y - y % SIDE_PX + SIDE_PX);
+                let first = raw.len();
+                cells.push_row([origin[0], end[0]], y, *number, &mut raw);
+                (y + 1..next).for_each(|_| raw.extend_from_within(first..first + width as usize));
+                y = next;
+            }
+            // There is one byte for each pixel.
+            *region = Region { origin, mask: GrayImage::from_raw(width, height, raw).unwrap_or_default(), cells: *size };
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "unexplained_tests.rs"]
+mod tests;

@@ -1,0 +1,21 @@
+//! The inner loops: residuals and their products, summed per tile.
+//!
+//! - `columns`, `rows`: the unknowns of a tile, and how they change from row to row
+//! - `normal`: residuals and robust weights
+//! - `tile_equations`, `tile_products`: the normal equations of a tile
+//! - `evidence`, `noise_sums`: what the residuals say of the pose and of the noise
+//!
+//! Uses `align::pixels`.
+
+#[allow(clippy::needless_range_loop)]
+pub mod columns;
+#[allow(clippy::needless_range_loop)]
+pub mod evidence;
+#[allow(clippy::needless_range_loop)]
+pub mod noise_sums;
+#[allow(clippy::needless_range_loop)]
+pub mod normal;
+pub mod rows;
+pub mod tile_equations;
+#[allow(clippy::needless_range_loop)]
+pub mod tile_products;

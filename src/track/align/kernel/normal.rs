@@ -1,0 +1,192 @@
+//! The columns of one alignment step, pixel by pixel: how the residuals of a tile's pixels change with the
+//! pose at the tile's rows, with the light of the tile's corners, the bias and the point spread. `tile_products` sums their products.
+
+use super::columns::{BIAS, COLUMNS, GAINS, PSF_VARIANCE};
+use crate::geometry::robust_kernel;
+use crate::track::align::lanes::{LANES, Lanes, dispatch, load_at, resize_with_room, store_at, total};
+use crate::track::align::learned::light::TileLight;
+use crate::track::align::learned::noise::Noise;
+use crate::track::align::pixels::appearance::Appearance;
+use crate::track::align::pixels::runs::{Pixels, Run};
+
+/// The limit of Tukey's biweight, as everywhere ([`robust_kernel::TUKEY`]): residuals beyond this many robust sigmas count nothing.
+const TUKEY: f32 = robust_kernel::TUKEY as f32;
+/// Cauchy's weight in a first pass falls to one half at this many sigmas, and never vanishes. Near the 2.385 that are 95 % as efficient as
+/// least squares. Raised, outliers pull the first step more; lowered, fewer pixels lead back a start that is off.
+const FIRST_PASS: f32 = 2.7;
+
+/// How residuals are weighed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RobustWeighting {
+    /// Robust standard deviation of the whitened residuals.
+    pub scale: f64,
+    /// Weights that never vanish instead of Tukey's: for a start that may be far off.
+    pub is_first_pass: bool,
+    /// Stride over groups of [`LANES`] pixels: a rough step to take weights from needs only some of them.
+    pub stride: usize,
+}
+
+/// Per-pixel numbers that the step owns.
+#[derive(Debug, Default)]
+pub struct Residuals {
+    /// Seen less predicted grey, at the state of the linearisation.
+    pub intensity: Vec<f32>,
+    /// Inverse of the variance that noise and model explain; 0 where a pixel tells nothing.
+    pub information: Vec<f32>,
+}
+
+impl Residuals {
+    /// Makes room for `n` pixels, none of which tells anything yet.
+    pub fn resize(&mut self, n: usize) {
+        for list in [&mut self.intensity, &mut self.information] {
+            list.clear();
+            resize_with_room(list, n, 0.0);
+        }
+    }
+}
+
+dispatch! {
+    /// Residuals of a run at the linearisation, and their informations.
+    residuals, residuals_lanes,
+    (pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, noise: &Noise, out: &mut Residuals)
+}
+
+/// A run with all that is known of its pixels at the linearisation.
+#[derive(Clone, Copy)]
+pub struct RunView<'a> {
+    /// The pixels.
+    pub pixels: &'a Pixels,
+    /// Which of them.
+    pub run: &'a Run,
+    /// What they should look like.
+    pub appearance: &'a Appearance,
+    /// In this light.
+    pub light: &'a TileLight,
+    /// What they say.
+    pub residuals: &'a Residuals,
+}
+
+/// How much the gain at each corner of its cell counts at a pixel.
+#[inline(always)]
+fn corner_weights<L: Lanes>(pixels: &Pixels, k: usize) -> [L; 4] {
+    let (a, b) = (load_at::<L>(&pixels.cell[0], k), load_at::<L>(&pixels.cell[1], k));
+    let one = L::splat(1.0);
+    let (na, nb) = (one.sub(a), one.sub(b));
+    [na.mul(nb), a.mul(nb), na.mul(b), a.mul(b)]
+}
+
+#[inline(always)]
+fn gain<L: Lanes>(light: &TileLight, corners: &[L; 4]) -> L {
+    let g = light.gains;
+    corners[0]
+        .mul(L::splat(g[0]))
+        .add(corners[1].mul(L::splat(g[1])))
+        .add(corners[2].mul(L::splat(g[2])))
+        .add(corners[3].mul(L::splat(g[3])))
+}
+
+#[inline(always)]
+fn residuals_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, noise: &Noise, out: &mut Residuals) {
+    let one = L::splat(1.0);
+    for k in run.range().step_by(LANES) {
+        let corners = corner_weights::<L>(pixels, k);
+        let g = gain(light, &corners);
+        let intensity = load_at::<L>(&appearance.psf_variance, k).mul_add(L::splat(light.psf_variance), load_at(&appearance.intensity, k));
+        let seen = load_at::<L>(&pixels.seen, k);
+        let residual = seen.sub(g.mul_add(intensity, L::splat(light.bias)));
+        let (across, down) = (load_at::<L>(&appearance.across, k), load_at::<L>(&appearance.down, k));
+        let steep = across.mul(across).add(down.mul(down)).mul(g).mul(g);
+        let expected = g.mul_add(intensity, L::splat(light.bias)).max(L::splat(0.0));
+        let variance =
+            steep.mul_add(L::splat(noise.model_px * noise.model_px), expected.mul_add(L::splat(noise.per_intensity), L::splat(noise.dark)));
+        let information = load_at::<L>(&pixels.counts, k).mul(one.div(variance));
+        store_at(&mut out.intensity, k, residual);
+        store_at(&mut out.information, k, information);
+    }
+}
+
+/// The columns of [`LANES`] pixels: how the predicted grey changes; and the gain there.
+#[inline(always)]
+pub fn columns<L: Lanes>(pixels: &Pixels, appearance: &Appearance, light: &TileLight, k: usize) -> ([L; COLUMNS], L) {
+    let corners = corner_weights::<L>(pixels, k);
+    let g = gain(light, &corners);
+    let psf_variance = load_at::<L>(&appearance.psf_variance, k);
+    let intensity = psf_variance.mul_add(L::splat(light.psf_variance), load_at(&appearance.intensity, k));
+    let mut columns = [g; COLUMNS];
+    for c in 0..PSF_VARIANCE {
+        columns[c] = load_at::<L>(&appearance.by_pose[c], k).mul(g);
+    }
+    columns[PSF_VARIANCE] = psf_variance.mul(g);
+    columns[BIAS] = L::splat(1.0);
+    for c in 0..4 {
+        columns[GAINS + c] = corners[c].mul(intensity);
+    }
+    (columns, g)
+}
+
+/// The residual that a step leaves.
+#[inline(always)]
+pub fn less_step<L: Lanes>(mut r: L, columns: &[L; COLUMNS], step: &[f32; COLUMNS]) -> L {
+    for c in 0..COLUMNS {
+        r = r.sub(columns[c].mul(L::splat(step[c])));
+    }
+    r
+}
+
+/// The robust weight of a squared whitened residual.
+#[inline(always)]
+pub fn weight<L: Lanes>(squared: L, weighting: &RobustWeighting) -> L {
+    let (zero, one) = (L::splat(0.0), L::splat(1.0));
+    let scale2 = (weighting.scale * weighting.scale) as f32;
+    if weighting.is_first_pass {
+        let u = squared.mul(L::splat(1.0 / (scale2 * FIRST_PASS * FIRST_PASS)));
+        return one.div(one.add(u));
+    }
+    let u = one.sub(squared.mul(L::splat(1.0 / (scale2 * TUKEY * TUKEY)))).max(zero);
+    u.mul(u)
+}
+
+dispatch! {
+    /// Sums over the pixels of a run that tell something: their number, predicted, seen, predicted², seen², predicted seen.
+    moments, moments_lanes, (pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 6]
+}
+
+#[inline(always)]
+fn moments_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 6] {
+    let mut sums = [L::splat(0.0); 6];
+    for k in run.range().step_by(LANES) {
+        let c = load_at::<L>(&pixels.counts, k);
+        let (p, s) = (load_at::<L>(&appearance.intensity, k).mul(c), load_at::<L>(&pixels.seen, k).mul(c));
+        let terms = [c, p, s, p.mul(p), s.mul(s), p.mul(s)];
+        for n in 0..6 {
+            sums[n] = sums[n].add(terms[n]);
+        }
+    }
+    let mut totals = [0.0; 6];
+    for n in 0..6 {
+        totals[n] = f64::from(total(sums[n]));
+    }
+    totals
+}
+
+dispatch! {
+    /// Adds the squared whitened residuals that `step` leaves, of one group of [`LANES`] pixels in `stride`, to `squares`.
+    squares_after, squares_after_lanes,
+    (view: &RunView, step: &[f32; COLUMNS], stride: usize, squares: &mut Vec<f32>)
+}
+
+#[inline(always)]
+fn squares_after_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], stride: usize, squares: &mut Vec<f32>) {
+    let RunView { pixels, run, appearance, light, residuals } = *view;
+    for k in run.range().step_by(LANES * stride) {
+        let (columns, _) = columns::<L>(pixels, appearance, light, k);
+        let r = less_step(load_at(&residuals.intensity, k), &columns, step);
+        let mut after = [0.0; LANES];
+        r.mul(r).mul(load_at(&residuals.information, k)).store(&mut after);
+        for n in 0..LANES {
+            if residuals.information[k + n] > 0.0 {
+                squares.push(after[n]);
+            }
+        }
+    }
+}

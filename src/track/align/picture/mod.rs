@@ -1,0 +1,16 @@
+//! The reference picture as alignment reads it.
+//!
+//! - `texture`, `enlarge`: the picture at all levels, in tiles that share a cache line
+//! - `plane_table`: the tangent planes of a bent surface
+//! - `surface`: a surface with its texture, place and shape
+//! - `sight`: the camera's view of a surface, per row
+//!
+//! Uses `scene` and `align::lanes`.
+
+pub mod enlarge;
+#[allow(clippy::needless_range_loop)]
+pub mod plane_table;
+#[allow(clippy::needless_range_loop)]
+pub mod sight;
+pub mod surface;
+pub mod texture;

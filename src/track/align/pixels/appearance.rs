@@ -1,0 +1,565 @@
+//! What the camera should see at each chosen pixel, and how that changes with its pose: the one kernel in which
+//! alignment spends its time.
+//!
+//! A pixel's ray meets its surface at a texel; the pixel's own square covers a small quadrilateral of texels there.
+//! Five by five samples (three by three above the finest level), at the copy of the picture whose texels are a seventh of a
+//! pixel wide, give the mean grey over that square, its gradient, and - by the curvature of the parabola that fits them
+//! best - how it would change with a wider point spread. (Fewer samples, or larger texels, leave errors of a grey level and more, which pull the pose of
+//! a still camera aside by more than its noise; measured in docs/alignment.md.) While the shutter is open the texel
+//! moves along a short curve; under motion blur the samples are shared out along it.
+
+use super::level_spec::LevelSpec;
+use super::runs::Pixels;
+use super::touching_planes::MapLanes;
+use crate::motion::Motion;
+use crate::track::align::lanes::{LANES, Lanes, TILE_COLUMNS, Tile, dispatch, load_at, resize_with_room, store_at};
+use crate::track::align::picture::sight::{Sight, SightPath};
+use crate::track::align::picture::surface::AlignSurface;
+use crate::track::align::picture::texture::TILE_STEP;
+use crate::track::scene::rectangle::Rectangle;
+
+/// Fewest samples across a sharp pixel of a surface tilted beyond this cosine (53 degrees), where a pixel covers many texels in one
+/// direction. Chosen, not tuned: as many as the finest level takes anyway. `TILTED_SIDE` raised costs by its square; `TILTED_COSINE` raised
+/// reaches more views.
+const TILTED_SIDE: usize = 5;
+const TILTED_COSINE: f64 = 0.6;
+/// Under blur: most places along it that are sampled nine times each, and five times each; at more places, three times. With three times
+/// everywhere the median error of d-steep was 0.126 mm instead of 0.101, of d-whip 0.30 instead of 0.24. Raised, blurred frames cost more.
+const NINE_SAMPLES: usize = 3;
+const FIVE_SAMPLES: usize = 5;
+/// Offset across and down, pixels, of four of five samples (4/5 c² = 1/12) and of the outer two of three (2/3 c² = 1/12): the variance of
+/// all is that of the pixel's square. Raised, the prediction is more blurred than the pixel.
+const CORNER_SAMPLE: f32 = 0.3227;
+const DIAGONAL_SAMPLE: f32 = 0.3536;
+/// Unit of the point spread: variance that it adds across and down, pixels². That of the pixel's own square; estimates and sigmas of the
+/// point spread are multiples of it.
+const PSF_VARIANCE_UNIT: f32 = 1.0 / 12.0;
+/// Groups of pixels by which texels are prefetched ahead, and how far from a pixel's middle that goes, pixels: as far as the outer of five
+/// samples. Their addresses follow no order that the processor could guess; without, three quarters of the prediction were spent waiting.
+/// `AHEAD` lowered, texels come too late; raised, they may have left the cache again.
+const AHEAD: usize = 2;
+const OUTER_SAMPLE: f32 = 0.4;
+/// log2 of the size of a texel that suits a sample, pixels: a seventh; an eleventh on tilted surfaces; a quarter under blur, which hides
+/// finer detail. At 0.27 pixels a still frame was left with a residual of 1.16 grey levels, at 0.14 with 0.67 (docs/alignment.md). Raised,
+/// the prediction loses detail; lowered, samples step over texels between them.
+const TEXEL_LOG2: f32 = -2.8;
+const TILTED_TEXEL_LOG2: f32 = -3.5;
+const BLURRED_TEXEL_LOG2: f32 = -1.9;
+
+/// The prediction at each pixel, in the order of [`Pixels`].
+#[derive(Debug, Default)]
+pub struct Appearance {
+    /// Grey of the reference.
+    pub intensity: Vec<f32>,
+    /// Change of grey with a wider point spread.
+    pub psf_variance: Vec<f32>,
+    /// Grey without motion blur less grey with it.
+    pub sharper: Vec<f32>,
+    /// Derivative of grey by the camera's position (3, the body's axes, per metre) and rotation (3, the camera's axes, per
+    /// radian).
+    pub by_pose: [Vec<f32>; 6],
+    /// Derivative of grey by pixels of the level, across and down.
+    pub across: Vec<f32>,
+    /// See `across`.
+    pub down: Vec<f32>,
+    /// Derivative of grey by the camera's velocity and turn rate (axes as in `by_pose`, per metre and radian a second) about the instant of the pixel's row: what
+    /// motion blur alone tells. Filled by [`predict_by_velocity`] alone.
+    pub by_velocity: [Vec<f32>; 6],
+}
+
+impl Appearance {
+    /// Makes room for `n` pixels; a whole number of lanes.
+    pub fn resize(&mut self, n: usize) {
+        let by_pose = self.by_pose.iter_mut();
+        for v in by_pose.chain([&mut self.intensity, &mut self.psf_variance, &mut self.sharper, &mut self.across, &mut self.down]) {
+            resize_with_room(v, n, 0.0);
+        }
+    }
+
+    /// Makes room for `by_velocity`, of as many pixels as the others.
+    pub fn make_room_for_velocity(&mut self) {
+        let n = self.intensity.len();
+        self.by_velocity.iter_mut().for_each(|v| resize_with_room(v, n, 0.0));
+    }
+}
+
+/// A surface as one frame sees it, in the numbers of the kernel.
+struct View {
+    path: SightPath,
+    /// Surface axes to body axes.
+    to_body: [f32; 9],
+    texels_per_m: [f32; 2],
+    middle_texel: [f32; 2],
+    first_level: f32,
+    last_level: f32,
+    /// Level of the texture that suits a footprint of one picture pixel.
+    level_offset: f32,
+    /// Half of the exposure, seconds.
+    half_exposure_s: f32,
+    /// Samples across a sharp pixel.
+    side: usize,
+    /// See [`LevelSpec::gradient_gain`].
+    gradient_gain: f32,
+}
+
+impl View {
+    fn new(what: &Predicted) -> Self {
+        let Predicted { surface, motion, spec, .. } = *what;
+        let exposure_s = if spec.places > 1 { spec.shutter.exposure_s } else { 0.0 };
+        let Rectangle { rotation, size_px: [w, h], .. } = &surface.rectangle;
+        let is_tilted = (rotation.transpose() * motion.pose.rotation_matrix())[(2, 2)].abs() < TILTED_COSINE;
+        let texel_log2 = match (exposure_s > 0.0, is_tilted) {
+            (true, _) => BLURRED_TEXEL_LOG2,
+            (false, false) => TEXEL_LOG2,
+            (false, true) => TILTED_TEXEL_LOG2,
+        };
+        Self {
+            side: if is_tilted { TILTED_SIDE.max(spec.side) } else { spec.side },
+            path: SightPath::new(&surface.rectangle, motion),
+            to_body: std::array::from_fn(|k| rotation[(k / 3, k % 3)] as f32),
+            texels_per_m: surface.rectangle.texels_per_m().map(|texels| texels as f32),
+            middle_texel: [(0.5 * w - 0.5) as f32, (0.5 * h - 0.5) as f32],
+            first_level: if spec.is_enlarged { 0.0 } else { surface.texture.own_level() as f32 },
+            last_level: surface.texture.levels as f32 - 0.999,
+            level_offset: surface.texture.own_level() as f32 + texel_log2,
+            half_exposure_s: (0.5 * exposure_s) as f32,
+            gradient_gain: spec.gradient_gain,
+        }
+    }
+}
+
+/// Which pixels to predict, and how.
+#[derive(Clone, Copy)]
+pub struct Predicted<'a> {
+    /// The surface that they lie on.
+    pub surface: &'a AlignSurface,
+    /// How the camera moves.
+    pub motion: &'a Motion,
+    /// The level.
+    pub spec: &'a LevelSpec<'a>,
+    /// The pixels of the level.
+    pub pixels: &'a Pixels,
+    /// First of these, and one beyond the last: whole lanes.
+    pub range: [usize; 2],
+}
+
+dispatch! {
+    /// Predicts the pixels of one surface.
+    predict, predict_lanes, (what: &Predicted, out: &mut Appearance)
+}
+
+dispatch! {
+    /// Predicts the pixels of one surface, and how they change with the velocity that blurs them; there must be room for that.
+    predict_by_velocity, predict_by_velocity_lanes, (what: &Predicted, out: &mut Appearance)
+}
+
+/// Where a ray meets the surface, and how that point moves with the ray.
+#[derive(Clone, Copy)]
+struct Hit<L> {
+    texel: [L; 2],
+    /// Ray in surface axes over its depth component.
+    slope: [L; 2],
+    depth: L,
+}
+
+/// Of a flat surface; of a bent one in the frame of the planes that touch it.
+#[inline(always)]
+fn sight_at<L: Lanes>(view: &View, t: L, map: Option<&MapLanes<L>>) -> Sight<L> {
+    let sight = view.path.at(t);
+    match map {
+        Some(map) => map.sight(&sight),
+        None => sight,
+    }
+}
+
+#[inline(always)]
+fn hit<L: Lanes>(view: &View, sight: &Sight<L>, x: L, y: L) -> Hit<L> {
+    let (centre, direction) = (&sight.centre, sight.direction(x, y));
+    let inverse = L::splat(1.0).div(direction[2]);
+    let depth = L::splat(0.0).sub(centre[2]).mul(inverse);
+    let px = depth.mul_add(direction[0], centre[0]);
+    let py = depth.mul_add(direction[1], centre[1]);
+    Hit {
+        texel: [
+            px.mul_add(L::splat(view.texels_per_m[0]), L::splat(view.middle_texel[0])),
+            py.mul_add(L::splat(-view.texels_per_m[1]), L::splat(view.middle_texel[1])),
+        ],
+        slope: [direction[0].mul(inverse), direction[1].mul(inverse)],
+        depth,
+    }
+}
+
+/// A level of the texture, for each lane its own.
+struct LevelLanes<L: Lanes> {
+    scale: L,
+    last_column: L,
+    last_row: L,
+    stride: L::Index,
+    base: L::Index,
+}
+
+/// The copy whose texels are nearest in size to what suits a sample.
+#[inline(always)]
+fn level_for<L: Lanes>(surface: &AlignSurface, view: &View, by_pixel: &[L; 4]) -> LevelLanes<L> {
+    let area = by_pixel[0].mul(by_pixel[3]).sub(by_pixel[1].mul(by_pixel[2]));
+    let area = area.max(L::splat(0.0).sub(area)).max(L::splat(1e-9));
+    // One half more, so that rounding down is rounding.
+    let level = area.rough_log2().mul_add(L::splat(0.5), L::splat(view.level_offset + 0.5));
+    let l = level.max(L::splat(view.first_level)).min(L::splat(view.last_level)).to_index();
+    let t = &surface.texture;
+    LevelLanes {
+        scale: L::lookup(&t.scale, l),
+        last_column: L::lookup(&t.last_column, l),
+        last_row: L::lookup(&t.last_row, l),
+        stride: L::lookup_index(&t.stride, l),
+        base: L::lookup_index(&t.base, l),
+    }
+}
+
+/// Where in the tiles the texel above and left of picture pixel (u, v) is, and how far from it that lies.
+#[inline(always)]
+fn address<L: Lanes>(level: &LevelLanes<L>, u: L, v: L) -> (L::Index, [L; 2]) {
+    let (half, zero) = (L::splat(0.5), L::splat(0.0));
+    let u = u.add(half).mul_add(level.scale, L::splat(-0.5)).max(zero).min(level.last_column);
+    let v = v.add(half).mul_add(level.scale, L::splat(-0.5)).max(zero).min(level.last_row);
+    let (i, j) = (u.floor(), v.floor());
+    let step = TILE_STEP.map(|step| 1.0 / step as f32);
+    // Half a texel keeps whole numbers clear of the rounding of the division.
+    let column = i.mul_add(L::splat(step[0]), L::splat(0.5 * step[0])).floor();
+    let row = j.mul_add(L::splat(step[1]), L::splat(0.5 * step[1])).floor();
+    let in_row = column.mul_add(L::splat((size_of::<Tile>() - TILE_STEP[0]) as f32), j.mul_add(L::splat(TILE_COLUMNS as f32), i));
+    (L::address(row.to_index(), level.stride, in_row.to_index(), level.base), [u.sub(i), v.sub(j)])
+}
+
+/// The grey at picture pixel (u, v).
+#[inline(always)]
+fn sample<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, u: L, v: L) -> L {
+    let (address, [a, b]) = address(level, u, v);
+    let [q00, q10, q01, q11] = L::gather_quads(tiles, address);
+    let upper = q10.sub(q00).mul_add(a, q00);
+    let lower = q11.sub(q01).mul_add(a, q01);
+    lower.sub(upper).mul_add(b, upper)
+}
+
+/// Asks for the tiles that the samples at later pixels will need: the middles and corners of squares like `by_pixel`.
+#[inline(always)]
+fn prefetch<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4]) {
+    for [x, y] in [[0.0, 0.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]] {
+        let [x, y] = [L::splat(OUTER_SAMPLE * x), L::splat(OUTER_SAMPLE * y)];
+        let u = by_pixel[0].mul_add(x, by_pixel[1].mul_add(y, middle[0]));
+        let v = by_pixel[2].mul_add(x, by_pixel[3].mul_add(y, middle[1]));
+        L::prefetch_quads(tiles, address(level, u, v).0);
+    }
+}
+
+/// Texels by pixels of the level: [uu, uv, vu, vv].
+#[inline(always)]
+fn footprint<L: Lanes>(view: &View, a: &[L; 9], middle: &Hit<L>, pixels: &Pixels, k: usize) -> [L; 4] {
+    let across = L::splat(view.texels_per_m[0]).mul(middle.depth);
+    let down = L::splat(-view.texels_per_m[1]).mul(middle.depth);
+    let ux = a[0].sub(a[6].mul(middle.slope[0])).mul(across);
+    let uy = a[1].sub(a[7].mul(middle.slope[0])).mul(across);
+    let vx = a[3].sub(a[6].mul(middle.slope[1])).mul(down);
+    let vy = a[4].sub(a[7].mul(middle.slope[1])).mul(down);
+    let (xu, xv) = (load_at::<L>(&pixels.x_across, k), load_at::<L>(&pixels.x_down, k));
+    let (yu, yv) = (load_at::<L>(&pixels.y_across, k), load_at::<L>(&pixels.y_down, k));
+    [ux.mul_add(xu, uy.mul(yu)), ux.mul_add(xv, uy.mul(yv)), vx.mul_add(xu, vy.mul(yu)), vx.mul_add(xv, vy.mul(yv))]
+}
+
+/// What a pixel's samples come to. Gradients are slopes over the samples: slopes inside single texels change from texel to texel, and their
+/// scatter would pass for information.
+struct Sampled<L> {
+    intensity: L,
+    psf_variance: L,
+    sharper: L,
+    /// By pixels of the level.
+    across: L,
+    down: L,
+    /// Means of these times the instant of their place, in halves of the exposure. Where nobody asks for them, they are not computed: all this is compiled into its caller.
+    by_instant: [L; 2],
+}
+
+/// `side` x `side` samples at a sharp pixel.
+#[inline(always)]
+fn sharp_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4], side: usize) -> Sampled<L> {
+    let zero = L::splat(0.0);
+    let (mut sum, mut across, mut down, mut squared) = (zero, zero, zero, zero);
+    let n = side as f32;
+    // Mean and variance of the squared offsets.
+    let (mut mean, mut variance) = (0.0, 0.0);
+    for j in 0..side {
+        let y = (j as f32 + 0.5) / n - 0.5;
+        let (u, v) = (by_pixel[1].mul_add(L::splat(y), middle[0]), by_pixel[3].mul_add(L::splat(y), middle[1]));
+        let mut row = zero;
+        for i in 0..side {
+            let x = (i as f32 + 0.5) / n - 0.5;
+            let intensity = sample(tiles, level, by_pixel[0].mul_add(L::splat(x), u), by_pixel[2].mul_add(L::splat(x), v));
+            row = row.add(intensity);
+            across = intensity.mul_add(L::splat(x), across);
+            squared = intensity.mul_add(L::splat(x * x), squared);
+        }
+        sum = sum.add(row);
+        down = row.mul_add(L::splat(y), down);
+        squared = row.mul_add(L::splat(y * y), squared);
+        mean += y * y / n;
+        variance += y.powi(4) / n;
+    }
+    variance -= mean * mean;
+    let samples = n * n;
+    let intensity = sum.mul(L::splat(1.0 / samples));
+    let slope = L::splat(1.0 / (samples * mean));
+    // The curvature of the parabola that fits best: what a wider spread of a given variance adds is half of it per variance.
+    let curved = squared.sub(sum.mul(L::splat(2.0 * mean)));
+    Sampled {
+        intensity,
+        psf_variance: curved.mul(L::splat(PSF_VARIANCE_UNIT / (samples * variance))),
+        sharper: zero,
+        across: across.mul(slope),
+        down: down.mul(slope),
+        by_instant: [zero; 2],
+    }
+}
+
+/// The way of a pixel's middle over the picture while the shutter is open.
+#[derive(Clone, Copy)]
+struct BlurPath<L> {
+    middle: [L; 2],
+    slope: [L; 2],
+    bend: [L; 2],
+}
+
+impl<L: Lanes> BlurPath<L> {
+    #[inline(always)]
+    fn through(first: [L; 2], middle: [L; 2], last: [L; 2]) -> Self {
+        let half = L::splat(0.5);
+        Self {
+            middle,
+            slope: [last[0].sub(first[0]).mul(half), last[1].sub(first[1]).mul(half)],
+            bend: [first[0].add(last[0]).mul(half).sub(middle[0]), first[1].add(last[1]).mul(half).sub(middle[1])],
+        }
+    }
+
+    /// The n-th of several places.
+    #[inline(always)]
+    fn place(&self, n: usize, places: usize) -> [L; 2] {
+        let e = L::splat(instant(n, places));
+        [
+            self.bend[0].mul_add(e, self.slope[0]).mul_add(e, self.middle[0]),
+            self.bend[1].mul_add(e, self.slope[1]).mul_add(e, self.middle[1]),
+        ]
+    }
+}
+
+/// The instant of the n-th of several places along a blur, in halves of the exposure from its middle. They are as far apart as gives them the variance of the whole
+/// way: a third.
+fn instant(n: usize, places: usize) -> f32 {
+    (2.0 * n as f32 + 1.0 - places as f32) / ((places * places - 1) as f32).sqrt()
+}
+
+/// Samples at `places` (odd, 3 at least) along the blur: nine or five at each where these are few, else three.
+#[inline(always)]
+fn blurred_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurPath<L>, by_pixel: &[L; 4], places: usize) -> Sampled<L> {
+    if places > FIVE_SAMPLES {
+        return diagonal_samples(tiles, level, way, by_pixel, places);
+    }
+    let zero = L::splat(0.0);
+    let mut unblurred = zero;
+    let mut mean = Sampled { intensity: zero, psf_variance: zero, sharper: zero, across: zero, down: zero, by_instant: [zero; 2] };
+    let share = L::splat(1.0 / places as f32);
+    for n in 0..places {
+        let at = way.place(n, places);
+        let sampled =
+            if places > NINE_SAMPLES { five_samples(tiles, level, at, by_pixel) } else { sharp_samples(tiles, level, at, by_pixel, 3) };
+        mean.intensity = sampled.intensity.mul_add(share, mean.intensity);
+        mean.psf_variance = sampled.psf_variance.mul_add(share, mean.psf_variance);
+        mean.across = sampled.across.mul_add(share, mean.across);
+        mean.down = sampled.down.mul_add(share, mean.down);
+        let timed = L::splat(instant(n, places) / places as f32);
+        mean.by_instant = [sampled.across.mul_add(timed, mean.by_instant[0]), sampled.down.mul_add(timed, mean.by_instant[1])];
+        if 2 * n + 1 == places {
+            unblurred = sampled.intensity;
+        }
+    }
+    mean.sharper = unblurred.sub(mean.intensity);
+    mean
+}
+
+/// A sample at the middle of a pixel and four towards its corners.
+#[inline(always)]
+fn five_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, [u, v]: [L; 2], by_pixel: &[L; 4]) -> Sampled<L> {
+    let step = L::splat(CORNER_SAMPLE);
+    let falling = [by_pixel[0].add(by_pixel[1]).mul(step), by_pixel[2].add(by_pixel[3]).mul(step)];
+    let rising = [by_pixel[0].sub(by_pixel[1]).mul(step), by_pixel[2].sub(by_pixel[3]).mul(step)];
+    let centre = sample(tiles, level, u, v);
+    let right_below = sample(tiles, level, u.add(falling[0]), v.add(falling[1]));
+    let left_above = sample(tiles, level, u.sub(falling[0]), v.sub(falling[1]));
+    let right_above = sample(tiles, level, u.add(rising[0]), v.add(rising[1]));
+    let left_below = sample(tiles, level, u.sub(rising[0]), v.sub(rising[1]));
+    let corners = right_below.add(left_above).add(right_above.add(left_below));
+    let intensity = corners.add(centre).mul(L::splat(0.2));
+    let (along_falling, along_rising) = (right_below.sub(left_above), right_above.sub(left_below));
+    let slope = L::splat(0.25 / CORNER_SAMPLE);
+    Sampled {
+        intensity,
+        psf_variance: corners.mul(L::splat(0.25)).sub(centre).mul(L::splat(PSF_VARIANCE_UNIT / (CORNER_SAMPLE * CORNER_SAMPLE))),
+        sharper: L::splat(0.0),
+        across: along_falling.add(along_rising).mul(slope),
+        down: along_falling.sub(along_rising).mul(slope),
+        by_instant: [L::splat(0.0); 2],
+    }
+}
+
+/// Three samples at each of `places`, on alternating diagonals.
+#[inline(always)]
+fn diagonal_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurPath<L>, by_pixel: &[L; 4], places: usize) -> Sampled<L> {
+    let step = L::splat(DIAGONAL_SAMPLE);
+    let diagonals = [
+        [by_pixel[0].add(by_pixel[1]).mul(step), by_pixel[2].add(by_pixel[3]).mul(step)],
+        [by_pixel[0].sub(by_pixel[1]).mul(step), by_pixel[2].sub(by_pixel[3]).mul(step)],
+    ];
+    let zero = L::splat(0.0);
+    let (mut outer, mut middles, mut unblurred) = (zero, zero, zero);
+    let mut differences = [zero; 2];
+    // Differences times their instants, and the squares of these, of each diagonal.
+    let (mut by_instant, mut squared_instants) = ([zero; 2], [0.0; 2]);
+    for n in 0..places {
+        let [u, v] = way.place(n, places);
+        let [du, dv] = diagonals[n % 2];
+        let centre = sample(tiles, level, u, v);
+        let (ahead, behind) = (sample(tiles, level, u.add(du), v.add(dv)), sample(tiles, level, u.sub(du), v.sub(dv)));
+        middles = middles.add(centre);
+        outer = outer.add(ahead.add(behind));
+        differences[n % 2] = differences[n % 2].add(ahead.sub(behind));
+        let e = instant(n, places);
+        by_instant[n % 2] = ahead.sub(behind).mul_add(L::splat(e), by_instant[n % 2]);
+        squared_instants[n % 2] += e * e;
+        if 2 * n + 1 == places {
+            unblurred = centre;
+        }
+    }
+    let intensity = outer.add(middles).mul(L::splat(1.0 / (3.0 * places as f32)));
+    let middles = middles.mul(L::splat(1.0 / places as f32));
+    // Slopes along both diagonals: their half sum and half difference are those across and down.
+    let [falling, rising] = [differences[0], differences[1]];
+    let falling = falling.mul(L::splat(0.25 / (DIAGONAL_SAMPLE * places.div_ceil(2) as f32)));
+    let rising = rising.mul(L::splat(0.25 / (DIAGONAL_SAMPLE * (places / 2) as f32)));
+    // Along either diagonal every other place is seen: the line through its differences gives the mean over all, as the instants' variance is a third.
+    let [falling_by_instant, rising_by_instant] =
+        std::array::from_fn(|d| by_instant[d].mul(L::splat(0.25 / (3.0 * DIAGONAL_SAMPLE * squared_instants[d].max(f32::MIN_POSITIVE)))));
+    Sampled {
+        intensity,
+        psf_variance: intensity.sub(middles).mul(L::splat(1.5 * PSF_VARIANCE_UNIT / (DIAGONAL_SAMPLE * DIAGONAL_SAMPLE))),
+        // Between middle samples alone: the outer ones lie on other diagonals from place to place.
+        sharper: unblurred.sub(middles),
+        across: falling.add(rising),
+        down: falling.sub(rising),
+        by_instant: [falling_by_instant.add(rising_by_instant), falling_by_instant.sub(rising_by_instant)],
+    }
+}
+
+#[inline(always)]
+pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
+    predict_surface::<L, false>(what, out);
+}
+
+#[inline(always)]
+pub fn predict_by_velocity_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
+    predict_surface::<L, true>(what, out);
+}
+
+#[inline(always)]
+fn predict_surface<L: Lanes, const BY_VELOCITY: bool>(what: &Predicted, out: &mut Appearance) {
+    // Compiled for each: a flat surface costs nothing of what a bent one does.
+    if what.surface.rectangle.shape.is_flat() || what.pixels.planes.is_empty() {
+        predict_pixels::<L, false, BY_VELOCITY>(what, out);
+    } else {
+        predict_pixels::<L, true, BY_VELOCITY>(what, out);
+    }
+}
+
+#[inline(always)]
+fn predict_pixels<L: Lanes, const IS_BENT: bool, const BY_VELOCITY: bool>(what: &Predicted, out: &mut Appearance) {
+    let Predicted { surface, spec, pixels, range, .. } = *what;
+    let view = &View::new(what);
+    let tiles = &surface.texture.tiles[..];
+    let mut k = range[0];
+    while k < range[1] {
+        let (x, y, t) = (load_at::<L>(&pixels.x, k), load_at::<L>(&pixels.y, k), load_at::<L>(&pixels.delay_s, k));
+        let map = if IS_BENT { Some(pixels.planes.load::<L>(k)) } else { None };
+        let sight = sight_at(view, t, map.as_ref());
+        let middle = hit(view, &sight, x, y);
+        let by_pixel = footprint(view, &sight.rotation, &middle, pixels, k);
+        let level = level_for(surface, view, &by_pixel);
+        let ahead = k + AHEAD * LANES;
+        if ahead < range[1] {
+            // The plane of the surface is near enough to fetch by.
+            let later = view.path.at(load_at::<L>(&pixels.delay_s, ahead));
+            let later = hit(view, &later, load_at::<L>(&pixels.x, ahead), load_at::<L>(&pixels.y, ahead));
+            prefetch(tiles, &level, later.texel, &by_pixel);
+        }
+        let sampled = if spec.places <= 1 {
+            sharp_samples(tiles, &level, middle.texel, &by_pixel, view.side)
+        } else {
+            let half = L::splat(view.half_exposure_s);
+            let (before, after) = (t.sub(half), t.add(half));
+            let first = hit(view, &sight_at(view, before, map.as_ref()), x, y).texel;
+            let last = hit(view, &sight_at(view, after, map.as_ref()), x, y).texel;
+            blurred_samples(tiles, &level, &BlurPath::through(first, middle.texel, last), &by_pixel, spec.places)
+        };
+        store_at(&mut out.intensity, k, sampled.intensity);
+        store_at(&mut out.psf_variance, k, sampled.psf_variance);
+        store_at(&mut out.sharper, k, sampled.sharper);
+        let gradient_gain = L::splat(view.gradient_gain);
+        let (across, down) = (sampled.across.mul(gradient_gain), sampled.down.mul(gradient_gain));
+        store_at(&mut out.across, k, across);
+        store_at(&mut out.down, k, down);
+        let derivatives = by_pose(view, &sight.rotation, &middle, [x, y], by_texel(&by_pixel, across, down), map.as_ref());
+        for n in 0..6 {
+            store_at(&mut out.by_pose[n], k, derivatives[n]);
+        }
+        if BY_VELOCITY {
+            // A place is where the velocity has taken the camera from the instant of its row.
+            let gain = gradient_gain.mul(L::splat(view.half_exposure_s));
+            let [across, down] = sampled.by_instant.map(|slope| slope.mul(gain));
+            let by_velocity = by_pose(view, &sight.rotation, &middle, [x, y], by_texel(&by_pixel, across, down), map.as_ref());
+            for n in 0..6 {
+                store_at(&mut out.by_velocity[n], k, by_velocity[n]);
+            }
+        }
+        k += LANES;
+    }
+}
+
+/// The gradient by picture pixels from that by pixels of the level.
+#[inline(always)]
+fn by_texel<L: Lanes>(by_pixel: &[L; 4], across: L, down: L) -> [L; 2] {
+    let [uu, uv, vu, vv] = *by_pixel;
+    let inverse = L::splat(1.0).div(uu.mul(vv).sub(uv.mul(vu)));
+    [across.mul(vv).sub(down.mul(vu)).mul(inverse), down.mul(uu).sub(across.mul(uv)).mul(inverse)]
+}
+
+/// dP/dp = R_s q and dP/dθ = depth (ray x Aᵀ q), with q the gradient that moving the camera in the surface's frame shows.
+#[inline(always)]
+fn by_pose<L: Lanes>(view: &View, a: &[L; 9], hit: &Hit<L>, ray: [L; 2], gradient: [L; 2], map: Option<&MapLanes<L>>) -> [L; 6] {
+    let gx = gradient[0].mul(L::splat(view.texels_per_m[0]));
+    let gy = gradient[1].mul(L::splat(-view.texels_per_m[1]));
+    let gz = L::splat(0.0).sub(gx.mul_add(hit.slope[0], gy.mul(hit.slope[1])));
+    let mut out = [gx; 6];
+    // Not `map_or`: what its closure does would not be compiled for the wider registers of the function around it.
+    let [sx, sy, sz] = match map {
+        Some(map) => map.gradient([gx, gy, gz]),
+        None => [gx, gy, gz],
+    };
+    for r in 0..3 {
+        let m = [L::splat(view.to_body[3 * r]), L::splat(view.to_body[3 * r + 1]), L::splat(view.to_body[3 * r + 2])];
+        out[r] = sx.mul_add(m[0], sy.mul_add(m[1], sz.mul(m[2])));
+    }
+    let mut b = [gx; 3];
+    for c in 0..3 {
+        b[c] = a[c].mul_add(gx, a[3 + c].mul_add(gy, a[6 + c].mul(gz)));
+    }
+    out[3] = ray[1].mul(b[2]).sub(b[1]).mul(hit.depth);
+    out[4] = b[0].sub(ray[0].mul(b[2])).mul(hit.depth);
+    out[5] = ray[0].mul(b[1]).sub(ray[1].mul(b[0])).mul(hit.depth);
+    out
+}

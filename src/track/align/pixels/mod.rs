@@ -1,0 +1,17 @@
+//! Which pixels are compared, and what they should show.
+//!
+//! - `level_spec`: one level of one frame: rays, shutter, noise, and the motion about which all is
+//!   linearised
+//! - `selection`, `runs`: pixels are chosen where the reference is steep, and laid out in runs
+//! - `touching_planes`: a bent surface as the planes that touch it
+//! - `appearance`: the predicted grey of every chosen pixel, with its derivatives
+//!
+//! Uses `align::picture` and `align::learned`.
+
+#[allow(clippy::needless_range_loop)]
+pub mod appearance;
+pub mod level_spec;
+pub mod runs;
+pub mod selection;
+#[allow(clippy::needless_range_loop)]
+pub mod touching_planes;

@@ -1,0 +1,233 @@
+//! The chosen pixels of a level, laid out for the kernels: surface by surface and tile by tile, whole lanes to a
+//! run, with their rays, what the camera saw there, and the light that it saw them in.
+//!
+//! Runs, tiles and light belong together, and are made anew together, by [`Pixels::arrange`] alone: there is no run
+//! without its four nodes of the light.
+
+use super::level_spec::LevelSpec;
+use super::touching_planes::{Rays, TouchingPlanes};
+use crate::motion::Motion;
+use crate::track::align::lanes::{LANES, resize_with_room};
+use crate::track::align::learned::light::{Light, RememberedLight, TileLight};
+use crate::track::frame::frame_levels::Level;
+use crate::track::frame::tile_grid::{Chosen, TileGrid};
+
+/// A level's grey from which on it counts as burnt out, and up to which as drowned. Below 255, for the mean of pixels of which some are
+/// clipped, and for JPEG's ringing; above 0 likewise. Chosen, not tuned. `BRIGHTEST` raised, clipped pixels pull the gain and the pose;
+/// lowered, white parts of a bright stage are not asked.
+const BRIGHTEST: f32 = 252.0;
+const DARKEST: f32 = 0.5;
+
+/// A run of pixels of one surface in one tile: whole lanes, the last of which may repeat a pixel that then counts nothing.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Run {
+    /// Surface index in the body.
+    pub surface: u32,
+    /// Tile number.
+    pub tile: u32,
+    /// First pixel.
+    pub start: u32,
+    /// One beyond the last, repeated ones included.
+    pub end: u32,
+}
+
+impl Run {
+    /// The places of its pixels.
+    pub fn range(&self) -> std::ops::Range<usize> {
+        self.start as usize..self.end as usize
+    }
+}
+
+/// Chosen pixels, each a place in all of the lists.
+#[derive(Debug, Default)]
+pub struct Pixels {
+    /// Ray at depth 1.
+    pub x: Vec<f32>,
+    /// Ray at depth 1.
+    pub y: Vec<f32>,
+    /// Derivative of the ray by pixels of the level.
+    pub x_across: Vec<f32>,
+    /// See `x_across`.
+    pub x_down: Vec<f32>,
+    /// See `x_across`.
+    pub y_across: Vec<f32>,
+    /// See `x_across`.
+    pub y_down: Vec<f32>,
+    /// Seconds from the frame's stamp to the middle of the row's exposure.
+    pub delay_s: Vec<f32>,
+    /// Grey that the camera saw.
+    pub seen: Vec<f32>,
+    /// 1 where that tells something, 0 where it is burnt out, drowned, or padding.
+    pub counts: Vec<f32>,
+    /// Place in the cell of the light grid, 0 to 1.
+    pub cell: [Vec<f32>; 2],
+    /// Column and row of the level.
+    pub place: [Vec<f32>; 2],
+    /// Row times width plus column.
+    pub index: Vec<u32>,
+    /// Runs in order.
+    runs: Vec<Run>,
+    /// Ranges of the surfaces, whole lanes: (surface, start, end).
+    pub groups: Vec<(u32, u32, u32)>,
+    /// Of bent surfaces.
+    pub planes: TouchingPlanes,
+    /// On the grid whose tiles the runs are of.
+    light: Light,
+    /// See [`TileGrid::places`]; where the next pixel of each surface's tile goes.
+    columns: Vec<(u16, f32)>,
+    rows: Vec<(u16, f32)>,
+    next: Vec<u32>,
+    /// Which of the chosen pixels goes to each place, and which places repeat one.
+    order: Vec<u32>,
+    repeats: Vec<u32>,
+}
+
+impl Pixels {
+    /// Lays out a choice, in the light that is remembered.
+    pub fn arrange(&mut self, chosen: &[Chosen], spec: &LevelSpec, level: &Level, light: &RememberedLight) {
+        let (table, height) = (spec.rays.table(spec.level), spec.rays.camera().height());
+        let grid = TileGrid::covering(chosen);
+        grid.places(0, &mut self.columns);
+        grid.places(1, &mut self.rows);
+        self.sort(chosen, spec.surfaces.len(), &grid);
+        self.light.spread_over(grid, light);
+        let n = self.order.len();
+        for list in self.lists() {
+            resize_with_room(list, n, 0.0);
+        }
+        resize_with_room(&mut self.index, n, 0);
+        let [left, top] = grid.origin();
+        // List by list, in the order of their places: short loops wait for many of a table's entries at a time.
+        for (index, k) in self.index.iter_mut().zip(&self.order) {
+            let [u, v] = chosen[*k as usize].place.map(usize::from);
+            *index = (v * table.width + u) as u32;
+        }
+        for ((x, y), index) in self.x.iter_mut().zip(&mut self.y).zip(&self.index) {
+            [*x, *y] = table.rays[*index as usize];
+        }
+        self.see(spec.level, level);
+        for (n, k) in self.order.iter().enumerate() {
+            let [u, v] = chosen[*k as usize].place.map(usize::from);
+            let slope = table.slope(u, v);
+            (self.x_across[n], self.x_down[n]) = (slope.x_across, slope.x_down);
+            (self.y_across[n], self.y_down[n]) = (slope.y_across, slope.y_down);
+            (self.place[0][n], self.place[1][n]) = (u as f32, v as f32);
+            self.delay_s[n] = spec.shutter.delay_s(spec.frame_y(v as f64), height) as f32;
+            (self.cell[0][n], self.cell[1][n]) = (self.columns[u - left].1, self.rows[v - top].1);
+        }
+    }
+
+    /// Finds where the pixels see bent surfaces from a motion.
+    pub fn touch(&mut self, spec: &LevelSpec, motion: &Motion) {
+        let Self { x, y, delay_s, groups, planes, .. } = self;
+        planes.find(&Rays { x, y, delay_s, groups }, spec, motion);
+    }
+
+    /// Takes what a frame shows at the pixels.
+    pub fn see(&mut self, l: usize, level: &Level) {
+        let to_grey = 1.0 / f32::from(1u16 << (2 * l));
+        for ((seen, counts), index) in self.seen.iter_mut().zip(&mut self.counts).zip(&self.index) {
+            *seen = f32::from(level.sums()[*index as usize]) * to_grey;
+            *counts = tells_something(*seen);
+        }
+        for k in &self.repeats {
+            self.counts[*k as usize] = 0.0;
+        }
+    }
+
+    /// Whether place `k` repeats another's pixel.
+    #[cfg(test)]
+    pub fn is_repeat(&self, k: u32) -> bool {
+        self.repeats.binary_search(&k).is_ok()
+    }
+
+    /// Pixels, padding included.
+    pub fn len(&self) -> usize {
+        self.x.len()
+    }
+
+    /// The runs in order.
+    pub fn runs(&self) -> &[Run] {
+        &self.runs
+    }
+
+    /// The light on the grid of the runs.
+    pub fn light(&self) -> &Light {
+        &self.light
+    }
+
+    /// The light of one of the runs.
+    pub fn light_of(&self, run: &Run) -> TileLight {
+        self.light.of_tile(run.tile)
+    }
+
+    /// Goes back to a light that is remembered.
+    pub fn recall_light(&mut self, light: &RememberedLight) {
+        self.light.spread_over(*self.light.grid(), light);
+    }
+
+    /// Adds a solution's changes of the gains, the point spread and the bias to the light.
+    pub fn correct_light(&mut self, gains: &[f64], psf_variance: f64, bias: f64) {
+        self.light.correct(gains, psf_variance, bias);
+    }
+
+    /// Takes a light from guesses: `gains` of tiles, near the usual one.
+    pub fn guess_light(&mut self, bias: f64, psf_variance: f64, usual: f64, gains: impl Iterator<Item = (u32, f64)>) {
+        self.light.guess(bias, psf_variance, usual, gains);
+    }
+
+    /// Finds the runs and groups of a choice, and which of it goes where.
+    fn sort(&mut self, chosen: &[Chosen], surfaces: usize, grid: &TileGrid) {
+        let tiles = grid.len();
+        let [left, top] = grid.origin();
+        let (columns, rows) = (&self.columns, &self.rows);
+        let slot = |c: &Chosen| {
+            let [u, v] = c.place.map(usize::from);
+            usize::from(c.surface) * tiles + grid.tile(columns[u - left].0, rows[v - top].0)
+        };
+        self.next.clear();
+        self.next.resize(surfaces * tiles, 0);
+        chosen.iter().for_each(|c| self.next[slot(c)] += 1);
+        self.runs.clear();
+        self.groups.clear();
+        self.repeats.clear();
+        let mut end = 0u32;
+        for surface in 0..surfaces as u32 {
+            let group_start = end;
+            for tile in 0..tiles as u32 {
+                let next = &mut self.next[surface as usize * tiles + tile as usize];
+                let (start, filled) = (end, end + *next);
+                end = filled.next_multiple_of(LANES as u32);
+                *next = start;
+                if end > start {
+                    self.runs.push(Run { surface, tile, start, end });
+                    self.repeats.extend(filled..end);
+                }
+            }
+            if end > group_start {
+                self.groups.push((surface, group_start, end));
+            }
+        }
+        resize_with_room(&mut self.order, end as usize, 0);
+        for (k, c) in chosen.iter().enumerate() {
+            let next = &mut self.next[slot(c)];
+            self.order[*next as usize] = k as u32;
+            *next += 1;
+        }
+        // Runs are never empty: there is a pixel before each of these.
+        for &k in &self.repeats {
+            self.order[k as usize] = self.order[k as usize - 1];
+        }
+    }
+
+    fn lists(&mut self) -> [&mut Vec<f32>; 13] {
+        let ([a, b], [u, v]) = (&mut self.cell, &mut self.place);
+        let Self { x, y, x_across, x_down, y_across, y_down, delay_s, seen, counts, .. } = self;
+        [x, y, x_across, x_down, y_across, y_down, delay_s, seen, counts, a, b, u, v]
+    }
+}
+
+/// 1 for a grey that is neither burnt out nor drowned.
+fn tells_something(intensity: f32) -> f32 {
+    if intensity > DARKEST && intensity < BRIGHTEST { 1.0 } else { 0.0 }
+}

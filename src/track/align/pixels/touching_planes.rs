@@ -1,0 +1,329 @@
+//! The planes that touch a bent surface where the pixels of a level see it.
+//!
+//! The kernel knows planes alone. A bent surface is near each pixel as flat as a plane that touches it there, up to a part of a millimetre
+//! within centimetres; and no pixel moves that far before it is chosen anew. So each pixel of a bent surface brings its own map from the surface's frame to
+//! the frame of its plane, whose x and y are those of the picture and whose points have z = 0. In it the surface is flat again: rays are mapped, and the rest stays.
+//!
+//! All of it is done in `f32`: of places metres away it keeps half a micrometre, a thousandth of what a pixel covers, and the kernel takes the maps so.
+
+use super::level_spec::LevelSpec;
+use crate::motion::Motion;
+use crate::track::align::lanes::{LANES, Lanes, dispatch, load_at, resize_with_room, store_at, total};
+use crate::track::align::picture::plane_table::{PlaneTable, TablePoint};
+use crate::track::align::picture::sight::{Sight, SightPath};
+use crate::track::align::picture::surface::AlignSurface;
+
+/// Steps by which a ray's meeting point is found: each squares what is left. Raised, nothing is gained; lowered to 1, steep views of deep folds are off by a part of a millimetre.
+const MEETING_STEPS: usize = 3;
+/// A plane that touches the surface within this of where the ray meets it is the one that touches it there, metres: in between, folds part from it by a micrometre.
+/// Raised, steep views of sharp folds are off by more; lowered, each pixel of a bent surface costs another look at its shape.
+const SAME_PLANE_M: f32 = 2e-3;
+/// Numbers of a map: two rows of the linear part by the surface's x and y, the third's, and the shift. (The linear part's third column is 0, 0, 1.)
+const NUMBERS: usize = 9;
+/// Of a ray that meets nothing: the surface's own plane.
+const NO_MAP: [f32; NUMBERS] = [1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+
+/// A map for each pixel; of no pixels where all surfaces are flat.
+#[derive(Debug, Default)]
+pub struct TouchingPlanes {
+    maps: [Vec<f32>; NUMBERS],
+}
+
+/// The pixels of a level as their planes need them: in lists of the same order.
+#[derive(Debug, Clone, Copy)]
+pub struct Rays<'a> {
+    /// Ray at depth 1.
+    pub x: &'a [f32],
+    /// See `x`.
+    pub y: &'a [f32],
+    /// Seconds from the frame's stamp to the middle of the row's exposure.
+    pub delay_s: &'a [f32],
+    /// Ranges of the surfaces: (surface, start, end).
+    pub groups: &'a [(u32, u32, u32)],
+}
+
+/// The maps of a few pixels at a time.
+#[derive(Clone, Copy)]
+pub struct MapLanes<L> {
+    numbers: [L; NUMBERS],
+}
+
+impl TouchingPlanes {
+    /// Finds the planes for pixels that were arranged, seen from a motion.
+    pub fn find(&mut self, pixels: &Rays, spec: &LevelSpec, motion: &Motion) {
+        let is_bent = |surface: u32| !spec.surfaces[surface as usize].rectangle.shape.is_flat();
+        let n = if pixels.groups.iter().any(|(surface, ..)| is_bent(*surface)) { pixels.x.len() } else { 0 };
+        self.maps.iter_mut().for_each(|numbers| resize_with_room(numbers, n, 0.0));
+        for &(surface, start, end) in pixels.groups {
+            let AlignSurface { rectangle, planes: Some(table), .. } = &spec.surfaces[surface as usize] else { continue };
+            let path = SightPath::new(rectangle, motion);
+            find_planes(&Touched { table, path, pixels, range: [start as usize, end as usize] }, &mut self.maps);
+        }
+    }
+
+    /// Whether there are maps.
+    pub fn is_empty(&self) -> bool {
+        self.maps[0].is_empty()
+    }
+
+    /// The maps from pixel `k` on.
+    #[inline(always)]
+    pub fn load<L: Lanes>(&self, k: usize) -> MapLanes<L> {
+        debug_assert!(k + LANES <= self.maps[0].len());
+        let mut numbers = [L::splat(0.0); NUMBERS];
+        for n in 0..NUMBERS {
+            numbers[n] = load_at(&self.maps[n], k);
+        }
+        MapLanes { numbers }
+    }
+}
+
+/// Whose planes are sought.
+pub struct Touched<'a> {
+    /// Of the surface.
+    table: &'a PlaneTable,
+    path: SightPath,
+    pixels: &'a Rays<'a>,
+    /// First of its pixels, and one beyond the last: whole lanes.
+    range: [usize; 2],
+}
+
+dispatch! {
+    /// Finds the planes of one surface's pixels.
+    find_planes, find_planes_lanes, (what: &Touched, maps: &mut [Vec<f32>; NUMBERS])
+}
+
+#[inline(always)]
+fn find_planes_lanes<L: Lanes>(what: &Touched, maps: &mut [Vec<f32>; NUMBERS]) {
+    let Touched { table, path, pixels, range } = what;
+    // The folds put a pixel as far from where a flat picture would be seen as the one before it, which is mostly beside it.
+    let mut off = [L::splat(0.0); 2];
+    let mut k = range[0];
+    while k < range[1] {
+        let sight = path.at(load_at::<L>(pixels.delay_s, k));
+        let direction = sight.direction(load_at(pixels.x, k), load_at(pixels.y, k));
+        let on_plane = meet(&sight.centre, &direction);
+        let start = [on_plane[0].add(off[0]), on_plane[1].add(off[1])];
+        let (map, met, is_met) = touching(table, start, &sight.centre, &direction);
+        off = if is_met { [met[0].sub(on_plane[0]), met[1].sub(on_plane[1])] } else { [L::splat(0.0); 2] };
+        for n in 0..NUMBERS {
+            store_at(&mut maps[n], k, map.numbers[n]);
+        }
+        if !is_met {
+            drop_unmet(maps, k);
+        }
+        k += LANES;
+    }
+}
+
+/// The maps to the planes that touch a surface where rays meet it, found from points nearby; these points of the picture; and whether all rays meet it.
+#[inline(always)]
+fn touching<L: Lanes>(table: &PlaneTable, start: [L; 2], from: &[L; 3], direction: &[L; 3]) -> (MapLanes<L>, [L; 2], bool) {
+    let mut point = start;
+    let mut map = MapLanes::touching(&table.at_lanes(point), point);
+    let mut met = map.meet(from, direction);
+    let mut moved = squared(met, point);
+    for _ in 1..MEETING_STEPS {
+        if moved < SAME_PLANE_M * SAME_PLANE_M {
+            break;
+        }
+        point = met;
+        map = MapLanes::touching(&table.at_lanes(point), point);
+        met = map.meet(from, direction);
+        moved = squared(met, point);
+    }
+    (map, met, moved.is_finite())
+}
+
+/// The squared distances of all lanes, together.
+#[inline(always)]
+fn squared<L: Lanes>(a: [L; 2], b: [L; 2]) -> f32 {
+    let (x, y) = (a[0].sub(b[0]), a[1].sub(b[1]));
+    total(x.mul_add(x, y.mul(y)))
+}
+
+/// Where rays meet the plane of x and y.
+#[inline(always)]
+fn meet<L: Lanes>(from: &[L; 3], direction: &[L; 3]) -> [L; 2] {
+    let depth = L::splat(0.0).sub(from[2].div(direction[2]));
+    [depth.mul_add(direction[0], from[0]), depth.mul_add(direction[1], from[1])]
+}
+
+/// Of some pixels, of which one runs along the surface: its plane is the surface's own.
+#[cold]
+fn drop_unmet(maps: &mut [Vec<f32>; NUMBERS], first: usize) {
+    for k in first..first + LANES {
+        if !maps.iter().all(|numbers| numbers[k].is_finite()) {
+            maps.iter_mut().zip(NO_MAP).for_each(|(numbers, value)| numbers[k] = value);
+        }
+    }
+}
+
+impl<L: Lanes> MapLanes<L> {
+    /// To the planes that touch a surface at points of its picture; no numbers where the picture is folded to a line there.
+    #[inline(always)]
+    fn touching(at: &TablePoint<L>, point: [L; 2]) -> Self {
+        let one = L::splat(1.0);
+        let ([ax, ay, az], [bx, by, bz]) = (at.off_by_x, at.off_by_y);
+        let (ax, by) = (one.add(ax), one.add(by));
+        let inverse = one.div(ax.mul(by).sub(bx.mul(ay)));
+        let less = L::splat(0.0).sub(inverse);
+        let (xx, xy, yx, yy) = (by.mul(inverse), bx.mul(less), ay.mul(less), ax.mul(inverse));
+        let zero = L::splat(0.0);
+        let (zx, zy) = (zero.sub(az.mul_add(xx, bz.mul(yx))), zero.sub(az.mul_add(xy, bz.mul(yy))));
+        let [x, y, z] = [point[0].add(at.off[0]), point[1].add(at.off[1]), at.off[2]];
+        let shift =
+            [point[0].sub(xx.mul_add(x, xy.mul(y))), point[1].sub(yx.mul_add(x, yy.mul(y))), zero.sub(zx.mul_add(x, zy.mul_add(y, z)))];
+        Self { numbers: [xx, xy, yx, yy, zx, zy, shift[0], shift[1], shift[2]] }
+    }
+
+    /// Where rays meet the planes, points of the picture.
+    #[inline(always)]
+    fn meet(&self, from: &[L; 3], direction: &[L; 3]) -> [L; 2] {
+        let [[x], [y], [z]] = self.rows(&direction.map(|v| [v]));
+        meet(&self.point(*from), &[x, y, z])
+    }
+
+    /// What the pixels see, in the frames of the planes.
+    #[inline(always)]
+    pub fn sight(&self, sight: &Sight<L>) -> Sight<L> {
+        let [a, b, c, d, e, f, g, h, i] = sight.rotation;
+        let [[a, b, c], [d, e, f], [g, h, i]] = self.rows(&[[a, b, c], [d, e, f], [g, h, i]]);
+        Sight { centre: self.point(sight.centre), rotation: [a, b, c, d, e, f, g, h, i] }
+    }
+
+    /// A direction, or each column of a matrix of three rows of `W` entries.
+    #[inline(always)]
+    fn rows<const W: usize>(&self, rows: &[[L; W]; 3]) -> [[L; W]; 3] {
+        let [xx, xy, yx, yy, zx, zy, ..] = self.numbers;
+        let mut out = *rows;
+        for c in 0..W {
+            let [x, y, z] = [rows[0][c], rows[1][c], rows[2][c]];
+            out[0][c] = xx.mul_add(x, xy.mul(y));
+            out[1][c] = yx.mul_add(x, yy.mul(y));
+            out[2][c] = zx.mul_add(x, zy.mul_add(y, z));
+        }
+        out
+    }
+
+    /// A point.
+    #[inline(always)]
+    fn point(&self, point: [L; 3]) -> [L; 3] {
+        let [[x], [y], [z]] = self.rows(&point.map(|v| [v]));
+        [x.add(self.numbers[6]), y.add(self.numbers[7]), z.add(self.numbers[8])]
+    }
+
+    /// A gradient by the plane's coordinates as one by the surface's.
+    #[inline(always)]
+    pub fn gradient(&self, [x, y, z]: [L; 3]) -> [L; 3] {
+        let [xx, xy, yx, yy, zx, zy, ..] = self.numbers;
+        [xx.mul_add(x, yx.mul_add(y, zx.mul(z))), xy.mul_add(x, yy.mul_add(y, zy.mul(z))), z]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix3, Vector2, Vector3};
+
+    use super::*;
+    use crate::track::align::lanes::Plain;
+    use crate::track::scene::rectangle::Rectangle;
+    use crate::track::scene::shape::ShapePoint;
+    use crate::track::scene::shape::tests::folds;
+    use crate::track::scene::surface::SurfaceSpec;
+    use crate::track::synthetic::{cloth, facing};
+
+    /// The map to the plane that touches a surface at a point of its picture: linear part and shift, in `f64`.
+    fn plain_map(at: &ShapePoint, point: Vector2<f64>) -> (Matrix3<f64>, Vector3<f64>) {
+        let [a, b] = at.by_picture;
+        let linear = Matrix3::from_columns(&[a, b, Vector3::z()]).try_inverse().unwrap();
+        (linear, point.push(0.0) - linear * at.place)
+    }
+
+    fn plain_meet((linear, shift): &(Matrix3<f64>, Vector3<f64>), from: &Vector3<f64>, direction: &Vector3<f64>) -> Vector2<f64> {
+        let (from, direction) = (linear * from + shift, linear * direction);
+        (from - direction * (from.z / direction.z)).xy()
+    }
+
+    /// The map that was found for a pixel.
+    fn found_map(maps: &[Vec<f32>; NUMBERS], k: usize) -> (Matrix3<f64>, Vector3<f64>) {
+        let [xx, xy, yx, yy, zx, zy, x, y, z] = [0, 1, 2, 3, 4, 5, 6, 7, 8].map(|n| f64::from(maps[n][k]));
+        (Matrix3::new(xx, xy, 0.0, yx, yy, 0.0, zx, zy, 1.0), Vector3::new(x, y, z))
+    }
+
+    #[test]
+    fn a_ray_meets_the_mapped_plane_where_it_meets_the_surface() {
+        let shape = folds();
+        let point = [0.4, -0.7];
+        let map = plain_map(&shape.at(point), point.into());
+        let from = Vector3::new(1.2, 0.5, 2.4);
+        for off in [Vector2::zeros(), Vector2::new(0.002, -0.001), Vector2::new(-0.01, 0.005)] {
+            let near = [point[0] + off.x, point[1] + off.y];
+            let met = plain_meet(&map, &from, &(shape.at(near).place - from));
+            // What a plane misses within a centimetre of folds of 12 mm, a metre long.
+            assert!((met - Vector2::from(near)).norm() < 1e-7 + 2.0 * off.norm_squared(), "{off}");
+        }
+    }
+
+    #[test]
+    fn eight_pixels_at_a_time_have_the_planes_of_their_plain_twins() {
+        let surface = AlignSurface::new(&SurfaceSpec { shape: folds(), ..cloth(1) });
+        let (AlignSurface { rectangle, planes: Some(table), .. }, shape) = (&surface, folds()) else { panic!("it is bent") };
+        let motion = passing();
+        // Rays through points all over the picture, in an order that jumps.
+        let points = (0..800).map(|k| Vector2::new(f64::from(k * 37 % 80) * 0.047 - 1.85, f64::from(k / 10) * 0.036 - 1.4));
+        let (mut x, mut y, mut delay_s) = (Vec::new(), Vec::new(), Vec::new());
+        for (k, point) in points.enumerate() {
+            let time_s = 1e-5 * (k % 700) as f64;
+            let pose = motion.after(time_s).pose;
+            let seen = pose.inverse().transform(&(rectangle.rotation * point.push(0.0) + rectangle.centre).into());
+            x.push((seen.x / seen.z) as f32);
+            y.push((seen.y / seen.z) as f32);
+            delay_s.push(time_s as f32);
+        }
+        let pixels = Rays { x: &x, y: &y, delay_s: &delay_s, groups: &[] };
+        let what = Touched { table, path: SightPath::new(rectangle, &motion), pixels: &pixels, range: [0, x.len()] };
+        let [mut wide, mut plain]: [[Vec<f32>; NUMBERS]; 2] = std::array::from_fn(|_| std::array::from_fn(|_| vec![0.0; x.len()]));
+        find_planes(&what, &mut wide);
+        find_planes_lanes::<Plain>(&what, &mut plain);
+        for (k, maps) in (0..x.len()).flat_map(|k| [(k, &wide), (k, &plain)]) {
+            let pose = motion.after(f64::from(delay_s[k])).pose;
+            let to_surface = rectangle.rotation.transpose();
+            let from = to_surface * (pose.translation - rectangle.centre);
+            let direction = to_surface * (pose.rotation * Vector3::new(f64::from(x[k]), f64::from(y[k]), 1.0));
+            let found = found_map(maps, k);
+            let met = plain_meet(&found, &from, &direction);
+            let right = Vector2::from(shape.meet(&from, &direction).unwrap());
+            assert!((met - right).norm() < 1e-5, "{k}: {met} {right}");
+            // Touching where the ray meets the table's surface, with twice as many digits: what folds part within SAME_PLANE_M, seen aslant.
+            let twin = plain_map(&table.at(met), met);
+            assert!((plain_meet(&twin, &from, &direction) - met).norm() < 6e-6, "{k}");
+            assert!((found.0 - twin.0).norm() < 6e-3, "{k}: {found:?} {twin:?}");
+        }
+    }
+
+    /// A camera on its way, 3 m in front of the cloth.
+    fn passing() -> Motion {
+        Motion {
+            velocity: Vector3::new(0.3, -0.2, 0.1),
+            turn_rate: Vector3::new(0.2, -0.4, 0.3),
+            ..Motion::still(facing(0.5, -0.3, Vector3::new(0.3, 0.1, 3.0)).inverse())
+        }
+    }
+
+    #[test]
+    fn a_ray_along_the_surface_has_the_surfaces_own_plane() {
+        let table = PlaneTable::of(&folds(), [4.0, 3.0]).unwrap();
+        let rectangle = Rectangle::of(&cloth(1));
+        let (mut x, y, delay_s) = ([0.1; LANES], [0.05; LANES], [0.0; LANES]);
+        x[5] = f32::NAN;
+        let pixels = Rays { x: &x, y: &y, delay_s: &delay_s, groups: &[] };
+        let path = SightPath::new(&rectangle, &passing());
+        let mut maps: [Vec<f32>; NUMBERS] = std::array::from_fn(|_| vec![f32::NAN; LANES]);
+        find_planes(&Touched { table: &table, path, pixels: &pixels, range: [0, LANES] }, &mut maps);
+        for k in 0..LANES {
+            let numbers: [f32; NUMBERS] = std::array::from_fn(|n| maps[n][k]);
+            assert!(numbers.iter().all(|v| v.is_finite()) && (numbers == NO_MAP) == (k == 5), "{k}: {numbers:?}");
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! What the blur of a level's pixels says of a velocity.
+//!
+//! A step of alignment takes its slopes from where the picture is; this takes them from how it is smeared. How the pixels' grey changes with the velocity stands
+//! where the columns of the pose stand in the step of an alignment, so that light and point spread are solved for beside it, and what stands in front
+//! weighs as little.
+
+use nalgebra::{Matrix3, Matrix6, Vector2, Vector3, Vector6};
+
+use super::LevelProblem;
+use super::solution::VoteScatter;
+use crate::motion::{Motion, MotionError, MotionMatrix};
+use crate::track::align::kernel::columns::POSE;
+use crate::track::align::pixels::appearance::Appearance;
+use crate::track::align::pixels::level_spec::LevelSpec;
+use crate::track::align::pixels::level_spec::TileTime;
+use crate::track::align::solve::system::Prior;
+
+/// Reweightings of a step. Chosen: as many as an alignment's.
+const PASSES: usize = 2;
+/// Prior information of the unknowns that are not asked, and of the squared blur. It keeps the system regular; of the squared blur it is less than a few pixels
+/// have. Raised, blur is found too short.
+const UNASKED: f64 = 1.0;
+const SQUARED_BLUR_INFORMATION: f64 = 1e-6;
+
+/// What is known of a velocity before its blur is asked.
+pub struct KnownVelocity {
+    /// Information of [v, ω] about the linearisation.
+    pub information: Matrix6<f64>,
+    /// The point spread, and one sigma of it.
+    pub psf_variance: f64,
+    /// See `psf_variance`.
+    pub psf_variance_sigma: f64,
+}
+
+/// Where blur leads a velocity.
+pub struct VelocityStep {
+    /// Correction of [v, ω].
+    pub step: Vector6<f64>,
+    /// Covariance of the corrected velocity by noise, with what was known of it.
+    pub covariance: Matrix6<f64>,
+}
+
+impl LevelProblem {
+    /// A step towards the velocity that the pixels' blur shows, from that of `motion`. Those of [v, ω] that are not `asked` stay. Nothing can be asked of the pixels'
+    /// solution after.
+    pub fn velocity_step(
+        &mut self,
+        spec: &LevelSpec,
+        motion: &Motion,
+        asked: &[bool; POSE],
+        known: &KnownVelocity,
+    ) -> Option<VelocityStep> {
+        self.predict_by_velocity(spec, motion);
+        let Appearance { by_pose, by_velocity, .. } = &mut self.picture.appearance;
+        std::mem::swap(by_pose, by_velocity);
+        by_pose.iter_mut().zip(asked).filter(|(_, is_asked)| !**is_asked).for_each(|(column, _)| column.fill(0.0));
+        let mut information = MotionMatrix::identity() * UNASKED;
+        information.fixed_view_mut::<6, 6>(0, 0).copy_from(&known.information);
+        self.blur_step(spec, &information, known)
+    }
+
+    /// The squared blur that is missing from a prediction without any: second moments of the turn rate across and down the frame, in units of `turn_rate`
+    /// squared, and their covariance (xx, yy, xy).
+    pub fn missing_blur(
+        &mut self,
+        spec: &LevelSpec,
+        motion: &Motion,
+        turn_rate: f64,
+        known: &KnownVelocity,
+    ) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+        let mut columns: [Vec<f32>; POSE] = Default::default();
+        let diagonal = std::f64::consts::FRAC_1_SQRT_2;
+        for (column, along) in columns.iter_mut().zip([Vector2::x(), Vector2::y(), Vector2::repeat(diagonal)]) {
+            let turned = Motion { turn_rate: motion.turn_rate + along_frame(&along) * turn_rate, ..*motion };
+            self.predict(spec, &turned);
+            column.clone_from(&self.picture.appearance.intensity);
+        }
+        self.predict(spec, motion);
+        let intensity = &self.picture.appearance.intensity;
+        let [across, down, between, unused @ ..] = &mut columns;
+        for (k, sharp) in intensity.iter().enumerate() {
+            (across[k], down[k]) = (across[k] - sharp, down[k] - sharp);
+            between[k] = 2.0 * (between[k] - sharp) - (across[k] + down[k]);
+        }
+        unused.iter_mut().for_each(|column| column.resize(intensity.len(), 0.0));
+        let mut information = MotionMatrix::identity() * UNASKED;
+        information.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::identity() * SQUARED_BLUR_INFORMATION));
+        self.picture.appearance.by_pose = columns;
+        let VelocityStep { step, covariance } = self.blur_step(spec, &information, known)?;
+        Some((step.fixed_rows::<3>(0).into_owned(), covariance.fixed_view::<3, 3>(0, 0).into_owned()))
+    }
+
+    /// A step with what stands in the place of the pose's columns.
+    fn blur_step(&mut self, spec: &LevelSpec, information: &MotionMatrix, known: &KnownVelocity) -> Option<VelocityStep> {
+        (self.at, self.solved) = (None, None);
+        let prior = Prior {
+            information,
+            error: MotionError::zeros(),
+            psf_variance: known.psf_variance,
+            psf_variance_sigma: known.psf_variance_sigma,
+        };
+        let together = TileTime { delay_s: 0.0, mean_square_s2: 0.0 };
+        self.gate_tiles(&spec.noise, false);
+        let scale = self.reweight(spec, &prior, Some(together), false, PASSES)?;
+        let Self { picture, runs, system, .. } = self;
+        let step: Vector6<f64> = system.step().motion().fixed_rows::<6>(0).into_owned();
+        let (covariance, votes) = system.covariance();
+        let by_noise: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
+        let mut scatter = VoteScatter::default();
+        let weight = scale.powi(-2);
+        for r in runs.iter().filter(|r| r.gate.is_open) {
+            let nodes = picture.pixels.light().nodes_of(r.run.tile);
+            scatter.add(&votes.of_tile(&r.equations.left_by(&r.step), nodes, &together, weight));
+        }
+        Some(VelocityStep { step, covariance: scatter.or_noise(&by_noise)? })
+    }
+}
+
+/// The turn rate that moves the picture along a direction of the frame (x right, y down), camera axes.
+pub fn along_frame(direction: &Vector2<f64>) -> Vector3<f64> {
+    Vector3::new(direction.y, -direction.x, 0.0)
+}

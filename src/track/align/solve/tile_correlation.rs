@@ -1,0 +1,39 @@
+//! How a tile compares with its prediction when its gain and bias are left open: what tells tiles that show the stage from those that
+//! show something else, before anything is solved.
+
+use crate::track::align::learned::noise::Noise;
+
+/// A run compared with its prediction, gain and bias free.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct TileCorrelation {
+    /// Correlation, corrected for what noise takes of it.
+    pub correlation: f32,
+    /// Mean grey predicted.
+    pub predicted: f32,
+    /// Mean grey seen.
+    pub seen: f32,
+    /// Of the line between them.
+    pub bias: f32,
+    /// Whether the run takes part.
+    pub is_open: bool,
+}
+
+impl TileCorrelation {
+    /// From the sums of a run.
+    pub fn new(moments: &[f64; 6], noise: &Noise) -> Self {
+        let n = moments[0].max(1.0);
+        let [_, p, s, pp, ss, ps] = moments.map(|m| m / n);
+        let (predicted, seen, both) = ((pp - p * p).max(1e-3), (ss - s * s).max(1e-3), ps - p * s);
+        let expected = f64::from(noise.dark + noise.per_intensity * s as f32);
+        let clean = (seen - expected).max(0.25 * seen);
+        let correlation = if moments[0] >= 8.0 { (both / (predicted * clean).sqrt()).clamp(-1.0, 1.0) } else { 0.0 };
+        let bias = s - both / predicted * p;
+        Self { correlation: correlation as f32, predicted: p as f32, seen: s as f32, bias: bias as f32, is_open: true }
+    }
+}
+
+/// The upper median; `None` of nothing. The values are left in another order.
+pub fn median(values: &mut [f32]) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1))
+}

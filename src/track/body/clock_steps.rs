@@ -1,0 +1,43 @@
+//! The tracker's own time, which never goes back where the clock of a clip or a camera is set back.
+
+use crate::frame::Timestamp;
+
+/// How far stamps have been moved to go on.
+#[derive(Debug, Default)]
+pub(in crate::track) struct ClockSteps {
+    shift_ns: i64,
+    last: Option<Timestamp>,
+}
+
+/// The pause that stands for a step back, nanoseconds: longer than anything is coasted or compared from frame to frame, so that tracking
+/// begins anew. Raised, nothing changes; lowered below a second, motion is carried over a pause of unknown length.
+const PAUSE_NS: i64 = 10_000_000_000;
+
+impl ClockSteps {
+    /// A stamp in own time: as it is, until the clock was set back.
+    pub fn own(&mut self, stamp: Timestamp) -> Timestamp {
+        let own = stamp.after_ns(self.shift_ns);
+        let own = match self.last {
+            Some(last) if own <= last => {
+                let anew = last.after_ns(PAUSE_NS);
+                self.shift_ns = anew.ns_since(stamp);
+                anew
+            }
+            _ => own,
+        };
+        self.last = Some(own);
+        own
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_clock_that_is_set_back_is_a_pause() {
+        let mut steps = ClockSteps::default();
+        let own = [5, 7, 1, 3, 9, 2].map(|t| steps.own(Timestamp::from_ns(t)).ns());
+        assert_eq!(own, [5, 7, 7 + PAUSE_NS, 9 + PAUSE_NS, 15 + PAUSE_NS, 15 + 2 * PAUSE_NS]);
+    }
+}

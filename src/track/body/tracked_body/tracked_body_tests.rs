@@ -1,0 +1,108 @@
+use super::*;
+use crate::motion::Motion;
+use crate::track::synthetic::{cloth, facing, lens, view};
+
+fn truth() -> Pose<Camera, Body> {
+    facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4))
+}
+
+/// A body that is where it was a frame ago, of which the frames before say that its velocity changes by that much. Whether it is found.
+fn is_followed(turn_acceleration: f64, is_told: bool) -> bool {
+    let surface = cloth(1);
+    let shutter = Shutter { readout_s: 0.0, exposure_s: 0.0 };
+    let mut body = TrackedBody::new(&BodySpec::new("prop", vec![surface.clone()]), vec![AlignSurface::new(&surface)], 0, shutter);
+    if is_told {
+        (0..4).for_each(|_| body.process_noise.learn([None, None]));
+    }
+    let camera = lens(480, 360);
+    let still = MotionEstimate::unseen(truth().inverse(), 3.4, 1e-3, 3e-4);
+    let motion = Motion { turn_acceleration: Vector3::new(0.0, turn_acceleration, 0.0), ..still.motion };
+    body.motion = Some((MotionEstimate { motion, ..still }, Timestamp::from_seconds(1.0)));
+    let frame = Frame::new(view(&surface, &truth(), &camera), Timestamp::from_seconds(1.0 + 1.0 / 30.0), 1);
+    let mut levels = FrameLevels::default();
+    levels.update(&frame.image);
+    let found = body.follow(&frame, &mut levels, &CameraRays::new(camera, None));
+    assert!(found.as_ref().is_none_or(|verified| verified.pose.inverse().angle_to(&truth()) < 1e-3));
+    found.is_some()
+}
+
+#[test]
+fn what_few_frames_make_of_an_acceleration_does_not_lose_a_body() {
+    assert!(is_followed(0.0, false) && is_followed(0.0, true));
+    // A ninth of a radian aside by the next frame, which is beyond what alignment reaches.
+    assert!(is_followed(200.0, false));
+    // Frames enough have seen how it moves: it is not looked for elsewhere.
+    assert!(!is_followed(200.0, true));
+}
+
+/// Looks for a cloth from its true pose, after some of it was covered from the right on with another picture. Whether it is given, and whether it is seen in part.
+fn is_found(covered_share: f64) -> [bool; 2] {
+    let surface = cloth(1);
+    let shutter = Shutter { readout_s: 0.0, exposure_s: 0.0 };
+    let mut body = TrackedBody::new(&BodySpec::new("prop", vec![surface.clone()]), vec![AlignSurface::new(&surface)], 0, shutter);
+    let camera = lens(160, 120);
+    let [mut picture, cover] = [1, 9].map(|seed| view(&cloth(seed), &truth(), &camera));
+    let first_covered = (160.0 * (1.0 - covered_share)) as u32;
+    picture.enumerate_pixels_mut().filter(|(x, ..)| *x >= first_covered).for_each(|(x, y, pixel)| *pixel = *cover.get_pixel(x, y));
+    let frame = Frame::new(picture, Timestamp::from_seconds(1.0), 1);
+    let mut levels = FrameLevels::default();
+    levels.update(&frame.image);
+    let expected = body.unseen(truth().inverse(), [0.01, 0.003], None);
+    let found = body.align_found(&frame, &mut levels, &CameraRays::new(camera, None), &expected);
+    [found.is_some(), body.is_seen_in_part]
+}
+
+#[test]
+fn what_fits_and_is_covered_is_told_from_what_does_not_fit() {
+    assert_eq!(is_found(0.0), [true, false]);
+    assert_eq!(is_found(0.7), [false, true]);
+    assert_eq!(is_found(1.0), [false, false]);
+}
+
+/// A still prop, seen small by a camera whose rows are read out over so long, in the frame that finds it; and that frame, levels and rays.
+fn with_small_prop(
+    readout_s: f64,
+    is_continued: bool,
+    ask: impl FnOnce(&mut TrackedBody, Option<Verified>, &Frame, &mut FrameLevels, &CameraRays),
+) {
+    let surface = cloth(1);
+    let shutter = Shutter { readout_s, exposure_s: 0.0 };
+    let mut body = TrackedBody::new(&BodySpec::new("prop", vec![surface.clone()]), vec![AlignSurface::new(&surface)], 0, shutter);
+    let rays = CameraRays::new(lens(160, 120), None);
+    if is_continued {
+        (0..2).for_each(|k| {
+            body.track.update(Timestamp::from_seconds(0.9 + 0.03 * f64::from(k)), Some(&truth().inverse()), 0.2, 2);
+        });
+    }
+    let frame = Frame::new(view(&surface, &truth(), rays.camera()), Timestamp::from_seconds(1.0), 1);
+    let mut levels = FrameLevels::default();
+    levels.update(&frame.image);
+    let off = MotionEstimate::off_by_readout(readout_s, 3.4);
+    let expected = body.unseen(truth().inverse(), [0.01 + off[0], 0.003 + off[1]], None);
+    let found = body.align_found(&frame, &mut levels, &rays, &expected);
+    ask(&mut body, found, &frame, &mut levels, &rays);
+}
+
+#[test]
+fn what_one_frame_leaves_open_is_followed_until_the_next_one_tells() {
+    with_small_prop(0.06, false, |body, found, frame, levels, rays| {
+        assert!(found.is_none() && body.refusal == Some(Refusal::Uncertain), "{:?}", body.refusal);
+        let open = body.motion_at(frame.timestamp).expect("followed from there").covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
+        let next = Frame::new(frame.image.clone(), Timestamp::from_seconds(1.0 + 1.0 / 30.0), 2);
+        let verified = body.follow(&next, levels, rays).expect("two frames tell the motion");
+        let sigma = verified.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
+        let error = (verified.pose.translation - truth().inverse().translation).norm();
+        assert!(sigma < 0.2 * open && error < 3.0 * sigma, "{error} of {sigma} m, before {open}");
+    });
+}
+
+#[test]
+fn under_a_rolling_shutter_only_a_sharp_pose_resumes_a_track_by_itself() {
+    let is_given = |readout_s: f64, is_continued: bool| {
+        let mut is_given = false;
+        with_small_prop(readout_s, is_continued, |_, found, _, _, _| is_given = found.is_some());
+        is_given
+    };
+    assert_eq!([is_given(0.0, true), is_given(0.002, true), is_given(0.02, true)], [true, true, false]);
+    assert!(is_given(0.02, false));
+}

@@ -1,0 +1,453 @@
+//! What an error of the model leaves open of a pose.
+//!
+//! Cloth hangs in folds, a print is stretched, a lens is a little off: then the frame shows its tiles elsewhere than any pose puts them. What of that
+//! error looks like another pose is gone into the pose, and nothing shows it; what does not is left in the tiles. So the error is taken for a
+//! smooth field of shifts over the picture (a Gaussian process of a fixed correlation length), as large as makes what is
+//! left in the tiles: what it does to the pose follows. Where no more than noise is left, it is none.
+//!
+//! That is the error of a pose that rests on its own frame alone. Where few tiles are seen, a pose rests on the frames before it instead, and has their error:
+//! [`blended`] says how much of each.
+
+use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2, Vector6};
+
+use super::smooth_field::SmoothField;
+use super::tile_residuals::{TileResidual, TileResiduals};
+use crate::geometry::covariance::covariance_of_inverse;
+use crate::geometry::{Body, Camera, Pose};
+use crate::simd::multiversion;
+
+/// Correlation length of the field of shifts, as a share of the width of what is off: of the picture, or of an object. A field as wide as the picture is the same
+/// nearly all over a small object, and the little that is left of it, as by blur, would pass for the rest of a shift that is many times as large.
+/// A shorter field shows itself more in what is left and less in the pose.
+/// Chosen for what hides best, not for any one clip: the squared errors of cloth in folds, a draught, a wrong lens and coloured light, in units of the covariance, are 2.2, 1.0, 2.4
+/// and 1.8 with 0.3, 2.2, 1.1, 1.2 and 1.6 with 0.4. Lowered, covariances miss what went into the pose; raised, noise adds more to them.
+const CORRELATION_LENGTH: f64 = 0.4;
+/// Largest variance of what each tile is off by itself that counts as noise, in variances of what pixels tell. Chosen: more than twice that of a webcam that sharpens (1.6). Raised, folds as
+/// narrow as tiles pass for noise; lowered, noise passes for a field: with 1, d-webcam's covariance is six times as large.
+const LARGEST_NOISE: f64 = 4.0;
+/// Factor on the variance of the field that explains what is left beyond [`LARGEST_NOISE`]. Neighbours do not bear that field out, so its correlation length is unknown, and it
+/// may reach further into the pose than one of [`CORRELATION_LENGTH`]. Chosen: with 1, the squared errors above are
+/// 4.2, 2.1, 2.5 and 1.6 times the covariance. Raised, poses of stages that do not fit are withheld that could be given.
+const UNKNOWN_LENGTH: f64 = 2.0;
+/// Fewest numbers beyond the pose's six that the field's size may be found from. Chosen, not tuned. Raised, small stages claim to fit.
+const LEAST_FREEDOM: f64 = 12.0;
+
+/// How much nearer to each other tiles lie that tell a smooth field from shifts that each tile has for itself: the weight of a pair is what its shifts correlate by, to
+/// this power, so that the correlation length of the weights is 0.08 of the width. Chosen: about the distance between neighbouring tiles, so that folds a tenth of the
+/// picture wide still count as a field. Lowered, short folds pass for noise, and covariances miss what went into the pose; raised, there are too few pairs.
+const PAIR_POWER: i32 = 25;
+/// Tiles nearer than this share of the width are no pair: they touch, and what compression, sharpening and light do to the one they do to the other. Chosen: the least
+/// distance of tiles that are beside each other. Raised, there are too few pairs; with 0, noise of webcams that sharpen passes for a field of 0.02 pixels, and
+/// its covariances are a tenth wider.
+const TOUCHING: f64 = 0.055;
+/// Pairs whose weight is below this are left out. Lowered, frames that do not fit cost more.
+const LEAST_PAIR: f64 = 0.05;
+
+/// Frames over which the size of the field is averaged, where neighbouring tiles tell it. What does not fit changes slowly, while a single frame tells its variance poorly, and a variance
+/// that is never below 0 is too large in the mean. Chosen: d-webcam's squared errors are 0.74 of the covariance with 1, 0.84 with 20, 0.88 with 60, 0.89 with 200, d-gel's 1.8, 1.2 and 1.2
+/// with 1, 20 and 60. Raised, a small change of the stage is in the covariance later.
+const MEMORY_FRAMES: f64 = 60.0;
+/// Standard errors of that mean that are taken from it: where all fits it is above 0 as often as below, and only what is above widens the covariance. Chosen: seven renderings of d-webcam,
+/// which fits, have 0.863 of the covariance with 0 and 0.878 with 1; d-gel, d-haze and d-actors, which do not quite, 1.46, 1.27 and 0.86 with 0, and 1.53, 1.34 and 0.91 with 1. Raised,
+/// small errors of the model are in no covariance.
+const STANDARD_ERRORS: f64 = 1.0;
+
+/// What of the tiles' displacements neither the pose nor the noise explains.
+#[derive(Debug, Clone, Copy)]
+pub struct ModelError {
+    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by a smooth field of shifts, per squared pixel of the field.
+    by_field: Matrix6<f64>,
+    /// Variance of the field as neighbouring tiles tell it, pixels²; below 0 by chance.
+    by_pairs_px2: f64,
+    /// The least that it is, as what is left is too large for noise.
+    at_least_px2: f64,
+    /// The same if all that is left were such a field.
+    at_most_px2: f64,
+    /// Variance of what each tile is off by itself, in variances of its noise; 1 at least.
+    pub noise: f64,
+}
+
+impl ModelError {
+    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by a field of the size that this frame tells.
+    pub fn covariance(&self) -> Matrix6<f64> {
+        self.covariance_of(self.by_pairs_px2)
+    }
+
+    /// The same if all that is left were such a field.
+    pub fn at_most(&self) -> Matrix6<f64> {
+        self.by_field * self.at_most_px2
+    }
+
+    fn covariance_of(&self, by_pairs_px2: f64) -> Matrix6<f64> {
+        self.by_field * by_pairs_px2.max(self.at_least_px2).max(0.0)
+    }
+}
+
+/// The size of a body's field, as neighbouring tiles of its last frames tell it.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct FieldSize {
+    /// Mean over the frames, and mean of the squares.
+    by_pairs_px2: f64,
+    by_pairs_squared: f64,
+    frames: f64,
+}
+
+impl FieldSize {
+    /// Learns from a frame, and gives what the field does to its pose: covariance of [δp, δθ] of `T_body_camera`, body axes.
+    pub fn take(&mut self, error: &ModelError) -> Matrix6<f64> {
+        self.frames = (self.frames + 1.0).min(MEMORY_FRAMES);
+        self.by_pairs_px2 += (error.by_pairs_px2 - self.by_pairs_px2) / self.frames;
+        self.by_pairs_squared += (error.by_pairs_px2.powi(2) - self.by_pairs_squared) / self.frames;
+        error.covariance_of(self.by_pairs_px2 - STANDARD_ERRORS * self.standard_error())
+    }
+
+    /// Of the mean; 0 where a single frame does not tell it.
+    fn standard_error(&self) -> f64 {
+        let variance = (self.by_pairs_squared - self.by_pairs_px2.powi(2)).max(0.0);
+        if self.frames > 1.0 { (variance / (self.frames - 1.0)).sqrt() } else { 0.0 }
+    }
+}
+
+/// What the model's error of one body is worked out in; keeps its buffers.
+#[derive(Debug, Default)]
+pub struct ModelErrorBuffers {
+    field: SmoothField,
+    paired: Vec<PairedTile>,
+}
+
+impl ModelErrorBuffers {
+    /// Buffers that hold this many tiles without growing.
+    pub fn with_capacity(tiles: usize) -> Self {
+        Self { field: SmoothField::with_capacity(tiles), paired: Vec::with_capacity(tiles) }
+    }
+}
+
+/// What the model's error does to a pose; `None` where it fits within the noise. `width_px`: of what may be off, in the frame.
+///
+/// What is left has two sources: a field of one size a², and noise of b times the variance that was expected, as webcams have that sharpen and smooth
+/// their pictures. The sum of the squares is what both leave; of products of neighbours a field leaves nearly as much, noise next to nothing. These are two linear
+/// equations for a² and b; but b has a bound. The noise is in the pose's covariance already, by the scatter of the tiles: the field alone is to be added.
+pub fn model_error(
+    pose: &Pose<Camera, Body>,
+    width_px: f64,
+    residuals: &TileResiduals,
+    buffers: &mut ModelErrorBuffers,
+) -> Option<ModelError> {
+    let ModelErrorBuffers { field, paired } = buffers;
+    let freedom = 2.0 * residuals.weight() - 6.0;
+    let factor = residuals.normal().cholesky()?;
+    let change = factor.solve(&residuals.right_side());
+    let squared: f64 = residuals.tiles().iter().map(|t| t.squared_left_by_pose(&change)).sum();
+    if freedom < LEAST_FREEDOM || squared <= freedom {
+        return None;
+    }
+    let normal_inverse = factor.inverse();
+    field.work_out(residuals.tiles(), &factor, CORRELATION_LENGTH * width_px);
+    paired.clear();
+    paired.extend(residuals.tiles().iter().map(|tile| PairedTile::alone(tile, &change)));
+    add_neighbours(paired, width_px);
+    let PairSums { left, pairs, pairs_by_field, pairs_by_noise } = sum_pairs(paired, field, &normal_inverse);
+    // squared = freedom b + left a², pairs = pairs_by_noise b + pairs_by_field a².
+    let determinant = freedom * pairs_by_field - pairs_by_noise * left;
+    let of_both = (freedom * pairs - pairs_by_noise * squared) / determinant;
+    let of_field_alone = (squared - freedom) / left;
+    // As far below 0 by chance as it may be above, or the mean of several frames would be too small.
+    let most = of_field_alone.max(0.0);
+    let by_pairs_px2 = if determinant > 0.0 { of_both.clamp(-most, most) } else { most };
+    let at_least_px2 = UNKNOWN_LENGTH * (squared - LARGEST_NOISE * freedom) / left;
+    let noise = ((squared - left * by_pairs_px2.max(at_least_px2).max(0.0)) / freedom).max(1.0);
+    let by_field = covariance_of_inverse(pose, field.of_pose());
+    let error = ModelError { by_field, by_pairs_px2, at_least_px2, at_most_px2: of_field_alone, noise };
+    (left > 0.0 && by_pairs_px2.is_finite() && error.covariance().iter().all(|v| v.is_finite())).then_some(error)
+}
+
+/// What is left of squares and of products of neighbours.
+#[derive(Debug, Default)]
+struct PairSums {
+    /// What a field of one pixel leaves of the squares.
+    left: f64,
+    /// What is left of the products of neighbours.
+    pairs: f64,
+    /// What a field of one pixel leaves of them.
+    pairs_by_field: f64,
+    /// What the noise leaves of them: the pose takes it from all.
+    pairs_by_noise: f64,
+}
+
+/// Sums over all tiles and all pairs of neighbours. `normal_inverse`: of the pose's equations.
+fn sum_pairs(paired: &[PairedTile], field: &SmoothField, normal_inverse: &Matrix6<f64>) -> PairSums {
+    let (mut sums, mut both) = (PairSums::default(), Matrix6::zeros());
+    for (k, PairedTile { own, beside, .. }) in paired.iter().enumerate() {
+        let together = field.pose_with_shift(k);
+        // A tile's own square, less what the pose takes of it.
+        sums.left += own.information.trace() - (own.by_pose * together).trace();
+        sums.pairs += own.shift.dot(&beside.shift);
+        sums.pairs_by_noise -= (beside.by_pose * normal_inverse * own.by_pose.transpose()).trace();
+        sums.pairs_by_field += (own.information * (beside.information - beside.by_pose * together * 2.0)).trace();
+        both += own.by_pose.transpose() * beside.by_pose;
+    }
+    sums.pairs_by_field += (both * field.of_pose()).trace();
+    sums
+}
+
+/// A tile, and the sums over those beside it, weighted by how near they are.
+#[derive(Debug)]
+struct PairedTile {
+    place_px: Vector2<f64>,
+    own: Weighted,
+    beside: Weighted,
+}
+
+/// What is summed of tiles.
+#[derive(Debug, Default)]
+struct Weighted {
+    /// Information times what the pose leaves of the shift.
+    shift: Vector2<f64>,
+    /// Information times derivative by the pose.
+    by_pose: Matrix2x6<f64>,
+    /// Information; in sums weighted by how alike a field is there, too.
+    information: Matrix2<f64>,
+}
+
+impl PairedTile {
+    /// A tile without neighbours, of which the pose takes `change`.
+    fn alone(tile: &TileResidual, change: &Vector6<f64>) -> Self {
+        let own = Weighted {
+            shift: tile.information * tile.left_by_pose(change),
+            by_pose: tile.information * tile.by_pose,
+            information: tile.information,
+        };
+        Self { place_px: tile.place_px, own, beside: Weighted::default() }
+    }
+}
+
+impl Weighted {
+    #[inline(always)]
+    fn add(&mut self, other: &Self, weight: f64, alike: f64) {
+        self.shift += other.shift * weight;
+        self.by_pose += other.by_pose * weight;
+        self.information += other.information * (weight * alike);
+    }
+}
+
+multiversion! {
+    /// Adds each of two tiles that are neighbours to the other's sums. `width_px`: of what may be off.
+    fn add_neighbours(paired: &mut [PairedTile], width_px: f64); ["avx2"] => add_neighbours_plain, else add_neighbours_plain
+}
+
+#[inline(always)]
+fn add_neighbours_plain(paired: &mut [PairedTile], width_px: f64) {
+    let per_squared_length = -0.5 / (CORRELATION_LENGTH * width_px).powi(2);
+    let farthest = LEAST_PAIR.ln() / (per_squared_length * f64::from(PAIR_POWER));
+    let beside_px2 = (TOUCHING * width_px).powi(2)..farthest;
+    for k in 1..paired.len() {
+        let (before, rest) = paired.split_at_mut(k);
+        let tile = &mut rest[0];
+        for other in before {
+            let squared_length = (other.place_px - tile.place_px).norm_squared();
+            if beside_px2.contains(&squared_length) {
+                let alike = (squared_length * per_squared_length).exp();
+                let weight = alike.powi(PAIR_POWER);
+                tile.beside.add(&other.own, weight, alike);
+                other.beside.add(&tile.own, weight, alike);
+            }
+        }
+    }
+}
+
+/// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what of the model does not fit, of a pose that rests on its frame and on those before.
+///
+/// In the directions in which the frame's share of what is known of the pose is g, its error is g times that of the frame alone and 1 - g times that of
+/// the frames before. What does not fit stays as it is from frame to frame, so that both add up as they are, not by their squares.
+///
+/// `noise`: covariance of the pose by noise, with what was expected of it, body axes. `of_frame`: covariance by the model's error of a pose from this frame alone
+/// ([`model_error`]). `before`: the same of the frames before it.
+pub fn blended(
+    pose: &Pose<Camera, Body>,
+    residuals: &TileResiduals,
+    noise: &Matrix6<f64>,
+    of_frame: &Matrix6<f64>,
+    before: &Matrix6<f64>,
+) -> Option<Matrix6<f64>> {
+    let none = Matrix6::zeros();
+    if *of_frame == none && *before == none {
+        return Some(none);
+    }
+    // The noise of the frame alone is one unit in each direction of these axes; turned so that nothing in them is correlated.
+    let root = residuals.normal().cholesky()?.l();
+    let mut turn = Matrix6::zeros();
+    turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&pose.rotation_matrix());
+    turn.fixed_view_mut::<3, 3>(3, 3).copy_from(&pose.rotation_matrix());
+    let in_camera = |covariance: &Matrix6<f64>| turn * covariance * turn.transpose();
+    let axes = (root.transpose() * in_camera(noise) * root).symmetric_eigen();
+    let shares = axes.eigenvalues.map(|known| known.clamp(0.0, 1.0));
+    let to_axes = axes.eigenvectors.transpose() * root.transpose();
+    let from_axes = to_axes.try_inverse()?;
+    let scaled = |covariance: &Matrix6<f64>, by: &dyn Fn(f64) -> f64| {
+        let by = Matrix6::from_diagonal(&shares.map(by));
+        by * to_axes * in_camera(covariance) * to_axes.transpose() * by
+    };
+    let (own, others) = (scaled(of_frame, &|share| share), scaled(before, &|share| 1.0 - share));
+    let independent = own + others;
+    let sigma = |covariance: &Matrix6<f64>, k: usize| covariance[(k, k)].max(0.0).sqrt();
+    let grow = Vector6::from_fn(|k, _| {
+        let all = sigma(&independent, k);
+        if all > 0.0 { (sigma(&own, k) + sigma(&others, k)) / all } else { 1.0 }
+    });
+    let together = independent.component_mul(&(grow * grow.transpose()));
+    let covariance = covariance_of_inverse(pose, &(from_axes * together * from_axes.transpose()));
+    covariance.iter().all(|v| v.is_finite()).then_some(covariance)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{DMatrix, DVector, Vector3};
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+    use crate::geometry::resection::{MovingCamera, Observation, resect};
+    use crate::track::synthetic::{cloth, facing, lens, prepared, seen_anchors};
+
+    const NOISE_PX: f64 = 0.02;
+    const WIDTH: u32 = 640;
+    const RUNS: usize = 200;
+
+    fn normal(random: &mut Pcg64Mcg) -> f64 {
+        (0..12).map(|_| random.random_range(-0.5..0.5)).sum()
+    }
+
+    /// What the model's error is found to be.
+    struct Found {
+        /// Mean of NEES / 6.
+        nees: f64,
+        /// Frames, of 200, in which the model was found to be off.
+        off: usize,
+        /// Mean variance of the tiles' noise, in variances of what it is said to be.
+        noise: f64,
+        /// Mean sigma of the turn by a field, radians.
+        turn: f64,
+    }
+
+    /// Frames whose tiles are displaced by a smooth field of `field_px` and `length_px`, beside noise that is `noisier` than it is said to be.
+    fn found(field_px: f64, length_px: f64, noisier: f64) -> Found {
+        let (body, camera, pose) = (prepared(vec![cloth(1)]), lens(WIDTH, 480), facing(0.1, -0.3, Vector3::new(0.4, 0.05, 5.0)));
+        let places: Vec<Vector2<f64>> =
+            seen_anchors(&body, &pose, &camera, 9, |_, _| Vector2::zeros()).iter().map(|a| a.corrected_px).collect();
+        let together = |i: usize, k: usize| {
+            (-0.5 * (places[i] - places[k]).norm_squared() / length_px.powi(2)).exp() + if i == k { 1e-9 } else { 0.0 }
+        };
+        let factor = DMatrix::from_fn(places.len(), places.len(), together).cholesky().expect("positive definite").l();
+        let mut random = Pcg64Mcg::seed_from_u64(3);
+        let mut sums = Found { nees: 0.0, off: 0, noise: 0.0, turn: 0.0 };
+        for _ in 0..RUNS {
+            let field: [DVector<f64>; 2] = [0, 1].map(|_| &factor * DVector::from_fn(places.len(), |_, _| field_px * normal(&mut random)));
+            let shift = |k: u32, _| Vector2::from_fn(|axis, _| field[axis][k as usize] + noisier * NOISE_PX * normal(&mut random));
+            let mut anchors = seen_anchors(&body, &pose, &camera, 9, shift);
+            anchors.iter_mut().for_each(|a| a.observation.information /= NOISE_PX.powi(2));
+            let observations: Vec<Observation> = anchors.iter().map(|a| a.observation).collect();
+            let found = resect(&pose, &MovingCamera::still(&camera), &observations, 30).expect("a pose");
+            let mut residuals = TileResiduals::default();
+            residuals.take(&found.pose, &camera, &anchors).expect("tiles enough");
+            let by_noise = covariance_of_inverse(&found.pose, &found.normal.try_inverse().expect("positive definite"));
+            let error = model_error(&found.pose, f64::from(WIDTH), &residuals, &mut ModelErrorBuffers::default());
+            let (covariance, noise) = error.map_or((Matrix6::zeros(), 1.0), |e| (e.covariance(), e.noise));
+            let (truth, found) = (pose.inverse(), found.pose.inverse());
+            let (moved, turned) = (truth.translation - found.translation, (truth.rotation * found.rotation.inverse()).scaled_axis());
+            let e = Vector6::new(moved.x, moved.y, moved.z, turned.x, turned.y, turned.z);
+            let squared = e.dot(&((by_noise * noise + covariance).try_inverse().expect("positive definite") * e));
+            sums.nees += squared / 6.0 / RUNS as f64;
+            sums.noise += noise / RUNS as f64;
+            sums.turn += covariance.fixed_view::<3, 3>(3, 3).trace().sqrt() / RUNS as f64;
+            sums.off += usize::from(error.is_some());
+        }
+        sums
+    }
+
+    #[test]
+    fn a_smooth_error_of_the_model_is_in_the_covariance() {
+        let wide = found(0.5, CORRELATION_LENGTH * f64::from(WIDTH), 1.0);
+        assert!((0.5..2.5).contains(&wide.nees) && wide.off == RUNS, "{}, {} of {RUNS}", wide.nees, wide.off);
+        // Folds are shorter than the field that is assumed: their covariance is wider than their error.
+        let folds = found(0.5, 0.1 * f64::from(WIDTH), 1.0);
+        assert!((0.05..2.5).contains(&folds.nees) && folds.off == RUNS, "{}, {} of {RUNS}", folds.nees, folds.off);
+    }
+
+    #[test]
+    fn the_field_is_averaged_but_what_is_too_large_for_noise_counts_at_once() {
+        let of = |by_pairs_px2: f64, at_least_px2: f64| ModelError {
+            by_field: Matrix6::identity(),
+            by_pairs_px2,
+            at_least_px2,
+            at_most_px2: 9.0,
+            noise: 1.0,
+        };
+        let mut size = FieldSize::default();
+        let mut take = |by_pairs_px2, at_least_px2| size.take(&of(by_pairs_px2, at_least_px2))[(0, 0)];
+        assert_eq!(take(6.0, -1.0), 6.0);
+        // The mean is 5, its standard error 1.
+        assert!((take(4.0, -1.0) - 4.0).abs() < 1e-12);
+        // Below nothing there is none, and of a mean that chance explains nothing counts.
+        assert_eq!(take(-13.0, -1.0), 0.0);
+        assert_eq!(take(9.0, -1.0), 0.0);
+        assert_eq!(take(1.0, 4.0), 4.0);
+        // It follows what stays, within ten times its memory: the standard error takes twice as long as the mean.
+        let last = (0..10 * MEMORY_FRAMES as usize).map(|_| take(2.0, -1.0)).last();
+        assert!(last.is_some_and(|last| (last - 2.0).abs() < 0.01), "{last:?}");
+    }
+
+    #[test]
+    fn noise_alone_adds_little() {
+        let exact = found(0.0, 100.0, 1.0);
+        assert!((0.6..1.3).contains(&exact.nees), "{}", exact.nees);
+    }
+
+    #[test]
+    fn noise_that_is_larger_than_it_is_said_to_be_is_no_error_of_the_model() {
+        let field = found(2.0 * NOISE_PX, CORRELATION_LENGTH * f64::from(WIDTH), 1.0);
+        let noise = found(0.0, 100.0, 1.7);
+        assert!((2.3..3.5).contains(&noise.noise) && (0.6..1.4).contains(&noise.nees), "{} {}", noise.noise, noise.nees);
+        assert!(field.noise < 2.0 && field.turn > 2.0 * noise.turn, "{}, {} and {}", field.noise, field.turn, noise.turn);
+    }
+
+    #[test]
+    fn a_pose_that_rests_on_the_frames_before_has_their_error() {
+        let (body, camera, pose) = (prepared(vec![cloth(1)]), lens(WIDTH, 480), facing(0.1, -0.3, Vector3::new(0.4, 0.05, 5.0)));
+        let mut anchors = seen_anchors(&body, &pose, &camera, 9, |_, _| Vector2::zeros());
+        anchors.iter_mut().for_each(|a| a.observation.information /= NOISE_PX.powi(2));
+        let mut residuals = TileResiduals::default();
+        residuals.take(&pose, &camera, &anchors).expect("tiles enough");
+        let of_frame_alone = covariance_of_inverse(&pose, &residuals.normal().try_inverse().expect("positive definite"));
+        let (own, before) = (of_frame_alone * 400.0, of_frame_alone);
+        let error = |share: f64| blended(&pose, &residuals, &(of_frame_alone * share), &own, &before).expect("positive definite");
+        let off = |a: Matrix6<f64>, b: Matrix6<f64>| (a - b).norm() / b.norm();
+        // From its frame alone; from the frames before alone; a tenth of 20 and nine tenths of 1, sigmas.
+        assert!(off(error(1.0), own) < 1e-6 && off(error(3.0), own) < 1e-6);
+        assert!(off(error(1e-9), before) < 1e-6);
+        assert!(off(error(0.1), before * 2.9_f64.powi(2)) < 1e-6);
+        // What stays the same from frame to frame is not averaged away.
+        assert!(off(blended(&pose, &residuals, &(of_frame_alone * 0.1), &own, &own).expect("positive definite"), own) < 1e-6);
+    }
+
+    #[test]
+    fn what_is_wrong_with_an_object_is_no_larger_than_the_object() {
+        let (body, camera, pose) = (prepared(vec![cloth(1)]), lens(WIDTH, 480), facing(0.1, -0.3, Vector3::new(0.4, 0.05, 30.0)));
+        let mut random = Pcg64Mcg::seed_from_u64(4);
+        // Independent noise in every tile, of twice the standard deviation that is stated.
+        let mut anchors = seen_anchors(&body, &pose, &camera, 9, |_, _| Vector2::from_fn(|_, _| 2.0 * NOISE_PX * normal(&mut random)));
+        anchors.iter_mut().for_each(|a| a.observation.information /= NOISE_PX.powi(2));
+        let observations: Vec<Observation> = anchors.iter().map(|a| a.observation).collect();
+        let found = resect(&pose, &MovingCamera::still(&camera), &observations, 30).expect("a pose");
+        let mut residuals = TileResiduals::default();
+        residuals.take(&found.pose, &camera, &anchors).expect("tiles enough");
+        assert!(residuals.extent_px() < 100.0, "{}", residuals.extent_px());
+        let turn = |width_px: f64| {
+            let error = model_error(&found.pose, width_px, &residuals, &mut ModelErrorBuffers::default()).expect("more than noise");
+            error.at_most().fixed_view::<3, 3>(3, 3).trace().sqrt()
+        };
+        let (of_object, of_picture) = (turn(residuals.extent_px()), turn(f64::from(WIDTH)));
+        let by_noise = covariance_of_inverse(&found.pose, &found.normal.try_inverse().expect("positive definite"));
+        let by_noise = by_noise.fixed_view::<3, 3>(3, 3).trace().sqrt();
+        assert!((1.0..15.0).contains(&(of_object / by_noise)) && of_picture > 3.0 * of_object, "{of_object} {of_picture} {by_noise}");
+    }
+}

@@ -1,0 +1,100 @@
+//! A pose that jumps towards the stage or from it: the camera moved, or the lens was zoomed.
+//!
+//! Seen from ahead a zoom leaves nothing displaced: all of it goes into the pose, which jumps. So where a step of the focal length would explain a jump that no motion of the last frames explains,
+//! it may be one.
+
+use super::tile_residuals::TileResiduals;
+use crate::geometry::resection::{Twist, perturbed};
+use crate::geometry::{Body, Camera, Pose};
+use crate::motion::MAX_ACCELERATION;
+use crate::track::patches::row_motion::RowMotion;
+
+/// A jump is larger than this share of the distance, and so many times the usual error of the prediction. Raised, small zooms from ahead go unnoticed; lowered, jolts put the lens in doubt.
+const LEAST_STEP: f64 = 0.01;
+const USUAL_TIMES: f64 = 5.0;
+/// Share of the jump that the step must explain: a jolt turns the camera as well. Raised, zooms while the camera turns go unnoticed; lowered, jolts put the lens in doubt.
+const LEAST_SHARE: f64 = 0.9;
+/// The usual error is forgotten to this share with each frame. Raised, a camera that has come to rest is taken for a shaken one for longer.
+const REMEMBERED: f64 = 0.9;
+
+/// Remembers how well poses are predicted.
+#[derive(Debug, Default)]
+pub struct Jump {
+    /// Usual error of the prediction, share of the distance.
+    usual: f64,
+}
+
+impl Jump {
+    /// The step of the logarithm of the focal length that would explain how `pose` jumped, if no camera moves so.
+    pub fn step(&mut self, pose: &Pose<Camera, Body>, rows: &RowMotion, residuals: &TileResiduals) -> Option<f64> {
+        let (before, dt_s, twist) = rows.before?;
+        let predicted = perturbed(&before, &(twist?.0 * dt_s));
+        let mut off = Twist::between(&predicted, pose, 1.0).0;
+        let mut by_focal = residuals.pose_by_focal()?;
+        let distance_m = pose.translation.norm();
+        for vector in [&mut off, &mut by_focal] {
+            vector.fixed_rows_mut::<3>(0).scale_mut(1.0 / distance_m);
+        }
+        let (usual, size) = (self.usual, off.norm());
+        let step = off.dot(&by_focal) / by_focal.norm_squared();
+        let share = (step * by_focal.norm() / size.max(f64::MIN_POSITIVE)).abs();
+        // A camera that starts or stops moves off its prediction by no more than this.
+        let reach_m = 0.5 * MAX_ACCELERATION * dt_s * dt_s;
+        let is_step = step.abs() > LEAST_STEP && step.abs() * distance_m > reach_m && size > USUAL_TIMES * usual && share > LEAST_SHARE;
+        self.usual = REMEMBERED * usual + (1.0 - REMEMBERED) * if is_step { usual } else { size };
+        is_step.then_some(step)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Vector2, Vector3, Vector6};
+
+    use super::*;
+    use crate::camera::{CameraModel, Intrinsics, Shutter};
+    use crate::geometry::resection::{MovingCamera, Observation, resect};
+    use crate::track::synthetic::{cloth, facing, lens, prepared, seen_anchors};
+
+    /// The step of a frame that `camera` took from `stand`, where the frame before stood at `before` and nothing moved.
+    fn step(camera: &CameraModel, stand: &Pose<Camera, Body>, before: &Pose<Camera, Body>, dt_s: f64) -> Option<f64> {
+        let (body, configured) = (prepared(vec![cloth(1)]), lens(640, 480));
+        let mut anchors = seen_anchors(&body, stand, camera, 10, &mut |_, _| Vector2::zeros());
+        anchors.iter_mut().for_each(|a| a.observation.information /= 0.01_f64.powi(2));
+        let observations: Vec<Observation> = anchors.iter().map(|a| a.observation).collect();
+        let pose = resect(before, &MovingCamera::still(&configured), &observations, 30).expect("a pose").pose;
+        let mut residuals = TileResiduals::default();
+        residuals.take(&pose, &configured, &anchors).expect("tiles enough");
+        let rows =
+            RowMotion { shutter: Shutter::default(), readout_sigma_s: 0.0, before: Some((*before, dt_s, Some(Twist(Vector6::zeros())))) };
+        Jump::default().step(&pose, &rows, &residuals)
+    }
+
+    #[test]
+    fn a_zoom_seen_from_ahead_is_a_step() {
+        let stand = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 5.0));
+        let i = *lens(640, 480).intrinsics();
+        for by in [1.15, 1.03, 0.9] {
+            let zoomed = CameraModel::new(Intrinsics { fx: by * i.fx, fy: by * i.fy, ..i }).unwrap();
+            let found = step(&zoomed, &stand, &stand, 0.03).expect("a step").abs();
+            assert!((found - f64::ln(by).abs()).abs() < 0.2 * f64::ln(by).abs(), "{by}: {found}");
+        }
+    }
+
+    #[test]
+    fn a_jolt_to_the_side_is_none() {
+        let stand = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 5.0));
+        for (turn, shift) in [([0.03, 0.0], 0.0), ([0.0, -0.05], 0.1), ([0.01, 0.03], -0.2)] {
+            let jolted = facing(0.02 + turn[0], 0.03 + turn[1], Vector3::new(0.2 + shift, 0.05, 5.0));
+            assert_eq!(step(&lens(640, 480), &jolted, &stand, 0.03), None, "{turn:?}, {shift} m");
+        }
+    }
+
+    #[test]
+    fn a_dolly_that_starts_between_two_slow_frames_is_none() {
+        let stand = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 5.0));
+        let nearer = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 4.8));
+        // 1 m/s at 5 frames a second; within a thirtieth of a second no camera gets there.
+        assert_eq!(step(&lens(640, 480), &nearer, &stand, 0.2), None);
+        assert!(step(&lens(640, 480), &nearer, &stand, 1.0 / 30.0).is_some());
+    }
+}

@@ -1,0 +1,418 @@
+//! Whether a frame shows one moment. Fields that are woven together, frames that a converter blended
+//! and torn ones show two: their pose is that of no moment, off by as much as the camera moves in half
+//! of the time from frame to frame.
+//!
+//! Cells of the picture are drawn as they should look at some moments about the frame's (`evidence`).
+//! An exposure is no longer than a frame's time, and its picture has a third of what the mean of both
+//! ends has. In a torn frame cells above a line are of another moment than those below (`tear`). The
+//! evidence is summed over frames, as cameras and capture cards that mix frames mix all of them.
+
+mod evidence;
+mod tear;
+
+use image::GrayImage;
+use nalgebra::{Matrix2, Matrix2x3, Point3, SVector, Vector2};
+
+use self::evidence::{ACROSS, Cell, DOWN, Evidence, Greys, MIDDLES, MOMENTS};
+use self::tear::{Displaced, torn_by};
+use crate::camera::{CameraModel, Normalized};
+use crate::geometry::{Body, Camera, Pose, skew};
+use crate::motion::Motion;
+use crate::track::align::{FrameLevels, LEVELS};
+use crate::track::patches::fitted_anchor::FittedAnchor;
+use crate::track::scene::averaged_picture::AveragedPicture;
+use crate::track::scene::bilinear::look_at;
+use crate::track::scene::reference::{PreparedBody, PreparedSurface};
+use crate::track::scene::shape::ShapePoint;
+
+/// Cells that are drawn. Raised, a frame that is asked costs more; lowered, what covers some decides.
+const CELLS: usize = 40;
+/// Places of the pictures at which a tear is looked for, whatever is seen there.
+const PLACES: usize = 144;
+/// Fewest cells by which a frame is told. Raised, small stages are not asked.
+const LEAST_CELLS: usize = 8;
+/// Least way of the picture from frame to frame, pixels (rms), of a frame that is asked. Raised, slow
+/// mixtures are noticed later; lowered, the point spread passes for a second moment.
+const ASKED_PX: f64 = 1.2;
+/// Longest way, pixels of the copy of the frame that is asked: a smaller copy is taken for more.
+const LONGEST_PX: f64 = 6.0;
+/// Two motions in a row may differ by this share for a frame to be asked: what a frame shows is the
+/// motion of its own time. Raised, a hand's jerks pass for a second moment; lowered, only smooth
+/// motion tells.
+const LARGEST_CHANGE: f64 = 0.3;
+/// A frame is blended from this share of both moments on: an exposure as long as the frame's time has
+/// a third, a mixture 1. Raised, mixtures pass; lowered, long exposures are refused.
+const BLENDED: f64 = 0.7;
+/// Rows are woven from this share on: 1 where fields are a frame's time apart, a half where they are
+/// half of it apart. Lowered, stripes may pass for fields.
+const WOVEN: f64 = 0.3;
+/// Share of the evidence that is kept at each frame that is asked. Raised, a source that was repaired
+/// is believed later; lowered, single frames decide.
+const KEPT: f64 = 0.8;
+/// Frames that say the same before it is said. Raised, it is said later.
+const SAID_AFTER: u32 = 5;
+/// Frames in a row that are asked before the watch is idle, and then one of so many is asked. Raised,
+/// whole frames cost more, or mixtures that begin later are noticed later.
+const ASKED_FIRST: u32 = 12;
+const IDLE_FRAMES: u32 = 6;
+/// Way of the picture, pixels (rms) a frame, from which on poses of mixtures are withheld; a slower
+/// one has what the motion may displace in its covariance. Raised, poses are given that are far less
+/// sure than usual.
+const WITHHELD_PX: f64 = 1.0;
+
+/// What frames are made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mixture {
+    /// Rows of two moments by turns.
+    Woven,
+    /// Two pictures are blended.
+    Blended,
+    /// The upper rows are of another moment than the lower ones.
+    Torn,
+}
+
+impl Mixture {
+    /// What is the matter and what to do about it.
+    pub fn text(self) -> &'static str {
+        match self {
+            Self::Woven => {
+                "frames are woven of two fields (interlaced video): poses are withheld while the camera moves; set the \
+                 camera and the capture card to progressive video"
+            }
+            Self::Blended => {
+                "each frame is a blend of two moments, as interlaced video and converted frame rates have it: poses are withheld while \
+                 the camera moves; set the capture card to the camera's own frame rate and to progressive video, without conversion"
+            }
+            Self::Torn => {
+                "the upper rows of frames are of another moment than the lower ones: poses are withheld while the camera moves; \
+                 set the capture card or the player to whole frames (vertical sync)"
+            }
+        }
+    }
+}
+
+/// A frame in which the body was found.
+pub struct Found<'a> {
+    pub image: &'a GrayImage,
+    pub body: &'a PreparedBody,
+    pub anchors: &'a [FittedAnchor],
+    pub camera: &'a CameraModel,
+    /// At the frame's stamp, as the last two poses have it.
+    pub motion: Motion,
+    /// The motion before, if it is known.
+    pub motion_before: Option<Motion>,
+    /// From frame to frame.
+    pub interval_s: f64,
+}
+
+/// What becomes of a frame's pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Verdict {
+    /// It shows one moment, or nothing moves.
+    Whole,
+    /// It is a mixture, but moves so slowly that its pose is right within its half-step.
+    Slow,
+    /// It is a mixture and moves.
+    Withheld,
+}
+
+/// Watches what frames are made of.
+#[derive(Debug, Default)]
+pub struct MixtureWatch {
+    evidence: Evidence,
+    /// Shares of the frames asked that were torn.
+    torn: f64,
+    mixture: Option<Mixture>,
+    /// Frames asked, frames passed over since the last of them, and frames in a row that said so.
+    asked: u32,
+    passed: u32,
+    agreeing: u32,
+    is_said: bool,
+    averaged: Vec<AveragedPicture>,
+    /// log2 of the texels of each surface along a pixel.
+    texels: Vec<f64>,
+    displaced: Vec<Displaced>,
+}
+
+impl MixtureWatch {
+    /// Looks at a frame, if it is time for that, and judges its pose.
+    pub fn look(&mut self, found: &Found, levels: &mut FrameLevels) -> Verdict {
+        let way_px = found.way_px(&found.motion);
+        // The pose of a mixture may be that of either moment by turns, and stand still meanwhile.
+        let longest_px = found.motion_before.map_or(way_px, |before| way_px.max(found.way_px(&before)));
+        if way_px >= ASKED_PX && self.is_due() {
+            self.ask(found, way_px, levels);
+        }
+        match self.mixture {
+            None => Verdict::Whole,
+            Some(_) if longest_px >= WITHHELD_PX => Verdict::Withheld,
+            Some(_) => Verdict::Slow,
+        }
+    }
+
+    /// What is to be said of the frames, once.
+    pub fn news(&mut self) -> Option<Mixture> {
+        let mixture = self.mixture.filter(|_| self.agreeing >= SAID_AFTER && !self.is_said)?;
+        self.is_said = true;
+        Some(mixture)
+    }
+
+    /// Whether frames are mixtures, as far as is known.
+    pub fn is_mixing(&self) -> bool {
+        self.mixture.is_some()
+    }
+
+    fn is_due(&mut self) -> bool {
+        self.passed += 1;
+        self.asked < ASKED_FIRST || self.mixture.is_some() || self.passed >= IDLE_FRAMES
+    }
+
+    fn ask(&mut self, found: &Found, way_px: f64, levels: &mut FrameLevels) {
+        let mut level = 0;
+        while way_px / f64::from(1u32 << level) > LONGEST_PX && level + 1 < LEVELS {
+            level += 1;
+        }
+        // Fields are not seen in smaller copies.
+        if level > 0 && self.mixture == Some(Mixture::Woven) {
+            return;
+        }
+        let copy = FrameCopy::at(level, found.image, levels);
+        let poses = MOMENTS.map(|moment| found.motion.after(moment * found.interval_s).pose);
+        self.prepare(found, &copy, &poses);
+        self.find_moments(found, &copy, &poses);
+        let is_torn = torn_by(&self.displaced).is_some();
+        self.torn += (1.0 - KEPT) * (f64::from(u8::from(is_torn)) - self.torn);
+        // Of a motion that changes, the cells of one frame show more or less than its own.
+        if found.is_steady()
+            && let Some(of_frame) = self.evidence_of(found, &copy, &poses)
+        {
+            self.evidence.fade(KEPT);
+            self.evidence.add(&of_frame);
+        }
+        let shares = self.evidence.shares();
+        let mixture = match shares {
+            Some(shares) if shares.by_turns.abs() > WOVEN => Some(Mixture::Woven),
+            _ if is_torn || self.torn > 0.5 => Some(Mixture::Torn),
+            Some(shares) if shares.both > BLENDED => Some(Mixture::Blended),
+            _ => None,
+        };
+        self.agreeing = if mixture.is_some() && mixture == self.mixture { self.agreeing + 1 } else { u32::from(mixture.is_some()) };
+        (self.mixture, self.asked, self.passed) = (mixture, self.asked.saturating_add(1), 0);
+        tracing::debug!(way_px, ?shares, self.torn, ?mixture, "moments");
+    }
+
+    /// Averages the pictures over what a pixel of the copy covers.
+    fn prepare(&mut self, found: &Found, copy: &FrameCopy, poses: &Poses) {
+        let surfaces = &found.body.surfaces;
+        let (frame, scale) = (copy.size.map(|n| n as f64), copy.scale());
+        self.texels.clear();
+        self.texels.extend(surfaces.iter().map(|surface| {
+            let see = |place| Some(surface.rectangle.see(&poses[NOW], found.camera, place, 0.0)?.in_smaller(scale));
+            surface.rectangle.texels_log2(frame, see).unwrap_or(0.0)
+        }));
+        if self.averaged.len() < surfaces.len() {
+            self.averaged.resize_with(surfaces.len(), AveragedPicture::default);
+        }
+    }
+
+    /// The cell about a place of a surface, where it is shown or should be.
+    fn cell(
+        &mut self,
+        found: &Found,
+        number: usize,
+        share: [f64; 2],
+        shown: Option<Vector2<f64>>,
+        copy: &FrameCopy,
+        poses: &Poses,
+    ) -> Option<Cell> {
+        let surface = &found.body.surfaces[number];
+        let picture = self.averaged[number].over(&surface.octaves, self.texels[number]);
+        draw_cell(surface, share, shown, picture, poses, found.camera, copy)
+    }
+
+    /// What cells say where tiles are seen.
+    fn evidence_of(&mut self, found: &Found, copy: &FrameCopy, poses: &Poses) -> Option<Evidence> {
+        let stride = found.anchors.len().div_ceil(CELLS).max(1);
+        let (mut sums, mut left, mut cells) = ([Evidence::default(); MIDDLES.len()], [0.0; MIDDLES.len()], 0);
+        for anchor in found.anchors.iter().step_by(stride) {
+            let number = anchor.surface as usize;
+            let size_px = found.body.surfaces[number].rectangle.size_px;
+            let share = [0, 1].map(|k| (anchor.artwork[k] + 0.5) / size_px[k]);
+            let cell = self.cell(found, number, share, Some(anchor.observation.pixel), copy, poses);
+            let Some(told) = cell.and_then(|cell| cell.evidence()) else { continue };
+            for ((sum, left), told) in sums.iter_mut().zip(&mut left).zip(told) {
+                sum.add(&told.evidence);
+                *left += told.left;
+            }
+            cells += 1;
+        }
+        let best = (0..MIDDLES.len()).min_by(|a, b| left[*a].total_cmp(&left[*b]))?;
+        (cells >= LEAST_CELLS).then_some(sums[best])
+    }
+
+    /// Finds when the frame shows places all over the pictures.
+    fn find_moments(&mut self, found: &Found, copy: &FrameCopy, poses: &Poses) {
+        let mut displaced = std::mem::take(&mut self.displaced);
+        displaced.clear();
+        let surfaces = found.body.surfaces.len();
+        let side = ((PLACES / surfaces.max(1)) as f64).sqrt().floor().max(2.0) as usize;
+        for (number, at) in (0..surfaces).flat_map(|number| (0..side * side).map(move |at| (number, at))) {
+            let share = [at % side, at / side].map(|k| (k as f64 + 0.5) / side as f64);
+            let moment = self.cell(found, number, share, None, copy, poses).and_then(|cell| cell.moment());
+            displaced.extend(moment.and_then(|moment| found.displaced(number, share, moment)));
+        }
+        self.displaced = displaced;
+    }
+}
+
+impl Found<'_> {
+    /// How far the picture of a point goes from frame to frame.
+    fn way(&self, point: &Point3<f64>, motion: &Motion) -> Option<Vector2<f64>> {
+        let see = |pose: &Pose<Body, Camera>| {
+            let seen = pose.inverse().transform(point);
+            (seen.z > 0.0).then(|| self.camera.project(Normalized(seen.coords.xy() / seen.z)).0)
+        };
+        Some(see(&motion.pose)? - see(&motion.after(-self.interval_s).pose)?)
+    }
+
+    /// The same, root mean square over all anchors.
+    fn way_px(&self, motion: &Motion) -> f64 {
+        let ways = self.anchors.iter().filter_map(|anchor| self.way(&anchor.observation.point, motion));
+        let (sum, n) = ways.fold((0.0, 0), |(sum, n), way| (sum + way.norm_squared(), n + 1));
+        (sum / f64::from(n.max(1))).sqrt()
+    }
+
+    /// Whether the frame goes on as the one before did.
+    fn is_steady(&self) -> bool {
+        let Some(before) = &self.motion_before else { return false };
+        let points = self.anchors.iter().map(|anchor| anchor.observation.point);
+        let both = points.filter_map(|point| Some([self.way(&point, &self.motion)?, self.way(&point, before)?]));
+        let (change, way) =
+            both.fold((0.0, 0.0), |(change, way), [now, then]| (change + (now - then).norm_squared(), way + now.norm_squared()));
+        change <= LARGEST_CHANGE.powi(2) * way
+    }
+
+    /// A place of a surface that is shown as it looked at a moment.
+    fn displaced(&self, number: usize, share: [f64; 2], moment: f64) -> Option<Displaced> {
+        let rectangle = &self.body.surfaces[number].rectangle;
+        let ShapePoint { place, .. } = rectangle.shape.at(metres(share, rectangle.size_m));
+        let point = Point3::from(rectangle.rotation * place + rectangle.centre);
+        let seen = self.motion.pose.inverse().transform(&point);
+        let (pixel, by_ray) = self.camera.project_with_jacobian(Normalized(seen.coords.xy() / seen.z));
+        let way = self.way(&point, &self.motion)?;
+        let along = way.try_normalize(1e-6)?;
+        let [x, y, z] = [seen.x, seen.y, seen.z];
+        let by_point = by_ray * Matrix2x3::new(1.0, 0.0, -x / z, 0.0, 1.0, -y / z) / z;
+        let (by_shift, by_turn) = (by_point.transpose() * along, (by_point * -skew(&seen.coords)).transpose() * along);
+        let by_pose = SVector::from([by_shift.x, by_shift.y, by_shift.z, by_turn.x, by_turn.y, by_turn.z]);
+        let (row, way) = (pixel.0.y / f64::from(self.camera.height()), way.norm());
+        Some(Displaced { row, off: moment * way, way, by_pose })
+    }
+}
+
+/// A place of a picture, from its centre.
+fn metres(share: [f64; 2], size_m: [f64; 2]) -> [f64; 2] {
+    [(share[0] - 0.5) * size_m[0], (0.5 - share[1]) * size_m[1]]
+}
+
+/// Where the camera is at each of the [`MOMENTS`].
+type Poses = [Pose<Body, Camera>; MOMENTS.len()];
+/// The frame's own moment.
+const NOW: usize = 2;
+
+/// A copy of the frame, smaller or not.
+struct FrameCopy<'a> {
+    level: usize,
+    size: [usize; 2],
+    of: Greyscale<'a>,
+}
+
+enum Greyscale<'a> {
+    Bytes(&'a [u8]),
+    /// Sums, and what one grey level is in them.
+    Sums(&'a [u16], f32),
+}
+
+impl<'a> FrameCopy<'a> {
+    fn at(level: usize, image: &'a GrayImage, levels: &'a mut FrameLevels) -> Self {
+        let size = [image.width() as usize >> level, image.height() as usize >> level];
+        let of = match level {
+            0 => Greyscale::Bytes(image.as_raw()),
+            _ => Greyscale::Sums(levels.level(level).sums(), 1.0 / (1u32 << (2 * level)) as f32),
+        };
+        Self { level, size, of }
+    }
+
+    fn scale(&self) -> f64 {
+        f64::from(1u32 << self.level)
+    }
+
+    fn cell(&self, [x, y]: [usize; 2]) -> Greys {
+        std::array::from_fn(|v| {
+            let at = (y + v) * self.size[0] + x;
+            match self.of {
+                Greyscale::Bytes(bytes) => std::array::from_fn(|u| f32::from(bytes[at + u])),
+                Greyscale::Sums(sums, grey) => std::array::from_fn(|u| f32::from(sums[at + u]) * grey),
+            }
+        })
+    }
+}
+
+/// The cell about a place of a surface; `None` where it leaves the frame or the picture. `shown`: where
+/// the frame shows it, if that is known: what folds displace is none of a second moment.
+fn draw_cell(
+    surface: &PreparedSurface,
+    share: [f64; 2],
+    shown: Option<Vector2<f64>>,
+    image: &GrayImage,
+    poses: &Poses,
+    camera: &CameraModel,
+    copy: &FrameCopy,
+) -> Option<Cell> {
+    let rectangle = &surface.rectangle;
+    let size_m = rectangle.size_m;
+    let place = rectangle.shape.at(metres(share, size_m));
+    let scale = copy.scale();
+    let see = |pose| Some(rectangle.see_place(pose, camera, &place, 0.2)?.in_smaller(scale));
+    let now = see(&poses[NOW])?;
+    let half = Vector2::new(0.5, 0.5);
+    let shown = shown.map_or(now.pixel, |shown| (shown + half) / scale - half);
+    let first = shown - Vector2::new(0.5 * ACROSS as f64, 0.5 * DOWN as f64);
+    let last = [copy.size[0].checked_sub(ACROSS)?, copy.size[1].checked_sub(DOWN)?];
+    let origin = [first.x.round(), first.y.round()];
+    if origin.iter().zip(last).any(|(at, last)| *at < 0.0 || *at > last as f64) {
+        return None;
+    }
+    let image_size = [image.width() as usize, image.height() as usize];
+    let texel = [0, 1].map(|k| share[k] * image_size[k] as f64 - 0.5);
+    let per_m = Matrix2::new(image_size[0] as f64 / size_m[0], 0.0, 0.0, -(image_size[1] as f64) / size_m[1]);
+    let mut drawn = [[[0.0; ACROSS]; DOWN]; MOMENTS.len()];
+    for (drawn, pose) in drawn.iter_mut().zip(poses) {
+        let seen = see(pose)?;
+        let by_pixel = per_m * seen.by_metres.try_inverse()?;
+        let from = Vector2::from(origin) - (shown + seen.pixel - now.pixel);
+        draw(image.as_raw(), image_size, texel, &by_pixel, from, drawn)?;
+    }
+    Some(Cell { seen: copy.cell(origin.map(|at| at as usize)), drawn, begins_even: (origin[1] as usize).is_multiple_of(2) })
+}
+
+/// Draws the cell whose first pixel lies `from` the one at which `texel` is seen; `None` where it
+/// leaves the picture.
+fn draw(picture: &[u8], size: [usize; 2], texel: [f64; 2], by_pixel: &Matrix2<f64>, from: Vector2<f64>, drawn: &mut Greys) -> Option<()> {
+    let place = |u: usize, v: usize| Vector2::from(texel) + by_pixel * (from + Vector2::new(u as f64, v as f64));
+    let corners = [(0, 0), (ACROSS - 1, 0), (0, DOWN - 1), (ACROSS - 1, DOWN - 1)];
+    let is_in = |(u, v)| {
+        let at = place(u, v);
+        at.x >= 0.0 && at.y >= 0.0 && at.x <= (size[0] - 1) as f64 && at.y <= (size[1] - 1) as f64
+    };
+    if !corners.into_iter().all(is_in) {
+        return None;
+    }
+    for (v, row) in drawn.iter_mut().enumerate() {
+        let first: Vector2<f32> = place(0, v).cast();
+        let step: [f32; 2] = [by_pixel[(0, 0)] as f32, by_pixel[(1, 0)] as f32];
+        let [xs, ys] = [0, 1].map(|k| std::array::from_fn(|u| first[k] + u as f32 * step[k]));
+        *row = look_at::<ACROSS>(picture, size, &xs, &ys);
+    }
+    Some(())
+}

@@ -1,0 +1,19 @@
+//! What is tracked: surfaces, their shapes and their reference pictures. Immutable after load.
+//!
+//! - `surface`, `shape`, `corner_ways`: a surface as configured, flat or bent, and how its corners
+//!   may be off
+//! - `rectangle`: where a surface lies in its body, and where the camera sees it
+//! - `repetition`: the periods of a picture that repeats itself
+//! - `reference`: the picture prepared for search: octaves and anchors
+//! - `averaged_picture`, `bilinear`: how the picture is read
+//!
+//! Uses the core's geometry and camera only.
+
+pub mod averaged_picture;
+pub mod bilinear;
+pub mod corner_ways;
+pub mod rectangle;
+pub mod reference;
+pub mod repetition;
+pub mod shape;
+pub mod surface;

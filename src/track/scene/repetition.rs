@@ -1,0 +1,212 @@
+//! Pictures that repeat themselves: windows, tiles, stripes.
+//!
+//! Seen a period aside, such a picture looks nearly the same. What tells is its grain, one mark, or its border; from a start half a period off alignment finds the
+//! wrong pose as readily as the right one, and most of its tiles agree. So the periods are found when the picture is loaded, by its correlation with itself, and a pose that may
+//! be a period off is compared with those beside it. Other pictures have no period, and nothing is compared.
+
+use image::GrayImage;
+use nalgebra::Vector2;
+
+/// Most pixels of the copy that is compared with itself. Chosen: pictures with up to 20 periods each way show them. Raised, the start takes longer, by the square; lowered, narrow
+/// stripes pass.
+const MOST_PIXELS: u32 = 12_000;
+/// Half width of the window whose mean is taken off each pixel, as a share of the picture's side. Chosen, not tuned: what is left has detail of all sizes that a period may
+/// have. Raised, bright and dark halves of any picture count as detail; lowered, wide periods vanish.
+const MEAN_SHARE: usize = 8;
+/// Least correlation of a picture with itself, shifted, for the shift to be a period. Of 70 photographs and paintings none had above 0.63 at a maximum, of windows, tiles, stripes and
+/// chessboards, with marks and grain and a picture amidst, all above 0.9. Raised, periods that much stands in front of pass; lowered, poses on ordinary pictures take longer.
+const LEAST_CORRELATION: f32 = 0.75;
+/// By so much the correlation must be less somewhere on the way to a period. Along a stripe it never is: there a picture is the same everywhere, and its border tells. Raised, short
+/// periods of soft pictures pass; lowered, ramps have periods.
+const LEAST_DIP: f32 = 0.2;
+/// Shortest period, pixels of the copy. Below, neighbours correlate in any picture.
+const LEAST_PERIOD_PX: i64 = 3;
+/// Two periods at least so far apart in direction, as the sine of the angle, are independent: 10 degrees. Chosen. Lowered, a period and twice itself are two.
+const INDEPENDENT: f64 = 0.17;
+/// Periods kept of a picture: one each way. Raised, a comparison takes longer.
+const MOST: usize = 2;
+
+/// The shortest independent shifts by which a picture is nearly the same, artwork pixels; none for most pictures. `octaves`: the picture, and copies of
+/// which each is half as large as the one before.
+pub fn periods<'a>(octaves: impl Iterator<Item = &'a GrayImage>) -> Vec<Vector2<f64>> {
+    let is_small = |image: &GrayImage| image.width() * image.height() <= MOST_PIXELS;
+    let Some((k, octave)) = octaves.enumerate().find(|(_, image)| is_small(image)) else { return Vec::new() };
+    let detail = Detail::of(octave);
+    let mut found = detail.maxima();
+    found.sort_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()));
+    let mut kept: Vec<Vector2<f64>> = Vec::new();
+    for shift in found {
+        let is_new = |other: &Vector2<f64>| shift.perp(other).abs() > INDEPENDENT * shift.norm() * other.norm();
+        if kept.len() < MOST && kept.iter().all(is_new) {
+            kept.push(shift);
+        }
+    }
+    kept.iter().map(|shift| shift * f64::from(1_u32 << k)).collect()
+}
+
+/// A picture less its local mean, with the sums that correlations need.
+struct Detail {
+    width: usize,
+    height: usize,
+    grey: Vec<f32>,
+    /// Sums over the rectangle above and left of each corner: of the grey, and of its square.
+    sums: Vec<[f64; 2]>,
+}
+
+impl Detail {
+    fn of(image: &GrayImage) -> Self {
+        let (width, height) = (image.width() as usize, image.height() as usize);
+        let plain: Vec<f32> = image.iter().map(|v| f32::from(*v)).collect();
+        let sums = corner_sums(width, &plain);
+        let [reach_x, reach_y] = [width, height].map(|side| side / MEAN_SHARE);
+        let mean = |x: usize, y: usize| {
+            let (left, right) = (x.saturating_sub(reach_x), (x + reach_x + 1).min(width));
+            let (top, bottom) = (y.saturating_sub(reach_y), (y + reach_y + 1).min(height));
+            let [sum, _] = within(&sums, width, [left, top], [right, bottom]);
+            (sum / ((right - left) * (bottom - top)) as f64) as f32
+        };
+        let grey: Vec<f32> = plain.iter().enumerate().map(|(k, v)| v - mean(k % width, k / width)).collect();
+        let sums = corner_sums(width, &grey);
+        Self { width, height, grey, sums }
+    }
+
+    /// Correlation of the picture with itself, `dx` pixels to the right and `dy` down, over what the two share.
+    fn correlation(&self, dx: i64, dy: i64) -> f32 {
+        let (shift_x, shift_y) = (dx.unsigned_abs() as usize, dy.unsigned_abs() as usize);
+        let (columns, rows) = (self.width - shift_x, self.height - shift_y);
+        let origin = |is_shifted: [bool; 2]| [if is_shifted[0] { shift_x } else { 0 }, if is_shifted[1] { shift_y } else { 0 }];
+        let a = origin([dx > 0, dy > 0]);
+        let b = origin([dx < 0, dy < 0]);
+        let mut both = 0.0;
+        for row in 0..rows {
+            let line = |[x, y]: [usize; 2]| &self.grey[(y + row) * self.width + x..][..columns];
+            both += f64::from(line(a).iter().zip(line(b)).map(|(p, q)| p * q).sum::<f32>());
+        }
+        let n = (columns * rows) as f64;
+        let moments = |from: [usize; 2]| {
+            let [sum, squares] = within(&self.sums, self.width, from, [from[0] + columns, from[1] + rows]);
+            (sum, squares - sum * sum / n)
+        };
+        let ((sum_a, variance_a), (sum_b, variance_b)) = (moments(a), moments(b));
+        // A plain part correlates with nothing.
+        let least = n;
+        if variance_a < least || variance_b < least {
+            return 0.0;
+        }
+        ((both - sum_a * sum_b / n) / (variance_a * variance_b).sqrt()) as f32
+    }
+
+    /// Shifts of up to half of the picture at which the correlation is a clear maximum, of each pair of opposite ones the one that points down, or right.
+    fn maxima(&self) -> Vec<Vector2<f64>> {
+        let (most_x, most_y) = ((self.width / 2) as i64, (self.height / 2) as i64);
+        let across = (2 * most_x + 1) as usize;
+        let place = |dx: i64, dy: i64| dy as usize * across + (dx + most_x) as usize;
+        let mut all = vec![0.0; across * (most_y + 1) as usize];
+        for dy in 0..=most_y {
+            (-most_x..=most_x).for_each(|dx| all[place(dx, dy)] = self.correlation(dx, dy));
+        }
+        // A shift and its opposite are one.
+        let at = |dx: i64, dy: i64| {
+            let (dx, dy) = if dy < 0 { (-dx, -dy) } else { (dx, dy) };
+            if dx.abs() <= most_x && dy <= most_y { all[place(dx, dy)] } else { 0.0 }
+        };
+        let mut found = Vec::new();
+        for dy in 0..=most_y {
+            for dx in -most_x..=most_x {
+                let here = at(dx, dy);
+                let is_one = dy > 0 || dx > 0;
+                if !is_one || here < LEAST_CORRELATION || dx * dx + dy * dy < LEAST_PERIOD_PX.pow(2) {
+                    continue;
+                }
+                let around = (-2..=2).flat_map(|v| (-2..=2).map(move |u| (u, v))).filter(|offset| *offset != (0, 0));
+                let steps = dx.abs().max(dy);
+                let on_the_way = (1..steps).map(|k| at((dx * k) / steps, (dy * k) / steps));
+                let has_dip = on_the_way.fold(here, f32::min) < here - LEAST_DIP;
+                if has_dip && around.into_iter().all(|(u, v)| at(dx + u, dy + v) <= here) {
+                    let peak = |before: f32, after: f32| f64::from(peak_of(before, here, after));
+                    let x = dx as f64 + peak(at(dx - 1, dy), at(dx + 1, dy));
+                    let y = dy as f64 + peak(at(dx, dy - 1), at(dx, dy + 1));
+                    found.push(Vector2::new(x, y));
+                }
+            }
+        }
+        found
+    }
+}
+
+/// Where the parabola through three neighbours has its top, from the middle one.
+fn peak_of(before: f32, here: f32, after: f32) -> f32 {
+    let bend = before - 2.0 * here + after;
+    if bend < 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 }
+}
+
+/// Sums of greys and of their squares over the rectangles from the first pixel to each corner.
+fn corner_sums(width: usize, grey: &[f32]) -> Vec<[f64; 2]> {
+    let height = grey.len() / width.max(1);
+    let mut sums = vec![[0.0; 2]; (width + 1) * (height + 1)];
+    for y in 0..height {
+        let mut row = [0.0; 2];
+        for x in 0..width {
+            let g = f64::from(grey[y * width + x]);
+            row = [row[0] + g, row[1] + g * g];
+            let above = sums[y * (width + 1) + x + 1];
+            sums[(y + 1) * (width + 1) + x + 1] = [above[0] + row[0], above[1] + row[1]];
+        }
+    }
+    sums
+}
+
+/// Of a rectangle: first column and row, and the ends, exclusive.
+fn within(sums: &[[f64; 2]], width: usize, [left, top]: [usize; 2], [right, bottom]: [usize; 2]) -> [f64; 2] {
+    let at = |x: usize, y: usize| sums[y * (width + 1) + x];
+    [0, 1].map(|k| at(right, bottom)[k] - at(left, bottom)[k] - at(right, top)[k] + at(left, top)[k])
+}
+
+#[cfg(test)]
+mod tests {
+    use image::Luma;
+
+    use super::*;
+    use crate::track::synthetic::texture;
+
+    fn periods_of(picture: GrayImage) -> Vec<Vector2<f64>> {
+        let octaves: Vec<GrayImage> = std::iter::successors(Some(picture), |image| Some(crate::features::halved(image))).take(5).collect();
+        periods(octaves.iter())
+    }
+
+    #[test]
+    fn windows_with_grain_have_both_of_their_periods() {
+        let grain = texture(1000, 750, 3);
+        let windows = GrayImage::from_fn(1000, 750, |x, y| {
+            let base: u32 = if x % 80 < 40 && y % 112 < 60 { 200 } else { 60 };
+            Luma([(base + u32::from(grain.get_pixel(x, y)[0]) / 8) as u8])
+        });
+        let mut found = periods_of(windows);
+        found.sort_by(|a, b| a.x.total_cmp(&b.x));
+        assert_eq!(found.len(), 2, "{found:?}");
+        assert!((found[0] - Vector2::new(0.0, 112.0)).norm() < 4.0 && (found[1] - Vector2::new(80.0, 0.0)).norm() < 4.0, "{found:?}");
+    }
+
+    #[test]
+    fn stripes_have_theirs_with_a_picture_amidst() {
+        let middle = texture(1000, 750, 5);
+        let stripes = GrayImage::from_fn(1000, 750, |x, y| {
+            let is_middle = (400..600).contains(&x) && (250..500).contains(&y);
+            if is_middle { *middle.get_pixel(x, y) } else { Luma([if x % 50 < 25 { 210 } else { 50 }]) }
+        });
+        let found = periods_of(stripes);
+        assert!(found.iter().any(|shift| (shift - Vector2::new(50.0, 0.0)).norm() < 4.0), "{found:?}");
+    }
+
+    #[test]
+    fn ordinary_pictures_have_none() {
+        for seed in 0..8 {
+            assert_eq!(periods_of(texture(900, 700, seed)), Vec::<Vector2<f64>>::new());
+        }
+        for (width, height) in [(1, 1), (2, 50), (130, 3), (40, 30)] {
+            assert!(periods_of(GrayImage::from_pixel(width, height, Luma([90]))).is_empty());
+        }
+        // A ramp is the same a little aside, but has no maximum there.
+        assert!(periods_of(GrayImage::from_fn(600, 400, |x, _| Luma([(x / 3) as u8]))).is_empty());
+    }
+}
