@@ -41,7 +41,7 @@ pub enum BoardError {
 /// Side of a square, millimetres, below which metres are assumed to be meant: no camera resolves
 /// such a board. Raised, real boards for macro lenses are refused; lowered, squares of a fifth of a
 /// metre, given in metres, pass for millimetres.
-const LEAST_SQUARE_MM: f64 = 0.5;
+const MIN_SQUARE_MM: f64 = 0.5;
 
 /// How far a board's pattern determines its pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -82,7 +82,7 @@ impl Board {
         if !(square_mm > 0.0 && square_mm < 1e4) {
             return Err(BoardError::Square(square_mm));
         }
-        if square_mm < LEAST_SQUARE_MM {
+        if square_mm < MIN_SQUARE_MM {
             return Err(BoardError::Metres(square_mm));
         }
         Self::new(columns, rows, square_mm * 1e-3)

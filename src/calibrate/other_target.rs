@@ -21,16 +21,16 @@ pub enum Target {
 const SIDE_PX: u32 = 1024;
 /// Minimum number of spots in a grid. Raised, small boards go unmentioned; lowered, lamps and
 /// buttons are taken for boards.
-const LEAST_CIRCLES: usize = 12;
+const MIN_CIRCLES: usize = 12;
 /// Maximum distance of a spot in a row from the point opposite its neighbour, as a fraction of
 /// their distance. Raised, random dots pass for grids.
 const ROW_SLACK: f64 = 0.2;
 /// Minimum number of markers on a board: few things look like one. Raised, mostly hidden boards go
 /// unmentioned.
-const LEAST_MARKERS: usize = 4;
+const MIN_MARKERS: usize = 4;
 /// Minimum area of a spot, pixels, for its outline to be classified. Raised, distant boards go
 /// unmentioned; lowered, specks are classified.
-const LEAST_AREA: usize = 60;
+const MIN_AREA: usize = 60;
 /// How much darker than its surroundings a spot must be, grey levels. Raised, dim pictures show
 /// none; lowered, noise makes spots.
 const DARKER: f64 = 12.0;
@@ -55,7 +55,7 @@ impl Target {
         let small = image::imageops::thumbnail(picture, side(width), side(height));
         let spots = spots(&small);
         let markers = spots.iter().filter(|s| s.is_square() && (0.04..0.7).contains(&s.light)).count();
-        if markers >= LEAST_MARKERS {
+        if markers >= MIN_MARKERS {
             return Some(Self::Markers);
         }
         let mut round: Vec<&Spot> = spots.iter().filter(|s| s.is_round() && s.light < 0.02).collect();
@@ -63,7 +63,7 @@ impl Target {
         let usual = round.get(round.len() / 2)?.area;
         let alike: Vec<Vector2<f64>> = round.iter().filter(|s| s.area < 3 * usual && usual < 3 * s.area).map(|s| s.middle).collect();
         let in_rows = alike.iter().filter(|middle| is_in_a_row(middle, &alike)).count();
-        (alike.len() >= LEAST_CIRCLES && 2 * in_rows >= alike.len()).then_some(Self::Circles)
+        (alike.len() >= MIN_CIRCLES && 2 * in_rows >= alike.len()).then_some(Self::Circles)
     }
 }
 
@@ -110,7 +110,7 @@ fn spots(picture: &GrayImage) -> Vec<Spot> {
         }
         let region = flood(start, (width, height), &mut seen, |at| dark[at]);
         let largest = dark.len() / 20;
-        if (LEAST_AREA..largest).contains(&region.len()) {
+        if (MIN_AREA..largest).contains(&region.len()) {
             spots.extend(spot(&region, (width, height)));
         }
     }

@@ -14,7 +14,7 @@ use super::solve::adjust::{mean_distance, observations_of};
 
 /// Maximum number of views. More add little: uncertainties fall with the root of their number,
 /// while the solver's time grows with it.
-const MOST_VIEWS: usize = 40;
+const MAX_VIEWS: usize = 40;
 /// Maximum mean motion of the corners since the previous frame for the board to count as held
 /// still, as a fraction of the picture's width: 4 pixels of 640. Chosen, not tuned. Raised, views
 /// with motion blur are taken; lowered, few moments of a clip count.
@@ -89,7 +89,7 @@ impl ViewPicker {
         // The first views may be rather alike; later ones must differ more.
         let wanted = NOVELTY + NOVELTY_PER_VIEW * self.taken.len() as f64;
         let worth = self.taken.worth(&shape);
-        if self.taken.len() >= MOST_VIEWS || !(worth.is_worth_it() || worth.novelty > wanted) {
+        if self.taken.len() >= MAX_VIEWS || !(worth.is_worth_it() || worth.novelty > wanted) {
             return Look::Known;
         }
         self.taken.add(shape);

@@ -132,7 +132,7 @@ impl<'a> BoardView<'a> {
         let farthest = 0.3 * area / u.norm().max(v.norm());
         let found = fit::fit_window(window, [u, v], blur, farthest)?;
         let metres = per_metre.try_inverse()? * found.offset;
-        (found.residual < fit::LARGEST_RESIDUAL).then_some(())?;
+        (found.residual < fit::MAX_RESIDUAL).then_some(())?;
         Some(self.in_picture(place + metres)?.0)
     }
 }

@@ -15,7 +15,7 @@ use super::judge::{self, Judgement};
 use super::picture::Inspected;
 use super::recompute::BoardView;
 use super::solve::adjust::{Observation, mean_distance, observations_of};
-use super::solve::{self, Estimate, Extrinsics, LEAST_VIEWS, SolveOptions};
+use super::solve::{self, Estimate, Extrinsics, MIN_VIEWS, SolveOptions};
 use crate::geometry::robust_kernel::median;
 
 /// Options of a calibration.
@@ -87,7 +87,7 @@ struct Working<'a> {
 
 /// Maximum number of rounds of refitting the corners; each round moves them far less than the one
 /// before. Raised, a set that does not converge takes longer.
-const MOST_ROUNDS: usize = 6;
+const MAX_ROUNDS: usize = 6;
 /// Maximum movement of a corner, pixels, that counts as converged: a tenth of the best corners'
 /// accuracy. Raised, useful rounds are skipped; lowered, rounds are wasted.
 const STILL_PX: f64 = 0.003;
@@ -117,9 +117,9 @@ pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOpt
     let repeated = (shown - working.len(), pictures.len());
     let too_few = |usable: usize| {
         let (all, mend) = (pictures.len(), judge::mend_for_few(pictures, board));
-        CalibrationError(format!("only {usable} of {all} pictures can be used and {LEAST_VIEWS} are the least; {mend}"))
+        CalibrationError(format!("only {usable} of {all} pictures can be used and {MIN_VIEWS} are the least; {mend}"))
     };
-    if working.len() < LEAST_VIEWS {
+    if working.len() < MIN_VIEWS {
         return Err(too_few(working.len()));
     }
     let (mut estimate, mut rounds);
@@ -129,7 +129,7 @@ pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOpt
         let Some((index, reason)) = worse else { break };
         reasons[working[index].picture] = Some(reason);
         working.remove(index);
-        if working.len() < LEAST_VIEWS {
+        if working.len() < MIN_VIEWS {
             return Err(too_few(working.len()));
         }
     }
@@ -153,7 +153,7 @@ fn settle(
     let observations = |working: &[Working]| working.iter().map(|w| observations_of(&w.corners, board)).collect::<Vec<_>>();
     let mut estimate = solve::estimate(&observations(working), size, &options.solve).ok_or_else(undetermined)?;
     let mut moved = 0.0;
-    for round in 1..=MOST_ROUNDS {
+    for round in 1..=MAX_ROUNDS {
         let Ok(model) = estimate.bundle.lens.model(size.0, size.1) else { return Ok((estimate, (round - 1, moved))) };
         moved = working
             .par_iter_mut()
@@ -179,7 +179,7 @@ fn settle(
             return Ok((estimate, (round, moved)));
         }
     }
-    Ok((estimate, (MOST_ROUNDS, moved)))
+    Ok((estimate, (MAX_ROUNDS, moved)))
 }
 
 /// Returns the common size of all pictures that show the board.

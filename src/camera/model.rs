@@ -314,7 +314,7 @@ impl CameraModel {
         let (mut low, mut high) = (0.0, if self.valid_radius.is_finite() { self.valid_radius } else { 2.0 * wanted.max(1.0) });
         while self.valid_radius.is_infinite() && grown(high) < wanted {
             high *= 2.0;
-            if high > LARGEST_RADIUS {
+            if high > MAX_RADIUS {
                 return None;
             }
         }
@@ -373,7 +373,7 @@ impl CameraModel {
 
 /// Maximum normalised radius at which folds are searched (89.99994 degrees off the axis, beyond any
 /// lens). Raised, the powers in the polynomial lose precision with no benefit.
-const LARGEST_RADIUS: f64 = 1e6;
+const MAX_RADIUS: f64 = 1e6;
 
 /// d(r radial(r))/dr = 1 + 3 k1 s + 5 k2 s² + 7 k3 s³, with s the squared radius.
 fn radial_slope([k1, k2, _, _, k3]: &[f64; 5], s: f64) -> f64 {
@@ -387,8 +387,8 @@ fn radial_limit(distortion: [f64; 5]) -> f64 {
     let [k1, k2, _, _, k3] = distortion;
     let slope = |s: f64| radial_slope(&distortion, s);
     let mut low = 0.0;
-    for high in turning_points(3.0 * k1, 10.0 * k2, 21.0 * k3).into_iter().chain([LARGEST_RADIUS * LARGEST_RADIUS]) {
-        if !(high > low && high <= LARGEST_RADIUS * LARGEST_RADIUS) {
+    for high in turning_points(3.0 * k1, 10.0 * k2, 21.0 * k3).into_iter().chain([MAX_RADIUS * MAX_RADIUS]) {
+        if !(high > low && high <= MAX_RADIUS * MAX_RADIUS) {
             continue;
         }
         if slope(high) <= 0.0 {

@@ -32,7 +32,7 @@ const CENTRE: RangeInclusive<f64> = -0.5..=1.5;
 const USUAL_CENTRE: RangeInclusive<f64> = 0.25..=0.75;
 /// Maximum alpha_c: a sensor skewed by 45 degrees, far beyond any camera. Raised, a number from
 /// another line passes.
-const LARGEST_SKEW: f64 = 1.0;
+const MAX_SKEW: f64 = 1.0;
 /// Skew (3 degrees) above which there is a remark; real sensors have no measurable skew. Raised,
 /// wrong numbers go unmentioned.
 const USUAL_SKEW: f64 = 0.05;
@@ -43,10 +43,10 @@ const BENT: RangeInclusive<f64> = 0.5..=8.0;
 /// Minimum fraction of the picture whose pixels have plausible rays. Fitted polynomials fold in the
 /// corners of good calibrations too. Raised, those are refused; lowered, cameras pass for which
 /// half the picture is unusable.
-const LEAST_INVERTIBLE: f64 = 0.75;
+const MIN_INVERTIBLE: f64 = 0.75;
 /// Maximum side of a picture, pixels: the limit of JPEG's 16 bits and far beyond any sensor.
 /// Raised, wrong numbers pass.
-pub const LONGEST_SIDE: u32 = 65_535;
+pub const MAX_SIDE: u32 = 65_535;
 /// Number of test points along each side of the picture, edges included. A fold is a ring around
 /// the axis, so a coarse grid finds it. Raised, reading a calibration takes longer.
 const ASKED: u32 = 17;
@@ -59,7 +59,7 @@ const ASKED: u32 = 17;
 pub fn judge(model: &CameraModel) -> Result<Vec<String>, CameraError> {
     let i = model.intrinsics();
     let longer = f64::from(i.width.max(i.height));
-    let side = |name, side: u32| allow(name, side.into(), side <= LONGEST_SIDE, || format!("at most {LONGEST_SIDE} pixels"));
+    let side = |name, side: u32| allow(name, side.into(), side <= MAX_SIDE, || format!("at most {MAX_SIDE} pixels"));
     side("width", i.width)?;
     side("height", i.height)?;
     for (name, focal) in [("fx", i.fx), ("fy", i.fy)] {
@@ -73,7 +73,7 @@ pub fn judge(model: &CameraModel) -> Result<Vec<String>, CameraError> {
         let possible = || format!("from {} to {}, half a picture outside of it at most", CENTRE.start() * side, CENTRE.end() * side);
         allow(name, centre, CENTRE.contains(&(centre / side)), possible)?;
     }
-    allow("skew", i.skew, i.skew.abs() <= LARGEST_SKEW, || format!("from -{LARGEST_SKEW} to {LARGEST_SKEW}"))?;
+    allow("skew", i.skew, i.skew.abs() <= MAX_SKEW, || format!("from -{MAX_SKEW} to {MAX_SKEW}"))?;
     let mut odd = unusual(i);
     odd.extend(judge_distortion(model)?);
     Ok(odd)
@@ -123,7 +123,7 @@ fn judge_distortion(model: &CameraModel) -> Result<Option<String>, CameraError> 
         sound += u32::from(straight < 0.05 || BENT.contains(&(ray.0.norm() / straight)));
     }
     let share = f64::from(sound) / f64::from(ASKED * ASKED);
-    if share < LEAST_INVERTIBLE {
+    if share < MIN_INVERTIBLE {
         return Err(CameraError::NotInvertible { distortion: i.distortion, percent: 100.0 * (1.0 - share) });
     }
     let without = 100.0 * (1.0 - f64::from(rays) / f64::from(ASKED * ASKED));

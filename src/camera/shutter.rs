@@ -40,7 +40,7 @@ impl From<Shutter> for KnownShutter {
 impl Shutter {
     /// Maximum time that a config may state, seconds. Cameras at 1 frame per second reach it;
     /// longer values are mostly milliseconds. Raised, such a mistake by a factor of 1000 passes.
-    pub const LONGEST_S: f64 = 1.0;
+    pub const MAX_S: f64 = 1.0;
 
     /// Whether all rows are exposed together, or the readout is unknown.
     pub(crate) fn is_global(&self) -> bool {

@@ -29,7 +29,7 @@ pub enum AviError {
 
 /// Maximum size of a picture, bytes (a round figure); a chunk that claims more is treated as
 /// damage. Raising it lets a damaged file request more memory.
-const LARGEST_PICTURE: u32 = 256 << 20;
+const MAX_PICTURE: u32 = 256 << 20;
 
 struct Chunk {
     id: [u8; 4],
@@ -119,7 +119,7 @@ impl<R: Read> AviReader<R> {
             return Err("the file is damaged: no chunk begins where one should".to_owned());
         }
         let is_picture = chunk.id[..2] == self.stream && (chunk.id[2..] == *b"dc" || chunk.id[2..] == *b"db");
-        if is_picture && chunk.size > LARGEST_PICTURE {
+        if is_picture && chunk.size > MAX_PICTURE {
             return Err(format!("the file is damaged: a picture of {} bytes", chunk.size));
         }
         if is_picture {
@@ -176,7 +176,7 @@ fn read_exactly<const N: usize>(input: &mut impl Read) -> io::Result<[u8; N]> {
 /// Reads a chunk's bytes and skips its padding. Memory grows only with the bytes actually present.
 fn read_body(input: &mut impl Read, chunk: &Chunk) -> io::Result<Vec<u8>> {
     let mut body = Vec::new();
-    input.by_ref().take(chunk.size.min(LARGEST_PICTURE).into()).read_to_end(&mut body)?;
+    input.by_ref().take(chunk.size.min(MAX_PICTURE).into()).read_to_end(&mut body)?;
     if body.len() < chunk.size as usize {
         return Err(io::ErrorKind::UnexpectedEof.into());
     }

@@ -47,7 +47,7 @@ pub(super) struct Clip {
 const LOOKED_AT: usize = 8;
 /// Maximum bytes of pictures held meanwhile: eight pictures of 33 million pixels. Beyond it fewer
 /// pictures decide. Raised, opening takes more memory.
-const MOST_AHEAD_BYTES: u64 = 256 << 20;
+const MAX_AHEAD_BYTES: u64 = 256 << 20;
 
 impl Clip {
     /// Reads up to the first frames without losing a row. If the pictures differ in size, the
@@ -79,7 +79,7 @@ impl Clip {
         let is_enough = |sizes: &[(u32, u32)], one: bool| {
             let bytes: u64 = sizes.iter().map(|(w, h)| u64::from(*w) * u64::from(*h)).sum();
             let known = sizes.last().is_some_and(|last| one || Some(*last) == calibrated);
-            known || sizes.len() >= LOOKED_AT || bytes > MOST_AHEAD_BYTES
+            known || sizes.len() >= LOOKED_AT || bytes > MAX_AHEAD_BYTES
         };
         while !is_enough(&sizes, clip.stream.is_of_one_size()) {
             let Some(row) = clip.read_row() else { break };

@@ -5,7 +5,7 @@ use std::path::{Component, Path, PathBuf};
 
 use super::error::CaptureError;
 use super::foreign;
-use super::grey::LARGEST_PICTURE_FILE;
+use super::grey::MAX_PICTURE_FILE;
 use super::order::AHEAD;
 use super::picture_stream::{Picture, PictureData, PictureStream};
 use super::rate::FrameRate;
@@ -24,13 +24,13 @@ pub const PICTURE_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "
 
 /// Maximum size of a stamp file, bytes: about five million rows, a day at 60 per second. All rows
 /// are held in memory. Raised, a wrong file takes more of it.
-const LARGEST_STAMP_FILE: u64 = 256 << 20;
+const MAX_STAMP_FILE: u64 = 256 << 20;
 
 /// Opens a folder as a clip. The rates apply to pictures without stamps: `given`, else `default`.
 pub(super) fn open(folder: &Path, given: Option<FrameRate>, default: FrameRate) -> Result<Box<dyn PictureStream>, CaptureError> {
     for name in STAMP_FILES {
         let csv = folder.join(name);
-        match safe_file::read(&csv, LARGEST_STAMP_FILE) {
+        match safe_file::read(&csv, MAX_STAMP_FILE) {
             Ok(bytes) => return stamped(folder, &csv, &utf16::as_utf8(&bytes)),
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => {}
             Err(e) => return Err(CaptureError::reading(&csv, e)),
@@ -168,7 +168,7 @@ impl PictureStream for NamedPictures {
 }
 
 fn read(path: &Path) -> PictureData {
-    match safe_file::read(path, LARGEST_PICTURE_FILE) {
+    match safe_file::read(path, MAX_PICTURE_FILE) {
         Ok(bytes) => PictureData::Encoded(bytes),
         Err(e) => PictureData::Missing(format!("the picture {} cannot be read: {e}", path.display())),
     }

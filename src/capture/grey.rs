@@ -46,7 +46,7 @@ pub enum DecodeError {
     #[error("the picture is cut off")]
     CutOff,
     /// The picture has more pixels than are allowed.
-    #[error("the picture is {width} x {height} pixels, and {} million are read at most; scale it down", MOST_PIXELS / 1_000_000)]
+    #[error("the picture is {width} x {height} pixels, and {} million are read at most; scale it down", MAX_PIXELS / 1_000_000)]
     TooLarge {
         /// Width, pixels.
         width: u32,
@@ -70,11 +70,11 @@ impl DecodeError {
 /// Maximum number of pixels of a picture; keeps a forged header from requesting all memory. A
 /// surface or a calibration view of that size takes about a gigabyte with everything derived from
 /// it; stage cameras have 2 to 8 million.
-const MOST_PIXELS: u64 = 67_000_000;
+const MAX_PIXELS: u64 = 67_000_000;
 
 /// Maximum size of a picture file: eight bytes per pixel for 67 million pixels, rounded. No such
 /// picture needs more. Raised, a wrong file takes more memory.
-pub const LARGEST_PICTURE_FILE: u64 = 512 << 20;
+pub const MAX_PICTURE_FILE: u64 = 512 << 20;
 
 /// Decodes JPEG, PNG or PNM bytes to 8-bit grey, row-major.
 ///
@@ -139,9 +139,9 @@ pub fn orientation_words(orientation: Orientation) -> Option<&'static str> {
     }
 }
 
-/// Refuses more than [`MOST_PIXELS`] before memory is allocated for them.
+/// Refuses more than [`MAX_PIXELS`] before memory is allocated for them.
 pub(super) fn check_size(width: u32, height: u32) -> Result<(), DecodeError> {
-    if u64::from(width) * u64::from(height) > MOST_PIXELS { Err(DecodeError::TooLarge { width, height }) } else { Ok(()) }
+    if u64::from(width) * u64::from(height) > MAX_PIXELS { Err(DecodeError::TooLarge { width, height }) } else { Ok(()) }
 }
 
 fn decode_jpeg(bytes: &[u8]) -> Result<(GrayImage, Orientation), DecodeError> {

@@ -15,7 +15,7 @@ pub struct MjpegReader<R> {
 
 /// Maximum size of a picture, bytes (a round figure); a stream without an end mark is cut here.
 /// Raised, such a stream takes more memory before it is cut.
-const LARGEST_PICTURE: usize = 64 << 20;
+const MAX_PICTURE: usize = 64 << 20;
 /// Bytes requested per read: about one webcam picture (chosen, not tuned). Raised, a picture of a
 /// live stream waits for the next ones.
 const READ_AT_ONCE: u64 = 256 << 10;
@@ -55,7 +55,7 @@ impl<R: Read> MjpegReader<R> {
         loop {
             match walk.advance(&self.buffer) {
                 Walked::Whole(end) => return Ok(Some(end)),
-                Walked::Unfinished if !self.at_end && self.buffer.len() < LARGEST_PICTURE => self.read_more()?,
+                Walked::Unfinished if !self.at_end && self.buffer.len() < MAX_PICTURE => self.read_more()?,
                 // Start marks before the first scan are thumbnails, unless the headers themselves
                 // are broken.
                 Walked::Damaged(_) | Walked::Unfinished => return self.find_start(walk.first_scan.unwrap_or(2)).map(Some),
@@ -83,7 +83,7 @@ impl<R: Read> MjpegReader<R> {
             if let Some(start) = self.buffer.get(from..).and_then(start_mark) {
                 return Ok(from + start);
             }
-            if self.at_end || self.buffer.len() >= LARGEST_PICTURE {
+            if self.at_end || self.buffer.len() >= MAX_PICTURE {
                 return Ok(self.buffer.len());
             }
             from = from.max(self.buffer.len().saturating_sub(2));

@@ -47,7 +47,7 @@ pub use error::CaptureError;
 pub use ffmpeg::ffmpeg_account;
 pub use folder::PICTURE_EXTENSIONS;
 pub use grey::{
-    DecodeError, LARGEST_PICTURE_FILE, decode_grey, decode_on_white, decode_oriented, orientation_words, picture_size, with_huffman_tables,
+    DecodeError, MAX_PICTURE_FILE, decode_grey, decode_on_white, decode_oriented, orientation_words, picture_size, with_huffman_tables,
 };
 pub use luma::decode_picture;
 pub use mjpeg::MjpegReader;

@@ -25,7 +25,7 @@ pub(super) const AHEAD: usize = 8;
 /// Minimum backward step of a clock, seconds, that starts a new sequence. A smaller step loses at
 /// most the frames that fit into it. Raised, larger steps lose rows; lowered, rows in the wrong
 /// order pass for a clock that was set back.
-const LEAST_STEP_S: f64 = 1.0;
+const MIN_STEP_S: f64 = 1.0;
 
 impl EntryOrder {
     /// Returns the number of the next row.
@@ -64,7 +64,7 @@ impl EntryOrder {
         self.refused = Some((before + 1, stamp));
         let goes_on = ahead.iter().scan(stamp, |at, next| (*next > *at && *next <= last).then(|| *at = *next)).count();
         let is_believed = if ahead.is_empty() { before >= AHEAD } else { ahead.len() > 2 && goes_on == ahead.len() };
-        if !is_believed || last.seconds_since(stamp) < LEAST_STEP_S {
+        if !is_believed || last.seconds_since(stamp) < MIN_STEP_S {
             return Err(format!("the time stamp {stamp} does not follow {last}"));
         }
         (self.last_stamp, self.refused) = (Some(stamp), None);
@@ -96,7 +96,7 @@ fn is_stray(stamp: Timestamp, last: Option<Timestamp>, ahead: &[Timestamp]) -> b
             (at, lost) = (Some(*next), lost + 1);
         }
     }
-    let is_far = || last.is_some_and(|last| stamp.seconds_since(last) >= LEAST_STEP_S) && ahead.iter().all(|next| *next <= stamp);
+    let is_far = || last.is_some_and(|last| stamp.seconds_since(last) >= MIN_STEP_S) && ahead.iter().all(|next| *next <= stamp);
     lost >= 2 || (lost == 1 && is_far())
 }
 

@@ -77,15 +77,14 @@ struct RecordedCamera {
 
 /// Maximum size of a clip.toml, bytes. It is a page of text; the limit keeps a wrong file from
 /// being read into memory.
-const LARGEST_ACCOUNT_BYTES: u64 = 1 << 20;
+const MAX_ACCOUNT_BYTES: u64 = 1 << 20;
 
 /// Returns the locked exposure of a recording's camera, seconds; `None` if the clip is not a
 /// recording.
 fn recorded_exposure(clip: &Path) -> Option<f64> {
     let account = clip.join("clip.toml");
-    std::fs::metadata(&account).ok().filter(|m| m.is_file() && m.len() <= LARGEST_ACCOUNT_BYTES)?;
-    let recording: Recording =
-        toml::from_str(&String::from_utf8(crate::safe_file::read(&account, LARGEST_ACCOUNT_BYTES).ok()?).ok()?).ok()?;
+    std::fs::metadata(&account).ok().filter(|m| m.is_file() && m.len() <= MAX_ACCOUNT_BYTES)?;
+    let recording: Recording = toml::from_str(&String::from_utf8(crate::safe_file::read(&account, MAX_ACCOUNT_BYTES).ok()?).ok()?).ok()?;
     recording.camera.exposure_s
 }
 

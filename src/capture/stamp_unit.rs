@@ -5,11 +5,11 @@ use crate::frame::Timestamp;
 
 /// Median step, nanoseconds, below which stamps are reported as suspect (2000 pictures per second).
 /// Raised, high-speed cameras are reported; lowered, slow clips stamped in microseconds are missed.
-const SHORTEST_NS: i64 = 500_000;
+const MIN_NS: i64 = 500_000;
 /// Median step, nanoseconds, above which stamps are reported if a thousandth of it would be a
 /// video's step. Raised, fast clips stamped in picoseconds are missed; lowering it alone has no
 /// effect, since [`VIDEO_NS`] begins at a thousandth of it.
-const LONGEST_NS: i64 = 5_000_000_000;
+const MAX_NS: i64 = 5_000_000_000;
 /// Range of a camera's step, nanoseconds, used to guess the unit. Widened, impossible units are
 /// suggested.
 const CAMERA_NS: std::ops::RangeInclusive<i64> = 900_000..=2_000_000_000;
@@ -27,14 +27,14 @@ pub(super) fn doubt(stamps: &[Timestamp]) -> Option<String> {
     let read = "they are read as nanoseconds, so times, speeds and the shutter come out wrong";
     steps.sort_unstable();
     let step = *steps.get(steps.len() / 2)?;
-    if repeated > steps.len() && step <= SHORTEST_NS {
+    if repeated > steps.len() && step <= MIN_NS {
         let unit = if step == 1 { "whole seconds" } else { "a unit that is too coarse" };
         return Some(format!("most stamps are those of the row before; are they {unit}? {read}: write nanoseconds"));
     }
     if stamps.len() < 3 {
         return None;
     }
-    if step < SHORTEST_NS {
+    if step < MIN_NS {
         let fps = 1e9 / step as f64;
         let unit = UNITS.iter().find(|(_, ns)| CAMERA_NS.contains(&step.saturating_mul(*ns)));
         let (guess, mend) = match unit {
@@ -43,7 +43,7 @@ pub(super) fn doubt(stamps: &[Timestamp]) -> Option<String> {
         };
         return Some(format!("stamps lie {step} ns apart, {fps:.0} frames a second; {guess}{read}: {mend}"));
     }
-    let is_too_fine = step > LONGEST_NS && VIDEO_NS.contains(&(step / 1000));
+    let is_too_fine = step > MAX_NS && VIDEO_NS.contains(&(step / 1000));
     is_too_fine.then(|| {
         format!(
             "stamps lie {:.1} s apart; are they a thousandth of nanoseconds? {read}: divide them by 1000, or ignore this",

@@ -58,7 +58,7 @@ pub struct StampTrust {
 /// Maximum number of consecutive old stamps that are accepted. A driver's queue holds a few
 /// pictures; more old stamps mean another clock. Chosen: twice V4L2's maximum of 32 buffers.
 /// Raised, a driver that changes its clock is trusted longer.
-const MOST_OLD: u32 = 64;
+const MAX_OLD: u32 = 64;
 
 impl StampTrust {
     /// Converts a stamp like [`mid_exposure`], taking earlier stamps into account.
@@ -67,7 +67,7 @@ impl StampTrust {
             return mid_exposure(stamp, arrival, shutter);
         };
         let is_young = is_plausible(at, arrival, OLDEST);
-        self.is_monotonic = is_young || self.is_monotonic && self.old < MOST_OLD;
+        self.is_monotonic = is_young || self.is_monotonic && self.old < MAX_OLD;
         self.old = if is_young { 0 } else { self.old.saturating_add(1) };
         let oldest = if self.is_monotonic { Duration::MAX } else { OLDEST };
         reckoned(stamp, arrival, shutter, oldest)

@@ -8,7 +8,7 @@ use image::{GrayImage, RgbImage};
 use super::colour::Chroma;
 use super::grey::check_size;
 use super::rate::FrameRate;
-use crate::camera::plausible::LONGEST_SIDE;
+use crate::camera::plausible::MAX_SIDE;
 
 /// A .y4m stream.
 #[derive(Debug)]
@@ -29,7 +29,7 @@ pub struct Y4mReader<R> {
 
 /// Maximum length of a header line, bytes: more than any in use, so that a file of another format
 /// is refused at once (a round figure).
-const LONGEST_LINE: u64 = 4096;
+const MAX_LINE: u64 = 4096;
 
 impl<R: BufRead> Y4mReader<R> {
     /// Reads the stream's header.
@@ -62,7 +62,7 @@ impl<R: BufRead> Y4mReader<R> {
             }
         }
         let (Some(width), Some(height)) = (width, height) else {
-            return Err(format!("the y4m header has no picture size of 1 to {LONGEST_SIDE} pixels (W, H); make the clip again"));
+            return Err(format!("the y4m header has no picture size of 1 to {MAX_SIDE} pixels (W, H); make the clip again"));
         };
         check_size(width, height).map_err(|e| e.to_string())?;
         let (chroma, planes) = chroma_form(chroma, full_range)?;
@@ -141,12 +141,12 @@ impl<R: BufRead> Y4mReader<R> {
 /// Reads a line without its newline; `None` if there is no newline.
 fn read_line(input: &mut impl BufRead) -> io::Result<Option<String>> {
     let mut line = Vec::new();
-    input.take(LONGEST_LINE).read_until(b'\n', &mut line)?;
+    input.take(MAX_LINE).read_until(b'\n', &mut line)?;
     Ok((line.pop() == Some(b'\n')).then(|| String::from_utf8_lossy(&line).into_owned()))
 }
 
 fn side(text: &str) -> Option<u32> {
-    text.parse().ok().filter(|n| (1..=LONGEST_SIDE).contains(n))
+    text.parse().ok().filter(|n| (1..=MAX_SIDE).contains(n))
 }
 
 /// Returns the layout of the planes behind the luma, and how many planes of that size there are.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::failure::Failure;
 use crate::daemon::learnt_of_clip;
 use crate::safe_file;
-use crate::track::{LARGEST_LEARNT_BYTES, LearntCamera};
+use crate::track::{LearntCamera, MAX_LEARNT_BYTES};
 
 /// The `--learnt FILE` option.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -21,7 +21,7 @@ impl LearntArguments {
     pub fn of(&self, clip: &Path) -> Result<(LearntCamera, &'static str), Failure> {
         if let Some(file) = &self.file {
             let unusable = |reason: String| Failure::Usage(format!("{}: {reason}", file.display()));
-            let bytes = safe_file::read(file, LARGEST_LEARNT_BYTES).map_err(|e| unusable(format!("{e}; name a readable file")))?;
+            let bytes = safe_file::read(file, MAX_LEARNT_BYTES).map_err(|e| unusable(format!("{e}; name a readable file")))?;
             return LearntCamera::from_bytes(&bytes).map(|learnt| (learnt, "file")).map_err(|e| unusable(e.to_string()));
         }
         let learnt = learnt_of_clip(clip).unwrap_or_else(|reason| {

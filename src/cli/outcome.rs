@@ -24,7 +24,7 @@ const ONE_FRAME: &str =
     "One picture does not settle a pose, for every pose is held against that of another frame: give two pictures or more, or a clip";
 /// Minimum share of frames for a reason after the first to get a sentence. Chosen: as for `check`'s
 /// notes. Raised, rarer reasons are only counted.
-const LEAST_SHARE: f64 = 0.02;
+const MIN_SHARE: f64 = 0.02;
 
 impl Outcome {
     /// Counts a sample; stale messages do not count.
@@ -95,7 +95,7 @@ impl Outcome {
         };
         // Every acquisition waits one frame for its confirmation, so a few of these are normal.
         let faults: Vec<(Reason, u64)> = self.reasons().into_iter().filter(|(r, n)| *r != Reason::Unconfirmed || *n * 4 > frames).collect();
-        let worth = |k: usize, n: u64| k == 0 || n as f64 >= LEAST_SHARE * frames as f64;
+        let worth = |k: usize, n: u64| k == 0 || n as f64 >= MIN_SHARE * frames as f64;
         let told = faults.iter().enumerate().take(TOLD).filter(|(k, (_, n))| worth(*k, *n));
         for (_, (reason, n)) in told {
             let of = if *n == 1 { "1 frame".to_owned() } else { format!("{n} frames") };

@@ -9,7 +9,7 @@ use crate::safe_file;
 use crate::web::code_file;
 
 /// Maximum bytes read of the code file, more than a code has. Raised, a wrong file is read further.
-const MOST_BYTES: u64 = 64;
+const MAX_BYTES: u64 = 64;
 
 /// Print the code that lets a browser on another machine change things.
 #[derive(Debug, clap::Args)]
@@ -29,7 +29,7 @@ pub(super) fn run(arguments: &PairArguments) -> Result<(), Failure> {
     let of_service = || Some(PathBuf::from("/var/lib/stagepose")).filter(|folder| code_file(folder, arguments.port).exists());
     let folder = arguments.state.clone().or_else(of_service).unwrap_or_else(state_folder);
     let file = code_file(&folder, arguments.port);
-    let bytes = safe_file::read(&file, MOST_BYTES).map_err(|e| missing(&file, &e))?;
+    let bytes = safe_file::read(&file, MAX_BYTES).map_err(|e| missing(&file, &e))?;
     let code: String = bytes.iter().map(|b| char::from(*b)).filter(char::is_ascii_digit).collect();
     print(format!("{} {}\n", code.get(..4).unwrap_or(""), code.get(4..).unwrap_or("")).as_bytes())
 }

@@ -33,7 +33,7 @@ pub(super) struct Found {
 /// Maximum natural logarithm of the false alarms: unrelated pictures pass in at most one of a
 /// thousand pairs. Raised, unrelated pictures are related now and then; lowered, pictures with
 /// little in common are not.
-const MOST_LN_FALSE_ALARMS: f64 = -7.0;
+const MAX_LN_FALSE_ALARMS: f64 = -7.0;
 /// Matches closer together than this in both pictures, in thresholds, count once in the chance
 /// test, e.g. a blob with two orientations. Raised, dense matches count less.
 const SAME_PLACE: f64 = 2.0;
@@ -56,14 +56,14 @@ const CLEARLY_MORE: f64 = 1.05;
 /// Maximum noise of a match in the homography search, in thresholds: 3 pixels by default. Raised,
 /// bent surfaces are fitted as a whole and nearby wrong matches count; lowered, only the flattest
 /// part of a bent surface is fitted.
-const MOST_NOISE: f64 = 2.5;
+const MAX_NOISE: f64 = 2.5;
 /// Threshold of McNemar's statistic (chi square's 99.9 % point with one degree of freedom) above
 /// which the matches that agree with only one of a plane's two motions decide between them. Raised,
 /// little relief is not used; lowered, mismatches decide.
 const NOT_EVEN: f64 = 10.83;
 /// Minimum parallax for a meaningful direction, in standard deviations of a ray. Raised, small
 /// motions get no direction; lowered, their direction is noise.
-const LEAST_PARALLAX: f64 = 3.0;
+const MIN_PARALLAX: f64 = 3.0;
 
 /// Searches for all relations; `calibrated` has the matches as rays of their cameras. Returns
 /// `None` if `goes_on`, called before each search, stopped the work.
@@ -84,7 +84,7 @@ pub(super) fn find(
         return None;
     }
     let plane =
-        homography_of_unknown_noise(pairs, MOST_NOISE * options.threshold_px, &wide).filter(|h| chance.excludes_plane(h, wide.threshold));
+        homography_of_unknown_noise(pairs, MAX_NOISE * options.threshold_px, &wide).filter(|h| chance.excludes_plane(h, wide.threshold));
     if !goes_on() {
         return None;
     }
@@ -167,7 +167,7 @@ fn of_plane(
     let mut angles: Vec<f64> = seen.iter().map(|r| (best.rotation * r.first.push(1.0)).angle(&r.second.push(1.0))).collect();
     let parallax = median(&mut angles).unwrap_or(0.0);
     let noise = plane.sigma / (focal[0] * focal[1]).sqrt();
-    let direction = best.translation.try_normalize(1e-12).filter(|_| parallax > LEAST_PARALLAX * noise);
+    let direction = best.translation.try_normalize(1e-12).filter(|_| parallax > MIN_PARALLAX * noise);
     let is_ambiguous = direction.is_some() && is_undecided;
     let camera_move =
         CameraMove { rotation: best.rotation, direction, in_front: best.in_front, parallax_deg: parallax.to_degrees(), is_ambiguous };
@@ -203,7 +203,7 @@ fn squareness(motion: &PlanarMotion, seen: &[RayPair]) -> f64 {
 fn of_relief(judged: &RobustModel<JudgedMotion>, cameras: &[CameraModel; 2]) -> (Option<CameraMove>, Option<Relation>) {
     let JudgedMotion { motion, in_front, parallax, .. } = judged.model;
     let [a, b] = focals(cameras);
-    let has_direction = judged.model.is_clear() && parallax > LEAST_PARALLAX * judged.sigma / (a * b).sqrt();
+    let has_direction = judged.model.is_clear() && parallax > MIN_PARALLAX * judged.sigma / (a * b).sqrt();
     let camera_move = CameraMove {
         rotation: motion.rotation,
         direction: has_direction.then_some(motion.direction),
@@ -263,7 +263,7 @@ impl Chance<'_> {
             Sample::Fundamental(t) => ln_false_alarms(n, k, 7, 3, chance_at_a_line(size, t)),
             Sample::Essential(t) => ln_false_alarms(n, k, 5, 10, chance_at_a_line(size, t)),
         };
-        ln_false_alarms <= MOST_LN_FALSE_ALARMS
+        ln_false_alarms <= MAX_LN_FALSE_ALARMS
     }
 
     /// Whether chance does not explain a homography. Uses the matches mapped to within the inliers'

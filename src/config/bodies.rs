@@ -28,15 +28,15 @@ const SURFACE_SIDE_M: std::ops::RangeInclusive<f64> = 1e-3..=1e3;
 /// Maximum number of surfaces of the stage and all objects together. Each takes a tenth of a second
 /// and about 5 MB before the first frame, more with a large picture. Raised, a config may take
 /// minutes and gigabytes; lowered, large sets do not fit.
-pub(super) const MOST_SURFACES: usize = 100;
+pub(super) const MAX_SURFACES: usize = 100;
 
 /// Refuses more surfaces than can be tracked, before reading their pictures.
 pub(super) fn refuse_many(origin: &Origin<'_>, typed: &as_typed::Config) -> Result<(), ConfigError> {
     let of_stage = typed.stage.iter().flat_map(|stage| &stage.get_ref().surface).map(|surface| ("[[stage.surface]]", surface));
     let of_objects = typed.object.iter().flat_map(|object| &object.get_ref().surface).map(|surface| ("[[object.surface]]", surface));
-    let mut all = of_stage.chain(of_objects).skip(MOST_SURFACES);
+    let mut all = of_stage.chain(of_objects).skip(MAX_SURFACES);
     let Some((section, first)) = all.next() else { return Ok(()) };
-    let value = format!("{} surfaces", MOST_SURFACES + 1 + all.count());
+    let value = format!("{} surfaces", MAX_SURFACES + 1 + all.count());
     let wanted = "at most 100 surfaces of the stage and all objects together; leave out those that the camera sees least";
     Err(origin.value(section, "surface", &first.span(), Problem::Range { value, wanted }))
 }

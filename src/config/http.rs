@@ -20,7 +20,7 @@ impl Default for HttpSettings {
 }
 
 /// Maximum length of a DNS name, characters (RFC 1035: 255 bytes including the length bytes).
-const LONGEST_NAME: usize = 253;
+const MAX_NAME: usize = 253;
 
 /// A host without its port.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -41,7 +41,7 @@ impl HostName {
         }
         let name = text.strip_suffix('.').unwrap_or(text);
         let is_label = |label: &str| !label.is_empty() && label.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_".contains(&b));
-        let is_name = name.len() <= LONGEST_NAME && name.split('.').all(is_label);
+        let is_name = name.len() <= MAX_NAME && name.split('.').all(is_label);
         is_name.then(|| Self::Name(name.to_ascii_lowercase()))
     }
 }

@@ -21,7 +21,7 @@ const MOUNT: &str = "[mount]";
 const USUAL_NAME: &str = "film";
 /// Maximum offset, metres: a crane's arm. Longer ones are slips of the unit. Raised, offsets in
 /// centimetres pass.
-const LONGEST_M: f64 = 30.0;
+const MAX_M: f64 = 30.0;
 /// Offset above which a note reminds that the unit is metres. Chosen: rigs are shorter. Raised,
 /// fewer slips are noticed; lowered, correct offsets get the note.
 const ODD_M: f64 = 3.0;
@@ -41,7 +41,7 @@ pub(super) fn mount(
         return Err(origin.missing(origin.section_at(MOUNT, &span), "offset_m", mend));
     };
     let offset = section.position("offset_m", typed.offset_m.as_ref())?;
-    if offset.norm() > LONGEST_M {
+    if offset.norm() > MAX_M {
         let wanted = "metres to the right, forward and up of the tracking camera, together at most 30";
         let value = format!("{:?}", typed_offset.get_ref().values());
         return Err(section.refuse("offset_m", &typed_offset.span(), Problem::Range { value, wanted }));

@@ -70,7 +70,7 @@ impl Turned {
             (Some(_), Some(typed)) => Err(section.conflict("rotation_deg", typed, both)),
             (None, Some(typed)) => {
                 let angles = typed.get_ref().values();
-                if angles.iter().all(|angle| angle.abs() <= LARGEST_DEG) {
+                if angles.iter().all(|angle| angle.abs() <= MAX_DEG) {
                     return Ok(self.by_angles(angles));
                 }
                 let wanted = "[turn, tilt, roll], three angles in degrees between -360 and 360";
@@ -81,7 +81,7 @@ impl Turned {
 }
 
 /// Maximum absolute value of an angle, degrees: one full turn; more is a slip.
-const LARGEST_DEG: f64 = 360.0;
+const MAX_DEG: f64 = 360.0;
 
 fn unit_quaternion(section: &Section<'_>, key: &str, typed: &Spanned<Exactly<Number, 4>>) -> Result<UnitQuaternion<f64>, ConfigError> {
     let [x, y, z, w] = typed.get_ref().values();

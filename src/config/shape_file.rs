@@ -16,10 +16,10 @@ use crate::geometry::bspline::BicubicSpline;
 use crate::track::{BentShape, ShapeWay, SurfaceShape};
 
 /// Maximum number of spline intervals along an axis. Raised, a foreign file may take more memory.
-const MOST_INTERVALS: usize = 400;
+const MAX_INTERVALS: usize = 400;
 /// Maximum height or stretch in a file, metres: more is a slip of the unit. Raised, such slips
 /// pass.
-const LARGEST_M: f64 = 100.0;
+const MAX_M: f64 = 100.0;
 
 /// Why a file is not a valid shape.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -108,7 +108,7 @@ fn spline<const N: usize>(
     metres: Vec<SVector<f64, N>>,
     key: &'static str,
 ) -> Result<BicubicSpline<N>, ShapeFileError> {
-    let is_possible = intervals.iter().all(|n| *n <= MOST_INTERVALS) && metres.iter().flatten().all(|v| v.abs() <= LARGEST_M);
+    let is_possible = intervals.iter().all(|n| *n <= MAX_INTERVALS) && metres.iter().flatten().all(|v| v.abs() <= MAX_M);
     let spline = if is_possible { BicubicSpline::from_coefficients(intervals, size_m, metres) } else { None };
     spline.ok_or(ShapeFileError::Numbers { key })
 }

@@ -17,7 +17,7 @@ enum Kind {
 /// of a global shutter, which is 0.
 pub(super) fn shutter(section: &Section<'_>, camera: &as_typed::Camera) -> Result<KnownShutter, ConfigError> {
     let seconds = "seconds from 0 (unknown) to 1; 15 milliseconds are 0.015";
-    let within = |v: f64| (0.0..=Shutter::LONGEST_S).contains(&v);
+    let within = |v: f64| (0.0..=Shutter::MAX_S).contains(&v);
     let exposure_s = section.number("exposure_s", camera.exposure_s.as_ref(), 0.0, within, seconds)?;
     let readout_s = section.number("readout_s", camera.readout_s.as_ref(), 0.0, within, seconds)?;
     let kinds = [("global", Some(Kind::Global)), ("rolling", Some(Kind::Rolling))];

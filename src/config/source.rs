@@ -26,12 +26,12 @@ pub struct ConfigSource {
 
 /// Maximum size of a config, bytes. A round figure above any config. Raised, an endless file takes
 /// more memory.
-const LARGEST_CONFIG_BYTES: u64 = 4 << 20;
+const MAX_CONFIG_BYTES: u64 = 4 << 20;
 
 /// Reads a config file's text.
 pub(super) fn read_text(file: &Path) -> Result<String, ConfigError> {
     let unreadable = |e: std::io::Error| ConfigError::Unreadable { file: file.to_owned(), reason: e.to_string() };
-    let bytes = safe_file::read(file, LARGEST_CONFIG_BYTES).map_err(unreadable)?;
+    let bytes = safe_file::read(file, MAX_CONFIG_BYTES).map_err(unreadable)?;
     if matches!(utf16::as_utf8(&bytes), Cow::Owned(_)) {
         let reason = "the file is UTF-16; save it as UTF-8".to_owned();
         return Err(ConfigError::Syntax { file: file.to_owned(), line: 1, reason });
@@ -74,7 +74,7 @@ impl ConfigSource {
 
 /// Maximum size of a calibration file, bytes. A round figure far above any. Raised, an endless file
 /// takes more memory.
-const LARGEST_CALIBRATION_BYTES: u64 = 4 << 20;
+const MAX_CALIBRATION_BYTES: u64 = 4 << 20;
 
 /// Reads a calibration file in any format that [`parse_calibration`] knows.
 ///
@@ -91,7 +91,7 @@ pub fn read_calibration(path: &Path) -> Result<Calibration, CalibrationFileError
 /// When the file cannot be read or is far too large.
 pub(super) fn calibration_bytes(path: &Path) -> Result<Vec<u8>, CalibrationFileError> {
     let unreadable = |source| CalibrationFileError::Unreadable { path: path.to_owned(), source };
-    safe_file::read(path, LARGEST_CALIBRATION_BYTES).map_err(unreadable)
+    safe_file::read(path, MAX_CALIBRATION_BYTES).map_err(unreadable)
 }
 
 #[cfg(test)]

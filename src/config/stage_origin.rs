@@ -37,7 +37,7 @@ pub(super) const KNOWN_POINTS: &str = "centre, top left, top right, bottom left,
 /// Maximum misfit between measured points and the surface's size, as a share of the surface's
 /// diagonal: more means a slip. Chosen: cloths hang and stretch by less. Raised, slips pass;
 /// lowered, honest measurements are refused.
-const LARGEST_MISFIT: f64 = 0.02;
+const MAX_MISFIT: f64 = 0.02;
 /// Allowed error of a tape measure in addition, metres. Chosen, not measured: it matters for small
 /// surfaces only. Raised, slips there pass.
 const TAPE_M: f64 = 0.01;
@@ -73,7 +73,7 @@ pub(super) fn place(
     };
     let misfits = pairs.iter().map(|(from, to)| (moved.transform(&Point3::from(*from)).coords - to).norm());
     let (largest, diagonal) = (misfits.fold(0.0, f64::max), first.size_m[0].hypot(first.size_m[1]));
-    if largest > TAPE_M + LARGEST_MISFIT * diagonal {
+    if largest > TAPE_M + MAX_MISFIT * diagonal {
         let value = format!("a point {largest:.3} m beside where size_m has it");
         let wanted = "points that are as far apart as size_m says, or measure size_m again";
         return Err(section.refuse("origin", &typed.span(), Problem::Range { value, wanted }));

@@ -13,13 +13,13 @@ use super::source::calibration_bytes;
 use super::typed_values::{Count, Exactly, Number};
 use super::{ConfigError, Problem, shape_file};
 use crate::camera::{Calibration, parse_calibration};
-use crate::capture::{LARGEST_PICTURE_FILE, decode_on_white, orientation_words};
+use crate::capture::{MAX_PICTURE_FILE, decode_on_white, orientation_words};
 use crate::safe_file;
 use crate::track::{SurfaceShape, SurfaceSpec};
 
 /// Maximum size of a shape file, bytes. A round figure above any. Raised, an endless file takes
 /// more memory.
-const LARGEST_SHAPE_FILE: u64 = 64 << 20;
+const MAX_SHAPE_FILE: u64 = 64 << 20;
 
 /// The current section, for messages.
 pub(super) struct Section<'a> {
@@ -126,7 +126,7 @@ impl Section<'_> {
     pub fn picture(&self, key: &str, typed: &Spanned<String>) -> Result<(GrayImage, Orientation), ConfigError> {
         let file = self.origin.beside(typed.get_ref());
         let refuse = |problem| self.refuse(key, &typed.span(), problem);
-        let bytes = self.origin.files.get(&file, |file| safe_file::read(file, LARGEST_PICTURE_FILE));
+        let bytes = self.origin.files.get(&file, |file| safe_file::read(file, MAX_PICTURE_FILE));
         let bytes = bytes.map_err(|e| refuse(Problem::PictureFile { file: file.clone(), reason: e.to_string() }))?;
         let (picture, orientation, unseen) = decode_on_white(&bytes).map_err(|reason| refuse(Problem::PictureContent { file, reason }))?;
         if unseen > 0.0 {
@@ -155,7 +155,7 @@ impl Section<'_> {
     pub fn shape(&self, key: &str, typed: &Spanned<String>, surface: &SurfaceSpec) -> Result<SurfaceShape, ConfigError> {
         let file = self.origin.beside(typed.get_ref());
         let refuse = |problem| self.refuse(key, &typed.span(), problem);
-        let bytes = self.origin.files.get(&file, |file| safe_file::read(file, LARGEST_SHAPE_FILE));
+        let bytes = self.origin.files.get(&file, |file| safe_file::read(file, MAX_SHAPE_FILE));
         let bytes = bytes.map_err(|e| refuse(Problem::ShapeFile { file: file.clone(), reason: e.to_string() }))?;
         let not_text = |_| Problem::ShapeFile { file: file.clone(), reason: "it is not UTF-8".to_owned() };
         let text = std::str::from_utf8(&bytes).map_err(|e| refuse(not_text(e)))?;

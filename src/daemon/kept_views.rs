@@ -17,13 +17,13 @@ use crate::track::ViewStore;
 const ENDING: &str = ".views";
 /// Maximum size of a bank, bytes: a hundred thousand features. The largest bank of a stage with one
 /// surface has 0.7 MB. Raised, a foreign file takes more memory.
-const MOST_BYTES: u64 = 6 << 20;
+const MAX_BYTES: u64 = 6 << 20;
 /// Maximum number of files; the most recently used ones stay. Chosen: some shows of a dozen
 /// pictures each, 10 MB in total. Raised, the folder grows larger; lowered, a start with last
 /// week's config takes as long as the first.
-const MOST_FILES: usize = 100;
+const MAX_FILES: usize = 100;
 /// Maximum total size, bytes, in case banks are large. Raised, the folder grows larger.
-const MOST_BYTES_IN_ALL: u64 = 64 << 20;
+const MAX_BYTES_IN_ALL: u64 = 64 << 20;
 
 /// Returns the store of the service or the user; `None` if neither has a cache folder.
 pub fn kept_views() -> Option<Arc<dyn ViewStore>> {
@@ -39,7 +39,7 @@ struct KeptViews {
 impl ViewStore for KeptViews {
     fn load(&self, name: &str) -> Option<Vec<u8>> {
         let path = self.path(name);
-        let bytes = safe_file::read(&path, MOST_BYTES).ok()?;
+        let bytes = safe_file::read(&path, MAX_BYTES).ok()?;
         // A file's modification time records its last use. If it cannot be set, the file is only
         // removed a little early.
         let _ = File::options().append(true).open(&path).and_then(|file| file.set_modified(SystemTime::now()));
@@ -75,7 +75,7 @@ impl KeptViews {
         let mut bytes = 0;
         for (k, (_, length, path)) in files.iter().enumerate() {
             bytes += length;
-            if k >= MOST_FILES || bytes > MOST_BYTES_IN_ALL {
+            if k >= MAX_FILES || bytes > MAX_BYTES_IN_ALL {
                 // Another program may have removed it meanwhile.
                 let _ = fs::remove_file(path);
             }
@@ -112,22 +112,22 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let kept = KeptViews { folder: folder.path().to_owned() };
         fs::write(folder.path().join("of-others"), b"stays").unwrap();
-        for k in 0..MOST_FILES as u64 {
+        for k in 0..MAX_FILES as u64 {
             let file = File::create(kept.path(&format!("{k:03}"))).unwrap();
             file.set_modified(SystemTime::UNIX_EPOCH + Duration::from_secs(1000 + k)).unwrap();
         }
         assert!(kept.load("000").is_some());
         kept.store("new", b"views");
         let left = names(folder.path());
-        assert_eq!(left.len(), MOST_FILES + 1);
+        assert_eq!(left.len(), MAX_FILES + 1);
         assert!(["000.views", "002.views", "new.views", "of-others"].iter().all(|name| left.iter().any(|l| l == name)), "{left:?}");
         // A few large files also exceed the limit.
-        let large = vec![0; MOST_BYTES as usize];
-        for k in 0..=MOST_BYTES_IN_ALL / MOST_BYTES {
+        let large = vec![0; MAX_BYTES as usize];
+        for k in 0..=MAX_BYTES_IN_ALL / MAX_BYTES {
             kept.store(&format!("large-{k}"), &large);
         }
         let bytes: u64 = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().metadata().unwrap().len()).sum();
-        assert!(bytes <= MOST_BYTES_IN_ALL + 5, "{bytes}");
+        assert!(bytes <= MAX_BYTES_IN_ALL + 5, "{bytes}");
     }
 
     #[test]

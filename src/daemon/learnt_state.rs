@@ -8,13 +8,13 @@ use super::own_folders::state_folder;
 use crate::camera::Shutter;
 use crate::capture::camera::CameraMode;
 use crate::safe_file;
-use crate::track::{LARGEST_LEARNT_BYTES, LearntCamera};
+use crate::track::{LearntCamera, MAX_LEARNT_BYTES};
 
 /// Maximum size of a `clip.toml`, bytes. A round figure above any. Raised, a foreign file takes
 /// more memory.
-const LARGEST_ABOUT: u64 = 1 << 20;
+const MAX_ABOUT: u64 = 1 << 20;
 /// Maximum characters of a camera's name in a file name. Raised, file systems refuse long names.
-const LONGEST_NAME: usize = 80;
+const MAX_NAME: usize = 80;
 
 /// The file with what was learnt of a camera: named by its name, format, size, rate, and whether
 /// its exposure is locked.
@@ -28,9 +28,9 @@ impl LearntFile {
     }
 
     fn within(folder: &Path, mode: &CameraMode) -> Self {
-        let is_locked = mode.exposure_s.is_some_and(|s| s > 0.0 && s <= Shutter::LONGEST_S);
+        let is_locked = mode.exposure_s.is_some_and(|s| s > 0.0 && s <= Shutter::MAX_S);
         let (width, height) = mode.size;
-        let name: String = mode.name.chars().map(|c| if c.is_alphanumeric() { c } else { '-' }).take(LONGEST_NAME).collect();
+        let name: String = mode.name.chars().map(|c| if c.is_alphanumeric() { c } else { '-' }).take(MAX_NAME).collect();
         let exposure = if is_locked { "locked" } else { "automatic" };
         let file = format!("{name}-{}-{width}x{height}-{:.2}-{exposure}.learnt", mode.layout.fourcc().trim(), mode.fps);
         Self(folder.join("cameras").join(file))
@@ -39,7 +39,7 @@ impl LearntFile {
     /// Loads what was learnt; empty if there is no file. An unusable file is logged once, and the
     /// camera is learnt anew.
     pub fn load(&self) -> LearntCamera {
-        let bytes = match safe_file::read(&self.0, LARGEST_LEARNT_BYTES) {
+        let bytes = match safe_file::read(&self.0, MAX_LEARNT_BYTES) {
             Ok(bytes) => bytes,
             Err(e) if e.kind() == io::ErrorKind::NotFound => return LearntCamera::default(),
             Err(e) => {
@@ -71,7 +71,7 @@ impl LearntFile {
 /// # Errors
 /// Why its statement cannot be used.
 pub fn learnt_of_clip(clip: &Path) -> Result<LearntCamera, String> {
-    let Ok(bytes) = safe_file::read(&clip.join("clip.toml"), LARGEST_ABOUT) else { return Ok(LearntCamera::default()) };
+    let Ok(bytes) = safe_file::read(&clip.join("clip.toml"), MAX_ABOUT) else { return Ok(LearntCamera::default()) };
     let about: Option<toml::Table> = String::from_utf8(bytes).ok().and_then(|text| text.parse().ok());
     let Some(text) = about.as_ref().and_then(|about| about.get("learnt")) else { return Ok(LearntCamera::default()) };
     let learnt = LearntCamera::from_bytes(text.as_str().unwrap_or_default().as_bytes());

@@ -22,7 +22,7 @@ use crate::tracker::{Tracker, TrackerSetup};
 /// The folder's name in the recording's folder.
 const FOLDER: &str = "retracked";
 /// Maximum size of a recording's `clip.toml`, bytes. Raised, a foreign file takes more memory.
-const LARGEST_ABOUT: u64 = 1 << 20;
+const MAX_ABOUT: u64 = 1 << 20;
 
 /// The compared fields of a record.
 #[derive(Debug, Deserialize)]
@@ -103,7 +103,7 @@ fn unwritable(clip: &Path, error: &io::Error) -> String {
 
 /// Returns the exposure that the camera had locked during the recording, seconds.
 fn locked_exposure_s(clip: &Path) -> Option<f64> {
-    let text = safe_file::read(&clip.join("clip.toml"), LARGEST_ABOUT).ok().and_then(|bytes| String::from_utf8(bytes).ok());
+    let text = safe_file::read(&clip.join("clip.toml"), MAX_ABOUT).ok().and_then(|bytes| String::from_utf8(bytes).ok());
     let about: Option<toml::Table> = text.and_then(|text| text.parse().ok());
     let exposure_s = about.as_ref().and_then(|about| about.get("camera")?.get("exposure_s")?.as_float());
     exposure_s.filter(|exposure_s| *exposure_s > 0.0 && *exposure_s <= 1.0)

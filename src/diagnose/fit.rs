@@ -65,11 +65,11 @@ const ASKED: usize = 60;
 /// Factors are searched from 1 / this to this, in this many steps up and down, each e^0.12 from the
 /// next. Chosen, not tuned. With the first raised, swapped sides of longer surfaces are found,
 /// whose ratio is off by its square; with fewer steps the best factor may be missed.
-const LARGEST_FACTOR: f64 = 2.6;
+const MAX_FACTOR: f64 = 2.6;
 const TRIALS: i32 = 8;
 /// Maximum number of alternations when two factors are searched. Raised, a check takes longer, and
 /// long valleys are followed to their end.
-const MOST_TURNS: usize = 4;
+const MAX_TURNS: usize = 4;
 
 impl Views<'_> {
     /// Returns the mean capped square of the residuals of free homographies, which no lens and
@@ -158,7 +158,7 @@ impl Views<'_> {
     /// Alternately searches the focal length and another factor, starting from the best of the
     /// latter, until nothing more is gained.
     fn by_turns(&self, mut best: Found, factor: impl Fn(&Found) -> f64, shape: impl Fn(f64, f64) -> Shape) -> Found {
-        for _ in 0..MOST_TURNS {
+        for _ in 0..MAX_TURNS {
             let other = factor(&best);
             let focal = self.along(|focal| shape(focal, other)).shape.focal;
             let next = self.along(|other| shape(focal, other));
@@ -176,7 +176,7 @@ impl Views<'_> {
     /// Finds the best factor along a line of shapes: first trials over the whole range, then
     /// golden-section search.
     fn along(&self, shape: impl Fn(f64) -> Shape) -> Found {
-        let step = LARGEST_FACTOR.ln() / f64::from(TRIALS);
+        let step = MAX_FACTOR.ln() / f64::from(TRIALS);
         let left = |log: f64| self.left(shape(log.exp()));
         let trials = (-TRIALS..=TRIALS).map(|k| f64::from(k) * step);
         let centre = trials.map(|log| (left(log), log)).min_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |(_, log)| log);
@@ -209,13 +209,13 @@ impl Views<'_> {
         let count: usize = self.views.iter().map(|v| v.matches.len().min(ASKED)).sum();
         let curvature = (left(log - ASIDE) + left(log + ASIDE) - 2.0 * least).max(0.0) / (ASIDE * ASIDE);
         let sigma = (2.0 * least.max(0.05) / (curvature * count.max(1) as f64)).sqrt();
-        if sigma.is_finite() { sigma.max(LEAST_SIGMA) } else { f64::INFINITY }
+        if sigma.is_finite() { sigma.max(MIN_SIGMA) } else { f64::INFINITY }
     }
 }
 
 /// Minimum sigma of a ratio's logarithm, since features of one frame share errors. Chosen, not
 /// measured. Raised, smaller deviations pass unmentioned.
-const LEAST_SIGMA: f64 = 0.002;
+const MIN_SIGMA: f64 = 0.002;
 
 #[cfg(test)]
 mod tests {

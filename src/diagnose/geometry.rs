@@ -16,7 +16,7 @@ use crate::tracker::TrackerSetup;
 
 /// Maximum number of views used per surface. Chosen for time, which grows with each. Raised,
 /// factors are known better.
-const MOST_VIEWS: usize = 10;
+const MAX_VIEWS: usize = 10;
 /// Maximum excess over the free homographies for a trial to fit: in squared sigmas per match, and
 /// as a fraction of the homographies' own residual. Chosen, not tuned. Raised, wrong shapes fit;
 /// lowered, right ones do not fit if the cloth has folds.
@@ -30,7 +30,7 @@ const SIGMAS: f64 = 4.0;
 /// Minimum gain per match, in squared sigmas, for a better ratio or focal length to be reported if
 /// the config's fits already. Chosen, not tuned. Raised, only larger mistakes are reported;
 /// lowered, right configs are doubted.
-const LEAST_GAIN: f64 = 0.06;
+const MIN_GAIN: f64 = 0.06;
 /// Logarithm of a factor above which neither folds of a cloth nor an ordinary calibration error
 /// explain it, so the finding is a doubt instead of a warning. Chosen, not tuned. Raised, more are
 /// warnings.
@@ -43,7 +43,7 @@ const CLEARLY: f64 = 0.02;
 const SWAPPED: f64 = 0.8;
 /// Logarithm of the pixel ratio below which pixels count as square, as a lens may cause it. Raised,
 /// slightly stretched clips pass.
-const LEAST_STRETCH: f64 = 0.03;
+const MIN_STRETCH: f64 = 0.03;
 /// Maximum logarithm of the pixel ratio: 2.2 times. Anamorphic lenses squeeze by 2, programs by
 /// 1.33. Raised, a wrong size passes for a stretched clip.
 const MAX_STRETCH: f64 = 0.79;
@@ -54,11 +54,11 @@ const SAME_RATIO: f64 = 0.06;
 /// Minimum displacement of a surface to be reported: as a fraction of the camera's distance, and in
 /// degrees. Chosen: far beyond the errors of a pose. Raised, misplaced surfaces pass; lowered,
 /// right ones are called misplaced.
-const LARGEST_SHIFT: f64 = 0.1;
-const LARGEST_TURN_DEG: f64 = 12.0;
+const MAX_SHIFT: f64 = 0.1;
+const MAX_TURN_DEG: f64 = 12.0;
 /// Maximum scatter of the displacement between frames, as a fraction of it. Raised, wrong matches
 /// pass for a displaced surface; lowered, a displaced one that appears small is not reported.
-const LARGEST_SCATTER: f64 = 0.3;
+const MAX_SCATTER: f64 = 0.3;
 
 /// Judges the geometry from the views; `views` holds those of each frame.
 pub fn of_views(shown: &Shown<'_>, views: &[Vec<SurfaceView>]) -> Vec<Finding> {
@@ -90,11 +90,11 @@ pub fn of_views(shown: &Shown<'_>, views: &[Vec<SurfaceView>]) -> Vec<Finding> {
     findings
 }
 
-/// Returns the views of one surface, at most [`MOST_VIEWS`], spread over the frames.
+/// Returns the views of one surface, at most [`MAX_VIEWS`], spread over the frames.
 fn views_of<'a>(setup: &TrackerSetup, views: &'a [Vec<SurfaceView>], surface: usize) -> Views<'a> {
     let all: Vec<&SurfaceView> = views.iter().flatten().filter(|v| v.surface as usize == surface).collect();
     let spec = &setup.stage.surfaces[surface];
-    let step = all.len().div_ceil(MOST_VIEWS).max(1);
+    let step = all.len().div_ceil(MAX_VIEWS).max(1);
     Views {
         camera: setup.camera,
         size_m: spec.size_m,
@@ -148,7 +148,7 @@ impl Case<'_> {
         if let Some(swap) = self.swap([ratio.left, focal.left, pixel.left].into_iter().fold(CUT, f64::min)) {
             return Some(self.swapped(swap));
         }
-        let is_stretched = self.fits(pixel.left) && (LEAST_STRETCH..MAX_STRETCH).contains(&pixel.shape.pixel.ln().abs());
+        let is_stretched = self.fits(pixel.left) && (MIN_STRETCH..MAX_STRETCH).contains(&pixel.shape.pixel.ln().abs());
         let is_pixel = is_stretched && pixel.left < ratio.left.min(focal.left) - CLEARLY;
         if self.fits(ratio.left) && ratio.left <= focal.left + CLEARLY && !is_pixel {
             let known = |side: f64| known_to(side, side * ratio.sigma);
@@ -318,7 +318,7 @@ impl Case<'_> {
         let name = &self.spec.name;
         let (ratio, focal) = (self.seen.free_ratio(), self.seen.free_focal());
         tracing::debug!(?ratio, ?focal, left, "lens and shape, each free");
-        let is_off = |log: f64, near: f64, found: &Found| log.abs() > near.max(SIGMAS * found.sigma) && left - found.left > LEAST_GAIN;
+        let is_off = |log: f64, near: f64, found: &Found| log.abs() > near.max(SIGMAS * found.sigma) && left - found.left > MIN_GAIN;
         let ratio_off = is_off(ratio.shape.ratio.ln(), NEAR_RATIO, &ratio);
         let focal_off = is_off(focal.shape.focal.ln(), NEAR_FOCAL, &focal);
         if ratio_off && (!focal_off || ratio.left <= focal.left) {
@@ -364,8 +364,8 @@ impl Case<'_> {
         tracing::debug!(surface = %spec.name, shift, turn_deg, distance, ?place, frames = seen.len(), "where it stands");
         // Wrong matches, and inaccurate poses of small surfaces, put it elsewhere in every frame.
         let [scatter, scatter_deg] = scatter(&seen);
-        let is_shifted = shift > LARGEST_SHIFT * distance && scatter < LARGEST_SCATTER * shift;
-        let is_turned = turn_deg > LARGEST_TURN_DEG && scatter_deg < LARGEST_SCATTER * turn_deg;
+        let is_shifted = shift > MAX_SHIFT * distance && scatter < MAX_SCATTER * shift;
+        let is_turned = turn_deg > MAX_TURN_DEG && scatter_deg < MAX_SCATTER * turn_deg;
         if !(is_shifted || is_turned) {
             return None;
         }
@@ -377,8 +377,7 @@ impl Case<'_> {
             )));
         }
         let p = spec.pose.translation;
-        let units =
-            [1000.0, 100.0].into_iter().find(|by| [0, 1, 2].iter().all(|k| (p[*k] / by - place[*k]).abs() < LARGEST_SHIFT * distance));
+        let units = [1000.0, 100.0].into_iter().find(|by| [0, 1, 2].iter().all(|k| (p[*k] / by - place[*k]).abs() < MAX_SHIFT * distance));
         let unit = match units {
             Some(1000.0) => " (position_m is in metres, these look like millimetres)",
             Some(_) => " (position_m is in metres, these look like centimetres)",

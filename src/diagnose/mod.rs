@@ -29,10 +29,10 @@ use crate::tracker::TrackerSetup;
 
 /// Minimum number of matches in a view of a surface; fewer may be chance. Chosen, not tuned.
 /// Raised, small and distant surfaces go unseen; lowered, chance is taken for a view.
-const LEAST_MATCHES: usize = 12;
+const MIN_MATCHES: usize = 12;
 /// Minimum number of a surface's patches that fit a pose for the surface to count as seen; fewer
 /// may fit by chance. Chosen, not tuned. Raised, small surfaces count as unseen.
-const LEAST_PATCHES: usize = 4;
+const MIN_PATCHES: usize = 4;
 /// Number of evenly spaced frames on which a fix is tried. Chosen for time: each trial searches
 /// each of them. Raised, the result is more certain and slower.
 const TRIED_FRAMES: usize = 8;
@@ -59,7 +59,7 @@ impl Trial {
     /// Recognises the surfaces in a frame, without using a lens or a size.
     pub fn views(&mut self, image: &GrayImage) -> Vec<SurfaceView> {
         let mut views = self.matcher.recognise(image);
-        views.retain(|v| v.matches.len() >= LEAST_MATCHES);
+        views.retain(|v| v.matches.len() >= MIN_MATCHES);
         views
     }
 
@@ -72,7 +72,7 @@ impl Trial {
     /// Does the same as [`verified`](Self::verified), but also requires that patches of a surface
     /// fit the pose.
     pub fn fitted(&mut self, frames: &[Frame], surface: usize) -> (usize, usize) {
-        self.count(frames, |matcher| matcher.fitting_patches(surface) >= LEAST_PATCHES)
+        self.count(frames, |matcher| matcher.fitting_patches(surface) >= MIN_PATCHES)
     }
 
     fn count(&mut self, frames: &[Frame], is_so: impl Fn(&Matcher) -> bool) -> (usize, usize) {

@@ -17,7 +17,7 @@ const BLACK: u8 = 24;
 const FLAT: u8 = 4;
 /// Minimum fraction of a side that a bar takes. Chosen: less is an edge of a few lines that many
 /// cameras have. Raised, narrow bars pass.
-const LEAST_BAR: f64 = 0.03;
+const MIN_BAR: f64 = 0.03;
 /// Ratio of the difference between neighbouring rows to that between rows two apart, above which
 /// two distant fields are interlaced; it is below 1 in a progressive picture. Chosen, not tuned.
 /// Raised, only faster movement shows.
@@ -30,10 +30,10 @@ const FIELDS_APART_PX: f64 = 0.2;
 /// vertical edges. Chosen, not tuned. With the first raised, a block's shift scatters less, but
 /// there are fewer blocks; with the second raised, pictures with few edges are not judged.
 const BLOCK_PX: usize = 32;
-const LEAST_BLOCKS: usize = 6;
+const MIN_BLOCKS: usize = 6;
 /// Minimum mean square of the horizontal gradient for a block to have vertical edges, levels
 /// squared: twice that of typical noise. Raised, fewer blocks are compared; lowered, noise is.
-const LEAST_GRADIENT: f64 = 4.0;
+const MIN_GRADIENT: f64 = 4.0;
 
 /// Reports how the frames were made. Black bars are not reported if the frames are tracked: they
 /// are then a dark house, or harmless.
@@ -79,7 +79,7 @@ fn bars(pictures: &[&GrayImage], at: impl Fn(&GrayImage, u32, u32) -> u8, sides:
     };
     let before = (0..lines).take_while(|line| is_bar(*line)).count() as u32;
     let after = (0..lines).rev().take_while(|line| is_bar(*line)).count() as u32;
-    let least = LEAST_BAR * f64::from(lines);
+    let least = MIN_BAR * f64::from(lines);
     let even = before.abs_diff(after) * 4 <= before.max(after);
     (before < lines && even && f64::from(before.min(after)) >= least).then_some([before, after])
 }
@@ -123,12 +123,12 @@ fn fields_apart_px(picture: &GrayImage) -> Option<f64> {
                     gradients += gradient * gradient;
                 }
             }
-            if gradients > LEAST_GRADIENT * (BLOCK_PX * BLOCK_PX) as f64 {
+            if gradients > MIN_GRADIENT * (BLOCK_PX * BLOCK_PX) as f64 {
                 shifts.push((by_gradient / gradients).abs());
             }
         }
     }
-    median(&mut shifts).filter(|_| shifts.len() >= LEAST_BLOCKS)
+    median(&mut shifts).filter(|_| shifts.len() >= MIN_BLOCKS)
 }
 
 /// Finds a change with which the picture is recognised; `seen` is the number of frames that show it
@@ -173,7 +173,7 @@ pub fn of_pictures(setup: &TrackerSetup, frames: &[Frame], seen: usize) -> Vec<F
 /// Minimum fraction of the poses' views that a surface should fill to be reported if no frame shows
 /// it: its picture or its pose is wrong. Chosen, not tuned. Raised, fewer are reported; lowered,
 /// those that only passed the edge of the picture are reported, too.
-const LEAST_IN_VIEW: f64 = 0.5;
+const MIN_IN_VIEW: f64 = 0.5;
 
 /// Reports surfaces that should be in view, according to the poses from other surfaces, but are
 /// neither recognised nor fit those poses.
@@ -181,7 +181,7 @@ pub fn never_recognised(setup: &TrackerSetup, frames: &[Frame], views: &[Vec<Sur
     let is_seen = |k: usize| views.iter().flatten().any(|v| v.surface as usize == k);
     let unseen = setup.stage.surfaces.iter().enumerate().filter(|(k, spec)| !is_seen(*k) && spec.check_texture().is_ok());
     unseen
-        .filter(|(_, spec)| travel.share_in_view(&setup.camera, spec) > LEAST_IN_VIEW)
+        .filter(|(_, spec)| travel.share_in_view(&setup.camera, spec) > MIN_IN_VIEW)
         // A small or stretched picture may be tracked without any feature being recognised.
         .filter(|(k, _)| Trial::of(setup).fitted(frames, *k).0 == 0)
         .map(|(_, spec)| {

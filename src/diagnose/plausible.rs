@@ -22,19 +22,19 @@ const FARTHEST_M: f64 = 60.0;
 const FARTHEST_SIZES: f64 = 20.0;
 /// Maximum distance from which a camera tracks a stage, metres (chosen: a stadium's far side).
 /// Raised, wrong units pass.
-const LARGEST_DISTANCE_M: f64 = 150.0;
+const MAX_DISTANCE_M: f64 = 150.0;
 /// Maximum speed of a camera, metres per second, a sprinter's: no dolly, crane or runner is faster
 /// on a stage; a camera on a wire may be. Raised, sizes that are too large pass.
-const LARGEST_SPEED: f64 = 12.0;
+const MAX_SPEED: f64 = 12.0;
 /// Maximum tangential distortion of a real lens: more moves the picture's corner by percents.
 /// Raised, calibrations from too few views pass.
-const LARGEST_TANGENTIAL: f64 = 0.02;
+const MAX_TANGENTIAL: f64 = 0.02;
 
 /// Minimum cosine of a surface's angle to the camera, and minimum shorter side in pixels, for it to
 /// be expected in view: below 60 px it counts as too small for a pose, and a third more is safe.
 /// Lowered, surfaces are reported that could not be seen.
-const LEAST_FACING: f64 = 0.4;
-const LEAST_SIDE_PX: f64 = 80.0;
+const MIN_FACING: f64 = 0.4;
+const MIN_SIDE_PX: f64 = 80.0;
 
 /// Formats lengths as if they had been meant in other units.
 fn in_other_units(values: &[f64]) -> String {
@@ -83,7 +83,7 @@ pub fn of_layout(body: &BodySpec) -> Vec<Finding> {
 pub fn of_lens(camera: &CameraModel) -> Vec<Finding> {
     let mut findings = Vec::new();
     let [k1, k2, p1, p2, k3] = camera.intrinsics().distortion;
-    if p1.abs().max(p2.abs()) > LARGEST_TANGENTIAL {
+    if p1.abs().max(p2.abs()) > MAX_TANGENTIAL {
         findings.push(Finding::doubt(format!(
             "the calibration's tangential distortion p1 = {}, p2 = {} is larger than any lens'; distortion is [k1, k2, p1, p2, k3]: if the \
              numbers came as k1, k2, k3, p1, p2, write distortion = {}",
@@ -158,7 +158,7 @@ impl Travel {
             let pixel = camera.project(Normalized(seen.coords.xy() / seen.z)).0;
             let is_inside = (0.0..f64::from(camera.width())).contains(&pixel.x) && (0.0..f64::from(camera.height())).contains(&pixel.y);
             let side_px = camera.intrinsics().fx * side_m / away.norm();
-            seen.z > 0.0 && is_inside && normal.dot(&away) > LEAST_FACING * away.norm() && side_px > LEAST_SIDE_PX
+            seen.z > 0.0 && is_inside && normal.dot(&away) > MIN_FACING * away.norm() && side_px > MIN_SIDE_PX
         };
         let in_view = self.poses.iter().filter(|(_, pose)| is_in_view(pose)).count();
         in_view as f64 / self.poses.len().max(1) as f64
@@ -188,7 +188,7 @@ impl Travel {
                 true => format!("; the camera is {} m away", in_words(far)),
                 false => format!("; the camera is {} to {} m away", in_words(near), in_words(far)),
             };
-            if far > LARGEST_DISTANCE_M {
+            if far > MAX_DISTANCE_M {
                 findings.push(Finding::doubt(format!(
                     "the camera is {far:.0} m away from the stage, which is absurd; check that size_m is in metres: write size_m = {}",
                     in_other_units(&[w, h])
@@ -197,7 +197,7 @@ impl Travel {
         }
         if let Some(speed) = self.speed() {
             words += &format!(" and moves at up to {} m/s", in_words(speed));
-            if speed > LARGEST_SPEED {
+            if speed > MAX_SPEED {
                 findings.push(Finding::doubt(format!(
                     "the camera moves at {speed:.0} m/s, as no stage camera does; check that size_m is in metres (size_m = {}), and the \
                      clip's stamps or --fps",

@@ -22,7 +22,7 @@ const SAME_PLACE_PX: f64 = 1.5;
 /// Maximum overlap error of two regions, as a fraction of their union (2004, section 6.1; 2005,
 /// section 4.1). Raised, worse fitting regions count as found again, which descriptors tolerate
 /// less.
-const MOST_OVERLAP_ERROR: f64 = 0.4;
+const MAX_OVERLAP_ERROR: f64 = 0.4;
 /// Relative difference of sizes up to which they count as equal: rounding.
 const SAME_SIZE: f64 = 1e-6;
 /// Maximum number of candidates per keypoint, nearest first. More are within [`SAME_PLACE_PX`] only
@@ -108,7 +108,7 @@ fn partners(here: &[Seen], there: &[Seen], sized: bool) -> Vec<f64> {
         let near = (row - 1..=row + 1).flat_map(|r| cells.range((r, column - 1)..=(r, column + 1))).flat_map(|(_, all)| all);
         let distance = |k: usize| (there[k].place - seen.place).norm();
         let mut near: Vec<(f64, usize, usize)> = near.map(|&k| (distance(k), i, k)).filter(|n| n.0 <= SAME_PLACE_PX).collect();
-        near.retain(|&(_, _, k)| !sized || overlap_error(&seen.spread, &there[k].spread) < MOST_OVERLAP_ERROR);
+        near.retain(|&(_, _, k)| !sized || overlap_error(&seen.spread, &there[k].spread) < MAX_OVERLAP_ERROR);
         near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.2.cmp(&b.2)));
         pairs.extend(near.into_iter().take(CANDIDATES));
     }

@@ -26,7 +26,7 @@ pub const BASE_SIGMA: f64 = 1.6;
 const CAMERA_SIGMA: f64 = 0.5;
 /// Minimum side of an octave, pixels; a smaller one has hardly any pixels inside the border that
 /// extrema keep.
-const SMALLEST_SIDE: usize = 12;
+const MIN_SIDE: usize = 12;
 /// Position of the first pixel of every octave in the picture, pixels across and down.
 const ORIGIN: f64 = -0.25;
 
@@ -74,7 +74,7 @@ impl ScaleSpace {
     pub(super) fn watched(picture: &FloatImage, watch: &Watch) -> Self {
         let mut octaves: Vec<Octave> = Vec::new();
         let mut row = Vec::new();
-        let enough = |side: usize| side >= SMALLEST_SIDE;
+        let enough = |side: usize| side >= MIN_SIDE;
         if picture.width == 0 || !enough(2 * picture.width.min(picture.height)) {
             return Self { octaves };
         }

@@ -43,7 +43,7 @@ impl Default for ViewSimulation {
 }
 
 /// Maximum number of tilts: the last is 64, where no picture has any detail left.
-const MOST_TILTS: u32 = 12;
+const MAX_TILTS: u32 = 12;
 /// Degrees between two simulated longitudes at tilt 1 (IPOL 2011, section 2.2): a step of 72 / t
 /// changes the view equally at any tilt. Raised, fewer views are simulated and places between them
 /// are missed.
@@ -97,7 +97,7 @@ impl ViewSimulation {
 
     /// Returns the simulated views besides the picture itself, least tilted first.
     fn views(&self) -> Vec<View> {
-        let tilts = (1..=self.tilts.min(MOST_TILTS)).map(|k| (f64::from(k) / 2.0).exp2());
+        let tilts = (1..=self.tilts.min(MAX_TILTS)).map(|k| (f64::from(k) / 2.0).exp2());
         tilts
             .flat_map(|tilt| {
                 let step = LONGITUDE_STEP / tilt;

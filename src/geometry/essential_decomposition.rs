@@ -46,7 +46,7 @@ pub struct JudgedMotion {
     /// Number of pairs in front of both cameras.
     pub in_front: usize,
     /// Cost difference to the next best motion, in squared sigmas of the noise needed to move pairs
-    /// in front of both cameras; each pair counts up to `LARGEST_SQUARED`. About 0 for pure
+    /// in front of both cameras; each pair counts up to `MAX_SQUARED`. About 0 for pure
     /// rotation; from `CLEAR_MARGIN` on the choice is certain.
     pub margin: f64,
     /// Median angle between the two rays of a pair, radians: the parallax available for judging
@@ -56,7 +56,7 @@ pub struct JudgedMotion {
 
 /// Maximum cost of a pair on the wrong side, squared sigmas, so that wrong pairs among the inliers
 /// cannot decide. Raised, single pairs weigh more.
-pub const LARGEST_SQUARED: f64 = 9.0;
+pub const MAX_SQUARED: f64 = 9.0;
 /// Margin from which the choice of motion is certain: four sigmas. Raised, fewer motions count as
 /// clear.
 pub const CLEAR_MARGIN: f64 = 16.0;
@@ -102,7 +102,7 @@ fn parallax(motion: &TwoViewMotion, pair: &RayPair) -> f64 {
 
 /// Squared noise needed to put a pair in front of both cameras, capped.
 fn cost_in_front(motion: &TwoViewMotion, pair: &RayPair, sigma: f64) -> f64 {
-    if is_in_front(motion, pair) { 0.0 } else { (parallax(motion, pair) / sigma).powi(2).min(LARGEST_SQUARED) }
+    if is_in_front(motion, pair) { 0.0 } else { (parallax(motion, pair) / sigma).powi(2).min(MAX_SQUARED) }
 }
 
 #[cfg(test)]
@@ -195,7 +195,7 @@ mod tests {
             })
             .collect();
         let found = judged_motion(&turned.essential(), &pairs, 0.0006).expect("decomposes");
-        assert!(found.parallax < 0.002 && found.margin < 0.2 * LARGEST_SQUARED * 100.0, "{found:?}");
+        assert!(found.parallax < 0.002 && found.margin < 0.2 * MAX_SQUARED * 100.0, "{found:?}");
         assert_eq!(judged_motion(&Matrix3::repeat(f64::NAN), &pairs, 0.001), None);
         assert!(judged_motion(&turned.essential(), &[], 0.001).is_some_and(|m| m.in_front == 0 && !m.is_clear()));
     }

@@ -46,7 +46,7 @@ pub struct Options {
 /// variances, so with 500 pairs further steps gain a hundredth of a standard deviation of the
 /// model. Raised, the fit is less accurate than the pairs allow; lowered, frames cost more: steps
 /// converge slowly where robust weights change much.
-pub const LEAST_GAIN_OF_PAIRS: f64 = 1e-7;
+pub const MIN_GAIN_OF_PAIRS: f64 = 1e-7;
 
 /// Damping of a step, as a fraction of the normal matrix's diagonal.
 #[derive(Debug, Clone, Copy, PartialEq)]

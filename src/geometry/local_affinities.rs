@@ -37,8 +37,8 @@ const SHIFT_SHARE: f64 = 0.06;
 /// Maximum difference in rotation (tangent of 0.6 radians) and maximum scale factor between
 /// agreeing matches. Raised, wrong matches agree by chance; lowered, right ones of tilted planes do
 /// not.
-const LARGEST_TURN: f64 = 0.684;
-const LARGEST_GROWTH: f64 = 2.0;
+const MAX_TURN: f64 = 0.684;
+const MAX_GROWTH: f64 = 2.0;
 /// Noise of a derivative relative to its size, one sigma. It matters only where the positions leave
 /// a direction undetermined, e.g. along a line. Raised, derivatives count less.
 const DERIVATIVE_NOISE: f64 = 0.3;
@@ -155,7 +155,7 @@ fn is_alike(between: &Matrix2<f64>) -> bool {
     // Sine and cosine of the rotation, with a common factor.
     let (sin, cos) = (between.m21 - between.m12, between.m11 + between.m22);
     let growth = between.determinant();
-    sin.abs() < LARGEST_TURN * cos && growth > LARGEST_GROWTH.powi(-2) && growth < LARGEST_GROWTH.powi(2)
+    sin.abs() < MAX_TURN * cos && growth > MAX_GROWTH.powi(-2) && growth < MAX_GROWTH.powi(2)
 }
 
 /// Returns the matches that a map predicts within some sigmas plus a fraction of their distance

@@ -12,7 +12,7 @@ use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2};
 
 use super::distances::squared_sampson_of_homography;
 use super::homography::{Homography, PointPair};
-use super::least_squares::{Damping, LEAST_GAIN_OF_PAIRS, Options, Problem, minimise};
+use super::least_squares::{Damping, MIN_GAIN_OF_PAIRS, Options, Problem, minimise};
 use super::marginal_noise::{MarginalNoise, QUANTILE};
 use super::noise::Dimensions;
 use super::normalisation::normalising;
@@ -23,7 +23,7 @@ use super::transfer_refinement::{damped_step, with_pinned_scale};
 
 /// Minimum score of a homography. A sample's own four pairs score 4, so this rejects only
 /// numerically bad samples; raised above 4, it demands support beyond the sample.
-const LEAST_SCORE: f64 = 3.5;
+const MIN_SCORE: f64 = 3.5;
 /// Refinement iterations during the search, and in the last refinement, which has converged by
 /// then. Raised, the search takes longer.
 const STEPS_IN_SEARCH: usize = 4;
@@ -38,7 +38,7 @@ const ROOM: f64 = 3.0;
 /// Maximum number of fits with correlation weights, and the change of correlation that ends them.
 /// More rounds or a smaller change take longer.
 const ROUNDS: usize = 6;
-const LEAST_CHANGE: f64 = 0.01;
+const MIN_CHANGE: f64 = 0.01;
 
 /// Finds the homography with the most support, or `None` if fewer than four pairs agree.
 /// `most_noise` is the maximum standard deviation of a coordinate's noise, pixels. Distances are
@@ -53,7 +53,7 @@ pub fn homography_of_unknown_noise(pairs: &[PointPair], most_noise: f64, options
     }
     let indices = robust::usable(pairs);
     let pairs: Vec<PointPair> = indices.iter().map(|&k| pairs[k]).collect();
-    let search = ransac::Options { samples: max_samples, confidence: Some(confidence), order, least_score: LEAST_SCORE, keep: 1, seed };
+    let search = ransac::Options { samples: max_samples, confidence: Some(confidence), order, least_score: MIN_SCORE, keep: 1, seed };
     let widest = QUANTILE * most_noise;
     let plane = Plane { pairs: &pairs, noise: MarginalNoise::up_to(widest) };
     let (score, homography) = ransac::search(&plane, &search).pop()?;
@@ -133,7 +133,7 @@ impl Plane<'_> {
             let Some(next) = errors.refined(&h, LAST_STEPS) else { break };
             h = next;
             let before = std::mem::replace(&mut correlation, patches.correlation(&errors.whitened(&h)));
-            if round > 0 && (correlation - before).abs() < LEAST_CHANGE {
+            if round > 0 && (correlation - before).abs() < MIN_CHANGE {
                 break;
             }
             errors.shares = patches.shares(correlation);
@@ -174,7 +174,7 @@ impl<'a> SampsonErrors<'a> {
         let [from, to] = self.scales;
         let (from_inverse, to_inverse) = (from.try_inverse()?, to.try_inverse()?);
         let damping = Damping { now: 1e-6, least: 1e-12, most: 1e3 };
-        let options = Options { iterations, damping, least_gain: LEAST_GAIN_OF_PAIRS };
+        let options = Options { iterations, damping, least_gain: MIN_GAIN_OF_PAIRS };
         let start = to * start.0 * from_inverse;
         let (scaled, _) = minimise(self, start / start.norm(), &options);
         let front = self.pairs.iter().map(|p| (scaled * p.from.push(1.0)).z.signum()).sum::<f64>();

@@ -61,7 +61,7 @@ fn options(seed: u64) -> RobustOptions {
     RobustOptions { threshold: 1.5, order, seed, ..RobustOptions::default() }
 }
 
-const MOST_NOISE: f64 = 3.0;
+const MAX_NOISE: f64 = 3.0;
 
 /// RMS over seeds of an error.
 fn rms(error: impl Fn(u64) -> f64) -> f64 {
@@ -79,7 +79,7 @@ fn flat_planes_are_found_as_by_who_knows_the_right_pairs_at_any_noise() {
     for noise in [0.3, 0.6, 1.0, 2.0, 3.0] {
         let of = |seed| seen(300, 150, noise, FLAT, seed);
         let found = rms(|seed| {
-            let found = homography_of_unknown_noise(&of(seed), MOST_NOISE, &options(seed)).expect("a plane");
+            let found = homography_of_unknown_noise(&of(seed), MAX_NOISE, &options(seed)).expect("a plane");
             let right = found.inliers.iter().filter(|k| **k < 300).count();
             assert!(right >= 270 && found.inliers.len() - right <= 6, "noise {noise}, seed {seed}: {right} of {}", found.inliers.len());
             assert!((0.8..1.2).contains(&(found.sigma / noise)), "noise {noise}: {}", found.sigma);
@@ -106,7 +106,7 @@ fn scenes_that_are_not_quite_flat_are_found_as_a_whole() {
     let kinds: [Seen; 2] = [seen_evenly, seen_unevenly];
     for (relief, of) in scenes.into_iter().flat_map(|relief| kinds.map(|of| (relief, of))) {
         let found = rms(|seed| {
-            let found = homography_of_unknown_noise(&of(0.4, relief, seed), MOST_NOISE, &options(seed)).expect("a plane");
+            let found = homography_of_unknown_noise(&of(0.4, relief, seed), MAX_NOISE, &options(seed)).expect("a plane");
             off(&found.model, relief)
         });
         let fixed = |threshold| {
@@ -132,7 +132,7 @@ fn a_wall_behind_does_not_pull_the_plane_before_it() {
         pairs[..60].iter_mut().for_each(|p| p.to += Vector2::new(9.6, 0.0));
         pairs
     };
-    let found = rms(|seed| corner_error(&homography_of_unknown_noise(&of(seed), MOST_NOISE, &options(seed)).expect("a plane").model));
+    let found = rms(|seed| corner_error(&homography_of_unknown_noise(&of(seed), MAX_NOISE, &options(seed)).expect("a plane").model));
     let least = rms(|seed| corner_error(&oracle(&of(seed)[60..300])));
     assert!(found < 1.3 * least, "{found} beside {least}");
 }
@@ -140,9 +140,9 @@ fn a_wall_behind_does_not_pull_the_plane_before_it() {
 #[test]
 fn the_same_seed_gives_the_same_and_exact_pairs_are_met() {
     let pairs = seen(100, 40, 1.0, FLAT, 5);
-    let found = homography_of_unknown_noise(&pairs, MOST_NOISE, &options(3));
-    assert!(found.is_some() && found == homography_of_unknown_noise(&pairs, MOST_NOISE, &options(3)));
-    let exact = homography_of_unknown_noise(&seen(60, 20, 0.0, FLAT, 1), MOST_NOISE, &options(1)).expect("a plane");
+    let found = homography_of_unknown_noise(&pairs, MAX_NOISE, &options(3));
+    assert!(found.is_some() && found == homography_of_unknown_noise(&pairs, MAX_NOISE, &options(3)));
+    let exact = homography_of_unknown_noise(&seen(60, 20, 0.0, FLAT, 1), MAX_NOISE, &options(1)).expect("a plane");
     assert!(exact.inliers.len() == 60 && corner_error(&exact.model) < 1e-3, "{} {}", exact.inliers.len(), corner_error(&exact.model));
 }
 
@@ -150,16 +150,16 @@ fn the_same_seed_gives_the_same_and_exact_pairs_are_met() {
 fn what_is_no_plane_gives_none() {
     let pairs = seen(60, 20, 0.5, FLAT, 2);
     for few in [&pairs[..0], &pairs[..3]] {
-        assert_eq!(homography_of_unknown_noise(few, MOST_NOISE, &options(1)), None);
+        assert_eq!(homography_of_unknown_noise(few, MAX_NOISE, &options(1)), None);
     }
     for (most_noise, threshold) in [(0.0, 1.5), (-1.0, 1.5), (f64::NAN, 1.5), (3.0, 0.0), (3.0, f64::NAN)] {
         assert_eq!(homography_of_unknown_noise(&pairs, most_noise, &RobustOptions { threshold, ..options(1) }), None);
     }
     let broken = PointPair { from: Vector2::new(f64::NAN, 0.0), to: Vector2::zeros() };
-    assert_eq!(homography_of_unknown_noise(&[broken; 30], MOST_NOISE, &options(1)), None);
-    assert_eq!(homography_of_unknown_noise(&[pairs[0]; 30], MOST_NOISE, &options(1)), None);
+    assert_eq!(homography_of_unknown_noise(&[broken; 30], MAX_NOISE, &options(1)), None);
+    assert_eq!(homography_of_unknown_noise(&[pairs[0]; 30], MAX_NOISE, &options(1)), None);
     let with_holes = [&[broken; 3][..], &pairs].concat();
-    let plain = homography_of_unknown_noise(&pairs, MOST_NOISE, &options(1)).expect("a plane");
-    let holes = homography_of_unknown_noise(&with_holes, MOST_NOISE, &options(1)).expect("a plane");
+    let plain = homography_of_unknown_noise(&pairs, MAX_NOISE, &options(1)).expect("a plane");
+    let holes = homography_of_unknown_noise(&with_holes, MAX_NOISE, &options(1)).expect("a plane");
     assert_eq!(holes.inliers, plain.inliers.iter().map(|k| k + 3).collect::<Vec<_>>());
 }

@@ -27,7 +27,7 @@ const NUMBERS: f64 = 4.0;
 /// Minimum noise as a fraction of the inlier threshold, a tenth of a pixel for three. Hardly
 /// anything in a picture is located more precisely, and one wrong pair within the threshold shifts
 /// a model by about as much. Raised, small relief is lost.
-const LEAST_NOISE: f64 = 1.0 / 30.0;
+const MIN_NOISE: f64 = 1.0 / 30.0;
 /// Maximum ratio between two estimates of the same noise: a hundred pairs determine each to about a
 /// tenth. Raised, relief of the noise's size is taken for noise; lowered, chance decides which
 /// estimate is used.
@@ -98,7 +98,7 @@ pub fn choose_model(
         let mut of_lines: Vec<f64> = fundamental.inliers.iter().map(|&k| on_line(k)).collect();
         let plane = noise::of_inliers(&mut of_plane, threshold, Dimensions::Two);
         let lines = noise::of_inliers(&mut of_lines, threshold, Dimensions::One);
-        pooled([plane, lines], [2 * of_plane.len(), of_lines.len()]).max(LEAST_NOISE * threshold).max(relief)
+        pooled([plane, lines], [2 * of_plane.len(), of_lines.len()]).max(MIN_NOISE * threshold).max(relief)
     };
     let data = homography.inliers.len() as f64 + weight_alone * of_lines_alone.len() as f64;
     let sum = |squared: &dyn Fn(usize) -> f64, most: f64| {

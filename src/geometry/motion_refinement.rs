@@ -4,7 +4,7 @@
 use nalgebra::{Matrix3, Matrix5, SVector, UnitQuaternion, Vector3};
 
 use super::distances::squared_sampson;
-use super::least_squares::{Damping, LEAST_GAIN_OF_PAIRS, Options, Problem, minimise};
+use super::least_squares::{Damping, MIN_GAIN_OF_PAIRS, Options, Problem, minimise};
 use super::pose::skew;
 use super::relative_pose::{RayPair, TwoViewMotion};
 use super::robust_kernel::{geman_mcclure_cost, geman_mcclure_weight};
@@ -13,7 +13,7 @@ use super::sampson_refinement::{Relation, SampsonFit};
 /// Refines a motion on Sampson distances of all pairs (5 degrees of freedom, Geman-McClure at
 /// `sigma`, normalised units).
 pub fn refine_motion(start: &TwoViewMotion, pairs: &[RayPair], sigma: f64, iterations: usize) -> TwoViewMotion {
-    let options = Options { iterations, damping: Damping { now: 1e-4, least: 1e-12, most: 1e6 }, least_gain: LEAST_GAIN_OF_PAIRS };
+    let options = Options { iterations, damping: Damping { now: 1e-4, least: 1e-12, most: 1e6 }, least_gain: MIN_GAIN_OF_PAIRS };
     minimise(&mut SampsonDistances { pairs, c2: (3.0 * sigma).powi(2) }, *start, &options).0
 }
 

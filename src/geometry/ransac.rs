@@ -81,12 +81,12 @@ impl Order {
 
 /// Minimum number of agreeing data beyond the sample for a prefix of best data to decide how many
 /// samples are enough. Raised, the search runs longer.
-const LEAST_BEYOND_SAMPLE: f64 = 5.0;
+const MIN_BEYOND_SAMPLE: f64 = 5.0;
 /// The agreeing data must also exceed the number expected by chance by this many standard
 /// deviations, where a wrong datum agrees with a wrong model with this probability (a three-pixel
 /// band about a line covers one or two hundredths of a small picture). Raised, the search runs
 /// longer before it trusts a model.
-const LEAST_DEVIATIONS: f64 = 3.0;
+const MIN_DEVIATIONS: f64 = 3.0;
 const CHANCE_OF_AGREEING: f64 = 0.05;
 
 /// Returns the best models with their scores, best first.
@@ -134,7 +134,7 @@ fn samples_needed<const N: usize, E: Estimator<N>>(estimator: &E, model: &E::Mod
     for n in 1..=count {
         agreeing += usize::from(estimator.agrees(model, n - 1));
         let by_chance = n.saturating_sub(N) as f64 * CHANCE_OF_AGREEING;
-        let believed = N as f64 + LEAST_BEYOND_SAMPLE.max(by_chance + LEAST_DEVIATIONS * by_chance.sqrt());
+        let believed = N as f64 + MIN_BEYOND_SAMPLE.max(by_chance + MIN_DEVIATIONS * by_chance.sqrt());
         if agreeing as f64 >= believed || n == count {
             let chance = (0..N).fold(1.0, |p, j| p * agreeing.saturating_sub(j) as f64 / (n - j) as f64);
             least = least.min((enough(chance), n));

@@ -97,7 +97,7 @@ pub struct Resection {
 /// Step size at which the iteration has converged: radians, and relative to the distance. Far below
 /// what a picture can resolve and far above rounding. Raised to measurement accuracy, poses stop
 /// short; lowered, iterations are wasted.
-const SMALLEST_STEP: f64 = 1e-9;
+const MIN_STEP: f64 = 1e-9;
 
 /// Squared Mahalanobis residuals of a pose; a reusable buffer.
 #[derive(Debug, Clone, Default)]
@@ -257,11 +257,7 @@ impl<P: Projection> Problem for ReprojectionErrors<'_, P> {
         let cost = self.cost(pose);
         let turn = before.rotation.angle_to(&pose.rotation);
         let shift = (pose.translation - before.translation).norm();
-        if turn < SMALLEST_STEP && shift < SMALLEST_STEP * pose.translation.norm() {
-            ControlFlow::Break(cost)
-        } else {
-            ControlFlow::Continue(cost)
-        }
+        if turn < MIN_STEP && shift < MIN_STEP * pose.translation.norm() { ControlFlow::Break(cost) } else { ControlFlow::Continue(cost) }
     }
 }
 

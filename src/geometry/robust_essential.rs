@@ -17,7 +17,7 @@ use super::scoring::Scorer;
 
 /// Minimum score of a motion: its own five pairs always score 5, so this demands support beyond the
 /// sample. Raised, more support is required.
-const LEAST_SCORE: f64 = 5.5;
+const MIN_SCORE: f64 = 5.5;
 /// Refinement iterations during the search and at its end, as for the fundamental matrix.
 const STEPS_IN_SEARCH: usize = 4;
 const LAST_STEPS: usize = 20;
@@ -37,7 +37,7 @@ pub fn robust_essential(pairs: &[RayPair], focals: [f64; 2], options: &RobustOpt
     let rays: Vec<RayPair> = indices.iter().map(|&k| pairs[k]).collect();
     let pixels: Vec<PointPair> = rays.iter().map(|r| PointPair { from: r.first * focals[0], to: r.second * focals[1] }).collect();
     let views = Views { scorer: Scorer::new(&pixels, threshold), rays: &rays, pixels: &pixels, focals, threshold };
-    let search = ransac::Options { samples: max_samples, confidence: Some(confidence), order, least_score: LEAST_SCORE, keep: 1, seed };
+    let search = ransac::Options { samples: max_samples, confidence: Some(confidence), order, least_score: MIN_SCORE, keep: 1, seed };
     let (score, e) = ransac::search(&views, &search).pop()?;
     let (e, _) = views.refined(e, score, LAST_STEPS);
     let f = views.in_pixels(&e);

@@ -17,7 +17,7 @@ use super::seven_point::{is_oriented, seven_point};
 
 /// Minimum score of a relation: its own seven pairs always score 7, so this demands support beyond
 /// the sample. Raised, more support is required.
-const LEAST_SCORE: f64 = 7.5;
+const MIN_SCORE: f64 = 7.5;
 /// Refinement iterations during the search, and in the last refinement, which has converged by
 /// then. Raised, the search takes longer.
 const STEPS_IN_SEARCH: usize = 4;
@@ -40,7 +40,7 @@ pub fn robust_fundamental<C: Correspondence + Copy>(pairs: &[C], options: &Robus
     }
     let indices = robust::usable(pairs);
     let pairs: Vec<C> = indices.iter().map(|&k| pairs[k]).collect();
-    let search = ransac::Options { samples: max_samples, confidence: Some(confidence), order, least_score: LEAST_SCORE, keep: 1, seed };
+    let search = ransac::Options { samples: max_samples, confidence: Some(confidence), order, least_score: MIN_SCORE, keep: 1, seed };
     let views = Views { pairs: &pairs, scorer: Scorer::new(&pairs, threshold), threshold };
     let (score, f) = ransac::search(&views, &search).pop()?;
     let (f, score) = views.resampled(f, score, seed);

@@ -11,7 +11,7 @@ use super::scoring::Scorer;
 
 /// Minimum score of a homography. A sample's own four pairs score 4, so this rejects only
 /// numerically bad samples; raised above 4, it demands support beyond the sample.
-const LEAST_SCORE: f64 = 3.5;
+const MIN_SCORE: f64 = 3.5;
 
 /// Noise, in thresholds, at which the robust kernel weights all inliers equally, to a millionth.
 /// Lowered, far inliers lose weight.
@@ -27,7 +27,7 @@ pub fn robust_homography(pairs: &[PointPair], options: &RobustOptions) -> Option
     let indices = robust::usable(pairs);
     let pairs: Vec<PointPair> = indices.iter().map(|&k| pairs[k]).collect();
     let t2 = threshold * threshold;
-    let search = ransac::Options { samples: max_samples, confidence: Some(confidence), order, least_score: LEAST_SCORE, keep: 1, seed };
+    let search = ransac::Options { samples: max_samples, confidence: Some(confidence), order, least_score: MIN_SCORE, keep: 1, seed };
     let plane = Plane { pairs: &pairs, scorer: Scorer::new(&pairs, threshold), threshold };
     let (_, homography) = ransac::search(&plane, &search).pop()?;
     let homography = homography.refined(&inliers_of(&homography, &pairs, t2), threshold / 3.0, 15).unwrap_or(homography);

@@ -4,7 +4,7 @@
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 use super::homography::{Homography, PointPair};
-use super::least_squares::{Damping, LEAST_GAIN_OF_PAIRS, Options, Problem, minimise};
+use super::least_squares::{Damping, MIN_GAIN_OF_PAIRS, Options, Problem, minimise};
 use super::normalisation::normalising;
 use super::robust_kernel::{geman_mcclure_cost, geman_mcclure_weight};
 
@@ -19,7 +19,7 @@ impl Homography {
         let (from_inv, to_inv) = (from.try_inverse()?, to.try_inverse()?);
         let start = to * self.0 * from_inv;
         let mut errors = TransferErrors { pairs, from, to, c2: (3.0 * sigma * to[(0, 0)]).powi(2) };
-        let options = Options { iterations, damping: Damping { now: 1e-6, least: 1e-12, most: 1e3 }, least_gain: LEAST_GAIN_OF_PAIRS };
+        let options = Options { iterations, damping: Damping { now: 1e-6, least: 1e-12, most: 1e3 }, least_gain: MIN_GAIN_OF_PAIRS };
         let (h, _) = minimise(&mut errors, start / start.norm(), &options);
         let h = to_inv * h * from;
         let front = pairs.iter().map(|p| (h * p.from.push(1.0)).z.signum()).sum::<f64>();

@@ -50,11 +50,11 @@ pub const QUERIES: usize = 4;
 pub const PIECES: usize = 256;
 /// Minimum number of blocks per piece. Chosen: the minimum over a piece's distances then takes a
 /// tenth of the time of computing them. Raised, more is compared twice.
-const LEAST_PIECE_BLOCKS: usize = 8;
+const MIN_PIECE_BLOCKS: usize = 8;
 
 /// Returns the number of blocks per piece for `blocks` in all.
 pub fn piece_blocks(blocks: usize) -> usize {
-    blocks.div_ceil(PIECES).max(LEAST_PIECE_BLOCKS)
+    blocks.div_ceil(PIECES).max(MIN_PIECE_BLOCKS)
 }
 
 /// The minimum distances of a query.

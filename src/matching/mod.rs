@@ -101,9 +101,9 @@ pub struct MatchBuffers {
 /// Maximum Hamming distance of a match: random pairs are around 128 +- 8, so this is six sigma
 /// below. Raised, random matches pass the ratio test more often; lowered, matches under blur and
 /// steep angles are lost.
-const LARGEST_DISTANCE: u32 = 80;
+const MAX_DISTANCE: u32 = 80;
 /// Maximum distance considered for rivals; farther ones count as this far. It changes no decision:
-/// at [`LARGEST_DISTANCE`] the ratio is then 0.85. Raised, more entries must be checked one by one;
+/// at [`MAX_DISTANCE`] the ratio is then 0.85. Raised, more entries must be checked one by one;
 /// lowered, weak matches pass the ratio test.
 const FARTHEST_RIVAL: u32 = 95;
 
@@ -179,7 +179,7 @@ impl ReferenceIndex {
     fn nearest(half: &Half, queries: &[Descriptor; QUERIES], ratio: f32) -> [Option<NearestEntry>; QUERIES] {
         let neighbours = Neighbours::of(queries, &half.blocks, half.entries.len());
         std::array::from_fn(|n| {
-            let (distance, nearest) = neighbours.nearest(n).filter(|(distance, _)| *distance <= LARGEST_DISTANCE)?;
+            let (distance, nearest) = neighbours.nearest(n).filter(|(distance, _)| *distance <= MAX_DISTANCE)?;
             // Adding one to both makes two exact copies rivals (0 / 0).
             let ratio_to = |rival: u32| (distance + 1) as f32 / (rival + 1) as f32;
             let is_elsewhere = |k: usize| !half.places[nearest].is_same(&half.places[k]);

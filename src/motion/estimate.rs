@@ -29,7 +29,7 @@ const FADES_IN_S: f64 = 0.1;
 /// Minimum fraction of a predicted variance that a frame must remove for its innovation to count.
 /// Chosen. Raised, bodies that show little are not learnt from; lowered to 0, values that are small
 /// due to rounding or the picture's curvature count as motion.
-const LEAST_GAIN: f64 = 0.2;
+const MIN_GAIN: f64 = 0.2;
 
 /// A motion and its uncertainty.
 #[derive(Debug, Clone, Copy)]
@@ -78,7 +78,7 @@ impl MotionEstimate {
             let change = whiten * error.fixed_rows::<3>(first);
             let gain = Matrix3::identity() - whiten * block(&found.covariance) * whiten.transpose();
             let axes = gain.symmetric_eigen();
-            let told = axes.eigenvalues.iter().zip(axes.eigenvectors.column_iter()).filter(|(gain, _)| **gain >= LEAST_GAIN);
+            let told = axes.eigenvalues.iter().zip(axes.eigenvectors.column_iter()).filter(|(gain, _)| **gain >= MIN_GAIN);
             let (sum, freedom) = told.fold((0.0, 0), |(sum, n), (gain, axis)| (sum + axis.dot(&change).powi(2) / gain, n + 1));
             (freedom > 0).then(|| Innovation { squared: sum / freedom as f64, freedom })
         })

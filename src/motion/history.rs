@@ -20,10 +20,10 @@ pub struct MotionHistory<To, From> {
 /// Maximum time between measurements for a velocity, seconds, unless they normally are farther
 /// apart. Chosen: three frames at 30 per second. Raised, a body coasts with an outdated velocity;
 /// lowered, a dropped frame makes it stand still.
-const LONGEST_STEP_S: f64 = 0.1;
+const MAX_STEP_S: f64 = 0.1;
 /// Absolute maximum of that time, seconds: the longest gap between frames that still counts as an
 /// interval (`frame_interval`). Raised, pauses yield velocities.
-const LONGEST_INTERVAL_S: f64 = 0.5;
+const MAX_INTERVAL_S: f64 = 0.5;
 /// Time constant with which the velocity fades without measurements, seconds: a camera that
 /// vanished is more likely to stop than to go on. As long as bodies coast by default. Raised,
 /// coasting overshoots stops more; lowered, it lags behind continued motion.
@@ -41,7 +41,7 @@ impl<To, From> MotionHistory<To, From> {
         let mut motion = Motion::still(*pose);
         if let Some((then, before)) = &self.last {
             let dt = timestamp.seconds_since(*then);
-            let longest = LONGEST_STEP_S.max(1.5 * self.step_s).min(LONGEST_INTERVAL_S);
+            let longest = MAX_STEP_S.max(1.5 * self.step_s).min(MAX_INTERVAL_S);
             self.step_s = dt;
             if dt > 1e-4 && dt <= longest {
                 motion = Motion::between(&before.pose, pose, dt);

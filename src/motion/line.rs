@@ -12,10 +12,10 @@ use super::state::{Motion, MotionError, MotionMatrix};
 use crate::geometry::{Body, Camera, Pose};
 
 /// Maximum number of poses in the fit. Raised, a slowly changing velocity counts as a jump.
-const MOST_POSES: f64 = 6.0;
+const MAX_POSES: f64 = 6.0;
 /// Minimum number of poses for a reliable line: two always define one. Lowered to 2, a shaken
 /// camera leaves it in every frame.
-const LEAST_POSES: f64 = 3.0;
+const MIN_POSES: f64 = 3.0;
 /// Acceleration that still counts as uniform motion, one sigma, as a fraction of the prior of an
 /// unobserved motion. At 0.1 it absorbs jumps; at 0.01 a quickening pan counts as a jump.
 const EVEN: f64 = 0.03;
@@ -65,12 +65,12 @@ impl UniformMotion {
             self.motion = Motion::between(&self.last, pose, dt_s);
             self.poses = 2.0;
         } else {
-            self.poses = (n + 1.0).min(MOST_POSES);
+            self.poses = (n + 1.0).min(MAX_POSES);
             self.motion = expected.corrected(&correction(self.poses, &off, dt_s));
         }
         self.last = *pose;
         let covariance = line_covariance(n, covariance, dt_s, distance_m);
-        (n >= LEAST_POSES).then_some(Continuation { expected: MotionEstimate { motion: expected, covariance }, has_left })
+        (n >= MIN_POSES).then_some(Continuation { expected: MotionEstimate { motion: expected, covariance }, has_left })
     }
 }
 

@@ -20,7 +20,7 @@ const GRID: [u32; 2] = [11, 9];
 /// Minimum number of visible points for a view to be advised: a third of a surface. Raised, views
 /// from near and from the side are not advised; lowered, views are advised that the tracker may not
 /// find.
-const FEWEST_POINTS: usize = 30;
+const MIN_POINTS: usize = 30;
 /// Minimum depth of a visible point, metres: no stage is nearer, and the projection degenerates.
 /// Any small length would do.
 const NEAREST_M: f64 = 0.05;
@@ -41,7 +41,7 @@ impl ObservationModel<'_> {
         // The stage's body frame is the stage frame.
         let seen: Pose<Camera, Body> = pose.inverse().renamed();
         let observations = self.observations(&seen);
-        if observations.len() < FEWEST_POINTS {
+        if observations.len() < MIN_POINTS {
             return None;
         }
         let still = MovingCamera::still(self.camera);

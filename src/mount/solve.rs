@@ -69,7 +69,7 @@ pub enum Unsolvable {
 /// Minimum rotation about a second axis, degrees (RMS over all pairs of views), for separate boards
 /// to determine the shift along the first one. Lowered, the noise of the poses passes for rotation;
 /// raised, careful sets of small rotations are refused.
-const LEAST_ACROSS_DEG: f64 = 3.0;
+const MIN_ACROSS_DEG: f64 = 3.0;
 /// Squared distance of six degrees of freedom that a good pair exceeds once in 10^5 (chi-squared);
 /// above it a pair is rejected. Raised, wrong pairs pull the mount; lowered, good ones are lost.
 const OUTLIER: f64 = 33.1;
@@ -127,14 +127,14 @@ fn turns_suffice(pairs: &[ViewPair]) -> Result<(), Unsolvable> {
     let turn = |a: &ViewPair, b: &ViewPair| (a.tracking.pose.rotation.inverse() * b.tracking.pose.rotation).scaled_axis();
     let turns: Vec<Vector3<f64>> = pairs.iter().enumerate().flat_map(|(k, a)| pairs[k + 1..].iter().map(move |b| turn(a, b))).collect();
     let largest = turns.iter().map(Vector3::norm).fold(0.0, f64::max).to_degrees();
-    if largest < LEAST_ACROSS_DEG {
+    if largest < MIN_ACROSS_DEG {
         return Err(Unsolvable::NotTurned { turned_deg: largest });
     }
     let scatter: Matrix3<f64> = turns.iter().map(|v| v * v.transpose()).sum::<Matrix3<f64>>() / turns.len() as f64;
     let eigen = scatter.symmetric_eigen();
     let main = eigen.eigenvalues.imax();
     let across = (eigen.eigenvalues.sum() - eigen.eigenvalues[main]).max(0.0).sqrt().to_degrees();
-    if across < LEAST_ACROSS_DEG {
+    if across < MIN_ACROSS_DEG {
         return Err(Unsolvable::OneAxis { axis: eigen.eigenvectors.column(main).into_owned(), across_deg: across });
     }
     Ok(())

@@ -9,7 +9,7 @@ use crate::geometry::{Camera, FilmingCamera, Pose, Stage, quaternion};
 /// Maximum number of triples of views tried for separate stages: all triples of twelve views. With
 /// more views as many, evenly spread, so that no view is in most of them. Raised, the start takes
 /// longer; lowered, fewer triples are free of wrong views.
-const MOST_TRIPLES: usize = 220;
+const MAX_TRIPLES: usize = 220;
 
 /// Returns the candidate with the smallest sum of distances (not squared, so that one wrong view
 /// cannot spoil it).
@@ -32,7 +32,7 @@ fn triples(pairs: &[ViewPair]) -> Vec<[ViewPair; 3]> {
     let n = pairs.len();
     let count = n * n.saturating_sub(1) * n.saturating_sub(2) / 6;
     let all = (0..n).flat_map(|i| (i + 1..n).flat_map(move |j| (j + 1..n).map(move |k| [pairs[i], pairs[j], pairs[k]])));
-    all.step_by(count.div_ceil(MOST_TRIPLES).max(1)).collect()
+    all.step_by(count.div_ceil(MAX_TRIPLES).max(1)).collect()
 }
 
 /// Solves the hand-eye problem: the tracking camera's motions are the filming camera's, seen
@@ -87,7 +87,7 @@ mod tests {
             let triples = triples(&pairs);
             let with = |k: usize| triples.iter().filter(|t| t.iter().any(|p| p.tracking.pose.translation.x == k as f64)).count();
             let most = (0..n).map(with).max().unwrap();
-            assert!(!triples.is_empty() && triples.len() <= MOST_TRIPLES);
+            assert!(!triples.is_empty() && triples.len() <= MAX_TRIPLES);
             assert!(n == 3 || 2 * most <= triples.len(), "{n}: one view is in {most} of {}", triples.len());
         }
     }

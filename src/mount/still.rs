@@ -13,7 +13,7 @@ use super::views::{View, mean};
 /// Minimum number of rows in a standstill, in clips that have standstills: fewer are a slow moment
 /// of a movement. Chosen, not tuned. Raised, short halts are skipped; lowered, clips are cut at
 /// false standstills and do not pair.
-const LEAST_ROWS: usize = 5;
+const MIN_ROWS: usize = 5;
 /// Maximum motion between rows that counts as standing still: in sigmas, plus metres and radians,
 /// since covariances do not include all the drift of a still pose. Chosen, not tuned. Raised, slow
 /// movements are merged into one view; lowered, a standstill falls into pieces.
@@ -60,15 +60,15 @@ fn together(a: &[Option<View>], b: &[Option<View>]) -> Vec<StillPair> {
     // separate.
     let both_still = |k: usize| (a[k].is_some() || b[k].is_some()) && is_still(&a[k - 1], &a[k]) && is_still(&b[k - 1], &b[k]);
     let runs = cut(a.len(), both_still);
-    let has_standstills = runs.iter().any(|run| run.len() >= LEAST_ROWS);
-    let kept = runs.into_iter().filter(|run| !has_standstills || run.len() >= LEAST_ROWS);
+    let has_standstills = runs.iter().any(|run| run.len() >= MIN_ROWS);
+    let kept = runs.into_iter().filter(|run| !has_standstills || run.len() >= MIN_ROWS);
     kept.map(|run| StillPair { rows: [run.start; 2], views: [merged(&a[run.clone()]), merged(&b[run])] }).collect()
 }
 
 /// Returns the runs of rows in which the camera stood still and was found.
 fn standstills(rows: &[Option<View>]) -> Vec<std::ops::Range<usize>> {
     let runs = cut(rows.len(), |k| is_still(&rows[k - 1], &rows[k]));
-    runs.into_iter().filter(|run| run.len() >= LEAST_ROWS && rows[run.start].is_some()).collect()
+    runs.into_iter().filter(|run| run.len() >= MIN_ROWS && rows[run.start].is_some()).collect()
 }
 
 /// Cuts the rows into runs, in which each row is joined to the one before.

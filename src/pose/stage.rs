@@ -112,8 +112,8 @@ impl PoseStage {
 /// blurred is still followed from frame to frame. Raised, such poses are reported: of poses with a
 /// stated sigma of 0.15-0.2 degrees, one in seven is wrong, of those up to 0.3, one in four.
 /// Lowered, small objects are reported in fewer frames.
-const LARGEST_TURN: f64 = 0.15 * std::f64::consts::PI / 180.0;
-const LARGEST_SHIFT: f64 = 0.01;
+const MAX_TURN: f64 = 0.15 * std::f64::consts::PI / 180.0;
+const MAX_SHIFT: f64 = 0.01;
 
 /// An object is not tracked while the stage is not, because its stage pose needs the camera's; nor
 /// while noise leaves its pose uncertain.
@@ -146,7 +146,7 @@ fn object_estimate(
     let distance_m = object.verified.as_ref().map_or(0.0, |v| v.pose.translation.norm());
     let is_open = measured.is_some_and(|m: Measured<Body>| {
         let sigma = |first: usize| m.noise.fixed_view::<3, 3>(first, first).trace().sqrt();
-        sigma(0) > LARGEST_SHIFT * distance_m || sigma(3) > LARGEST_TURN
+        sigma(0) > MAX_SHIFT * distance_m || sigma(3) > MAX_TURN
     });
     // Lost at once, not coasting: how long this will last is unknown.
     if is_open && state == State::Tracking {

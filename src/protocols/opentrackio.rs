@@ -14,7 +14,7 @@ pub const HEADER: usize = 16;
 /// for UDP.
 pub const ONE_FRAME: usize = 1472;
 /// Maximum bytes of a payload: OpenTrackIO's length field has 15 bits.
-const LONGEST_PAYLOAD: usize = 0x7FFF;
+const MAX_PAYLOAD: usize = 0x7FFF;
 
 /// Encoding of a payload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -80,7 +80,7 @@ fn fletcher_16(pieces: &[&[u8]]) -> u16 {
 
 /// Returns the datagram of a payload; `None` if it is too long for a datagram.
 pub fn datagram(encoding: Encoding, sequence: u16, payload: &[u8]) -> Option<Vec<u8>> {
-    let length = u16::try_from(payload.len()).ok().filter(|_| payload.len() <= LONGEST_PAYLOAD)?;
+    let length = u16::try_from(payload.len()).ok().filter(|_| payload.len() <= MAX_PAYLOAD)?;
     let mut bytes = Vec::with_capacity(HEADER + payload.len());
     bytes.extend_from_slice(b"OTrk");
     bytes.extend_from_slice(&[0, encoding.code()]);

@@ -17,7 +17,7 @@ const DATA: u16 = 0x6755;
 const INFO: u16 = 0x6756;
 /// Maximum bytes of one packet that crosses an Ethernet in one piece (1500, less 20 for IPv4 and 8
 /// for UDP); the standard's own limit is 1500.
-pub const LONGEST_PACKET: usize = 1472;
+pub const MAX_PACKET: usize = 1472;
 
 /// The header of both kinds of packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -90,10 +90,10 @@ pub fn from_psn(position_m: [f32; 3], orientation_rad: [f32; 3]) -> Pose<Stage, 
 }
 
 /// Maximum bytes in a chunk: PosiStageNet's length field has 15 bits.
-const LONGEST_CHUNK: usize = 0x7FFF;
+const MAX_CHUNK: usize = 0x7FFF;
 
 fn chunk(id: u16, holds_chunks: bool, content: &[u8]) -> Vec<u8> {
-    let header = u32::from(id) | ((content.len() & LONGEST_CHUNK) as u32) << 16 | u32::from(holds_chunks) << 31;
+    let header = u32::from(id) | ((content.len() & MAX_CHUNK) as u32) << 16 | u32::from(holds_chunks) << 31;
     [&header.to_le_bytes()[..], content].concat()
 }
 
@@ -141,7 +141,7 @@ impl PsnPacket {
             }
         };
         // The outermost chunk is the longest.
-        if content.len() > LONGEST_CHUNK { Err(PsnError::TooLong) } else { Ok(chunk(kind, true, &content)) }
+        if content.len() > MAX_CHUNK { Err(PsnError::TooLong) } else { Ok(chunk(kind, true, &content)) }
     }
 
     /// Decodes the bytes of a packet; ignores unknown chunks.

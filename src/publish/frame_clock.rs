@@ -16,7 +16,7 @@ use crate::frame::Timestamp;
 /// Minimum change of the difference between boot and monotonic clock, nanoseconds, that counts as a
 /// suspend; less is scatter of the readings. Chosen: 50 times [`ONE_INSTANT_NS`], and no machine
 /// wakes so soon. Raised, short suspends are missed, and later frames appear older by them.
-const SHORTEST_SUSPEND_NS: i64 = 5_000_000;
+const MIN_SUSPEND_NS: i64 = 5_000_000;
 /// Number of suspends remembered; frames are far too old before one is forgotten. Chosen, not
 /// tuned. Raised, it only takes memory; lowered to one, frames from before the last suspend appear
 /// younger.
@@ -34,7 +34,7 @@ impl Suspends {
         let ahead_ns = now.boot.ns_since(now.monotonic);
         match self.0.back_mut() {
             None => self.0.push_back((Timestamp::MIN, ahead_ns)),
-            Some((_, known)) if ahead_ns > known.saturating_add(SHORTEST_SUSPEND_NS) => self.0.push_back((now.monotonic, ahead_ns)),
+            Some((_, known)) if ahead_ns > known.saturating_add(MIN_SUSPEND_NS) => self.0.push_back((now.monotonic, ahead_ns)),
             // The next reading corrects one that was interrupted after all. Smaller differences are
             // scatter of the readings: following them would shift stamps against each other.
             Some((_, known)) if ahead_ns < known.saturating_sub(ONE_INSTANT_NS) => *known = ahead_ns,
@@ -67,9 +67,9 @@ struct Memory {
 }
 
 /// How far a live stamp may lie in the future, nanoseconds. It may lead by half of the configured
-/// exposure and readout, at most 1 s (`Shutter::LONGEST_S`); more means another clock. Raised,
+/// exposure and readout, at most 1 s (`Shutter::MAX_S`); more means another clock. Raised,
 /// stamps of a wrong clock are accepted.
-const MOST_AHEAD_NS: i64 = 1_000_000_000;
+const MAX_AHEAD_NS: i64 = 1_000_000_000;
 
 impl FrameClock {
     /// Creates a clock on this machine's clocks.
@@ -105,7 +105,7 @@ impl FrameClock {
         let now = self.now();
         let mut memory = self.memory();
         let offset_ns = match &self.stamps {
-            Stamps::Live if stamp.ns_since(now.monotonic) > MOST_AHEAD_NS => return None,
+            Stamps::Live if stamp.ns_since(now.monotonic) > MAX_AHEAD_NS => return None,
             Stamps::Live => 0,
             Stamps::Recorded(start) => {
                 let at_first = now.monotonic.before(work).ns_since(stamp);

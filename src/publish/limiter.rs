@@ -30,7 +30,7 @@ pub(super) enum Verdict {
 /// Maximum time between frames that is not a gap, even if none was reported (chosen: several frames
 /// of the slowest cameras). Raised, a pose after such a pause is not blended; lowered below the
 /// frame interval, the blended output stands still.
-const LONGEST_STEP: Duration = Duration::from_millis(500);
+const MAX_STEP: Duration = Duration::from_millis(500);
 
 /// Maximum coordinate of a plausible pose, metres. A round figure: it fits 32-bit floats in any
 /// receiver's unit.
@@ -84,7 +84,7 @@ impl Limiter {
         let Some((then, sent)) = self.sent else { return Verdict::Pass(*pose) };
         let elapsed_s = at.seconds_since(then).max(0.0);
         if let Some(rates) = self.limits.blend {
-            let is_long = elapsed_s > LONGEST_STEP.as_secs_f64();
+            let is_long = elapsed_s > MAX_STEP.as_secs_f64();
             // The first pose after a gap is the last one sent. A short gap during the return does
             // not restart it: with a pose only in every other frame the output would never move.
             if is_long || self.has_gap && !self.is_blending {

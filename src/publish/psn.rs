@@ -7,14 +7,14 @@ use std::time::Duration;
 use super::encoder::Encoder;
 use super::report::{BodyReport, Report};
 use crate::frame::Timestamp;
-use crate::protocols::psn::{LONGEST_PACKET, PsnHeader, PsnPacket, PsnTracker, to_psn};
+use crate::protocols::psn::{MAX_PACKET, PsnHeader, PsnPacket, PsnTracker, to_psn};
 
 /// Maximum bytes of trackers in one data packet, counting 60 for each, which takes at most 56; with
-/// the headers it stays below [`LONGEST_PACKET`]. Raised beyond that, packets are fragmented.
-const MOST_TRACKER_BYTES: usize = 1400;
+/// the headers it stays below [`MAX_PACKET`]. Raised beyond that, packets are fragmented.
+const MAX_TRACKER_BYTES: usize = 1400;
 /// Maximum length of a name, bytes: a desk shows fewer letters, and a packet must have room for
 /// one.
-const LONGEST_NAME: usize = 255;
+const MAX_NAME: usize = 255;
 /// Interval between info packets with names (chosen: far slower than poses). Raised, a desk shows
 /// names later.
 const INFO_EVERY: Duration = Duration::from_secs(1);
@@ -30,7 +30,7 @@ pub struct PsnSettings {
 
 /// Cuts a name to the maximum length, at a character boundary.
 fn cut(name: &str) -> &str {
-    let end = (0..=LONGEST_NAME.min(name.len())).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
+    let end = (0..=MAX_NAME.min(name.len())).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
     &name[..end]
 }
 
@@ -95,7 +95,7 @@ impl Encoder for PsnEncoder {
         let trackers: Vec<PsnTracker> =
             report.bodies.iter().zip(self.settings.first_tracker..).map(|(body, id)| self.tracker(report, body, id)).collect();
         // A tracker takes 4 bytes of chunk header and at most 52 of fields.
-        let groups: Vec<&[PsnTracker]> = trackers.chunks(MOST_TRACKER_BYTES / 60).collect();
+        let groups: Vec<&[PsnTracker]> = trackers.chunks(MAX_TRACKER_BYTES / 60).collect();
         let timestamp_us = self.since_start_us(report.sent_monotonic);
         // A frame has only a few packets, since a config names few objects.
         let header = PsnHeader { timestamp_us, frame_id: self.frame_id, packets: groups.len().min(255) as u8 };
@@ -112,7 +112,7 @@ impl Encoder for PsnEncoder {
         self.info_due = now.after(INFO_EVERY);
         // Chunk headers of 4 bytes each: the packet, the header, the system and the list; the
         // header has 12 bytes of content.
-        let groups = groups(&self.names, LONGEST_PACKET - 4 - 4 - 12 - 4 - self.settings.system.len() - 4);
+        let groups = groups(&self.names, MAX_PACKET - 4 - 4 - 12 - 4 - self.settings.system.len() - 4);
         let packets = groups.len().min(255) as u8;
         let header = PsnHeader { timestamp_us: self.since_start_us(now), frame_id: self.frame_id, packets };
         for group in groups {

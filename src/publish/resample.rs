@@ -17,15 +17,15 @@ use crate::record::State;
 /// Minimum number of samples kept, for estimating the motion, and the maximum: a delay of half a
 /// second at far more frames per second than cameras have. Chosen, not tuned. Raising the first
 /// only takes memory; lowering the second leaves fast sources too few for the delay.
-const FEWEST_KEPT: usize = 8;
-const MOST_KEPT: usize = 2048;
+const MIN_KEPT: usize = 8;
+const MAX_KEPT: usize = 2048;
 /// Maximum distance of samples for interpolation: this, or 2.5 frame intervals if longer (chosen:
 /// in a quarter of a second a camera may stop and turn back). Raised, poses are made up across
 /// longer gaps.
-const LONGEST_GAP: Duration = Duration::from_millis(250);
+const MAX_GAP: Duration = Duration::from_millis(250);
 /// Maximum extrapolation: this, or 1.5 frame intervals if longer. Chosen, not tuned: the error
 /// grows with the square of the time. Raised, the last motion continues longer after a loss.
-const LONGEST_REACH: Duration = Duration::from_millis(100);
+const MAX_REACH: Duration = Duration::from_millis(100);
 /// Tolerance on the frame interval for scatter of the stamps (chosen: more than drivers' stamps
 /// scatter, little compared with an interval). Lowered, ticks flicker between tracking and
 /// coasting.
@@ -65,7 +65,7 @@ pub(super) struct Resampler {
 impl Resampler {
     /// Creates a resampler for ticks that ask for poses at most `delay` old.
     pub fn new(delay: Duration) -> Self {
-        Self { moments: VecDeque::new(), kept: delay.saturating_add(LONGEST_GAP) }
+        Self { moments: VecDeque::new(), kept: delay.saturating_add(MAX_GAP) }
     }
 
     /// Adds what a sample stated; ignores stamps that do not increase.
@@ -74,7 +74,7 @@ impl Resampler {
             return;
         }
         self.moments.push_back(Moment { at, state: known.state, pose: known.pose });
-        let is_over = |first: &Moment, kept: usize| kept > MOST_KEPT || kept > FEWEST_KEPT && at.duration_since(first.at) > self.kept;
+        let is_over = |first: &Moment, kept: usize| kept > MAX_KEPT || kept > MIN_KEPT && at.duration_since(first.at) > self.kept;
         while self.moments.front().is_some_and(|first| is_over(first, self.moments.len())) {
             self.moments.pop_front();
         }
@@ -93,7 +93,7 @@ impl Resampler {
         let later = self.moments.get(after);
         if let Some(Moment { at: next_at, state, pose: Some(next) }) = later {
             let step = next_at.duration_since(before.at);
-            if step <= longest(LONGEST_GAP, interval, 5) {
+            if step <= longest(MAX_GAP, interval, 5) {
                 // A longer step contains lost frames.
                 let is_whole = step <= longest(Duration::ZERO, interval, 3);
                 let is_measured = before.state == State::Tracking && *state == State::Tracking;
@@ -102,7 +102,7 @@ impl Resampler {
             }
         }
         let beyond = at.duration_since(before.at);
-        if beyond > longest(LONGEST_REACH, interval, 3) {
+        if beyond > longest(MAX_REACH, interval, 3) {
             return Known::nothing(State::Lost);
         }
         let is_near = later.is_none() && before.state == State::Tracking && beyond <= interval.saturating_add(JITTER);
@@ -117,7 +117,7 @@ impl Resampler {
         let Some(last) = self.moments.get(index) else { return *pose };
         for earlier in self.moments.range(..index).rev() {
             let step = last.at.duration_since(earlier.at);
-            let Some(before) = earlier.pose.filter(|_| step <= longest(LONGEST_GAP, interval, 5)) else { break };
+            let Some(before) = earlier.pose.filter(|_| step <= longest(MAX_GAP, interval, 5)) else { break };
             if earlier.state == last.state && step >= interval / 2 {
                 return between((earlier.at, &before), (last.at, pose), at);
             }

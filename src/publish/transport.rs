@@ -202,10 +202,10 @@ struct Client {
 
 /// Maximum backlog of a client, bytes, before it is disconnected (chosen: some seconds of lines).
 /// Raised, a slow client gets older poses and takes more memory.
-const MOST_WAITING: usize = 256 * 1024;
+const MAX_WAITING: usize = 256 * 1024;
 /// Maximum number of clients; further ones are turned away. A round figure above what a stage has.
 /// Raised, more file descriptors and memory may be used.
-const MOST_CLIENTS: usize = 64;
+const MAX_CLIENTS: usize = 64;
 
 impl TcpClients {
     fn listen(name: &str, address: SocketAddr) -> Result<Self, TransportError> {
@@ -221,10 +221,10 @@ impl TcpClients {
     fn accept(&mut self) {
         while let Ok((stream, peer)) = self.listener.accept() {
             let is_set = stream.set_nonblocking(true).is_ok() && stream.set_nodelay(true).is_ok();
-            if is_set && self.clients.len() < MOST_CLIENTS {
+            if is_set && self.clients.len() < MAX_CLIENTS {
                 self.clients.push(Client { stream, peer, waiting: Vec::new() });
             } else {
-                self.complaints.say(|| format!("{peer} is turned away; {MOST_CLIENTS} clients are connected"));
+                self.complaints.say(|| format!("{peer} is turned away; {MAX_CLIENTS} clients are connected"));
             }
         }
     }
@@ -246,7 +246,7 @@ impl TcpClients {
 
 impl Client {
     fn send(&mut self, packet: &[u8]) -> Result<(), String> {
-        if self.waiting.len() + packet.len() > MOST_WAITING {
+        if self.waiting.len() + packet.len() > MAX_WAITING {
             return Err(format!("it is {} kB behind; it must read faster", self.waiting.len() / 1024));
         }
         self.waiting.extend_from_slice(packet);

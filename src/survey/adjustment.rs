@@ -18,7 +18,7 @@ use crate::track::{KnownRates, ObservedFrame, ObservedTile};
 /// Maximum number of fine rounds. Most surveys converge in six to nine; those with an unconfigured
 /// rolling shutter do not before their clips are tracked again. Raised, only surveys that never
 /// converge take longer.
-const MOST_ROUNDS: usize = 24;
+const MAX_ROUNDS: usize = 24;
 /// Number of rounds with features, which lead to the basin of the alignment if a lens or a layout
 /// is far off.
 const FEATURE_ROUNDS: usize = 5;
@@ -60,7 +60,7 @@ const HELD_OUT: u32 = 5;
 /// Minimum fraction of frames that must still support the model after a step; below it the step
 /// left the range in which the equations hold. Raised, people in front of the stage end a survey's
 /// progress; lowered, an uninformative walk ends in a model that matches no frame.
-const LEAST_KEPT_SHARE: f64 = 0.5;
+const MIN_KEPT_SHARE: f64 = 0.5;
 /// Factor by which such a step is shortened after it is undone; later steps grow by its inverse
 /// square root until they are whole again. Nearer to 1, more rounds are lost; nearer to 0, good
 /// steps are.
@@ -79,7 +79,7 @@ const KNOWN_READOUT_SIGMA_S: f64 = 1e-6;
 /// configured. Chosen, not tuned: three for each lens parameter. Raised, short walks do not find
 /// it; lowered, an uninformative one (a postcard in the hand, ten keyframes) finds -15 ms, and a
 /// lens to match.
-const LEAST_WITH_RATES: usize = 24;
+const MIN_WITH_RATES: usize = 24;
 /// Factor on the covariances of independent tiles: neighbouring keyframes see the same tiles with
 /// the same errors. (research/mapping.md, section 6.)
 const INFLATION: f64 = 1.5;
@@ -143,7 +143,7 @@ pub struct Adjusted {
 impl<'a> Adjustment<'a> {
     /// Creates an adjustment of keyframes; `lens_sigmas` is the prior of the lens parameters.
     pub fn new(observers: Observers<'a>, lens_sigmas: [f64; LENS_NUMBERS], constraints: Vec<Constraint>) -> Self {
-        let tells_readout = observers.with_rates() >= LEAST_WITH_RATES;
+        let tells_readout = observers.with_rates() >= MIN_WITH_RATES;
         Self {
             observers,
             lens_sigmas,
@@ -222,11 +222,11 @@ impl<'a> Adjustment<'a> {
     /// Aligns on grey values until the model converges.
     fn settle(&mut self, mut model: StageModel, mut progress: impl FnMut(usize)) -> Option<Adjusted> {
         let mut before_px = f64::INFINITY;
-        for round in 0..MOST_ROUNDS {
+        for round in 0..MAX_ROUNDS {
             progress(FEATURE_ROUNDS + ANCHOR_ROUNDS + round);
             let frames = self.observers.tiles(&model)?;
             let rows = self.rows(&model, &frames);
-            if let Some(nearer) = self.taken_back(rows.len()).filter(|_| round + 1 < MOST_ROUNDS) {
+            if let Some(nearer) = self.taken_back(rows.len()).filter(|_| round + 1 < MAX_ROUNDS) {
                 model = nearer;
                 continue;
             }
@@ -242,7 +242,7 @@ impl<'a> Adjustment<'a> {
             tracing::debug!(round, frames = rows.len(), unknowns = step.len(), ?scales, left_px, step_px, readout_s = model.readout_s(), curvatures = ?self.smoothness.curvatures, is_stretched = self.smoothness.is_stretched, "fine");
             let is_at_rest = round > CHOOSING_ROUNDS[1] && is_rest(step_px, before_px);
             before_px = step_px;
-            if is_at_rest || round + 1 == MOST_ROUNDS {
+            if is_at_rest || round + 1 == MAX_ROUNDS {
                 let (has_settled, rms_px) = (step_px < SMALL_STEP_PX, left_px);
                 let start_rms_px = self.at_start.iter().flatten().next().map(|_| self::rms_px(&self.at_start));
                 let start_error_m = start_error_m(&self.at_start, &frames);
@@ -285,7 +285,7 @@ impl<'a> Adjustment<'a> {
     /// Undoes the last step and takes a shorter one if too few frames support the result.
     fn taken_back(&mut self, frames: usize) -> Option<StageModel> {
         let last = self.last.as_mut()?;
-        if frames as f64 >= LEAST_KEPT_SHARE * last.frames as f64 {
+        if frames as f64 >= MIN_KEPT_SHARE * last.frames as f64 {
             return None;
         }
         self.observers.put_back(&last.motions);

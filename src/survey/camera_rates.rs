@@ -19,10 +19,10 @@ use crate::tracker::TrackerSetup;
 
 /// Maximum relative deviation of the time steps between five frames from their mean. Raised,
 /// dropped frames pass for even ones.
-const LARGEST_JITTER: f64 = 0.1;
+const MAX_JITTER: f64 = 0.1;
 /// Maximum time between two frames, seconds: a camera's motion is not uniform for longer. Raised,
 /// slow cameras yield wrong rates.
-const LONGEST_STEP_S: f64 = 0.05;
+const MAX_STEP_S: f64 = 0.05;
 /// Weights of the poses one and two frames away: in a first derivative with this sign after and the
 /// opposite before, in a second derivative with this sign on both sides. Source: Abramowitz and
 /// Stegun, *Handbook of Mathematical Functions*, table 25.2.
@@ -87,8 +87,8 @@ impl RecentPoses {
         self.poses.push((number, pose, stamp));
         let poses: &[_; 5] = self.poses.as_slice().try_into().ok()?;
         let dt_s = poses[4].2.seconds_since(poses[0].2) / 4.0;
-        let is_even = poses.windows(2).all(|pair| (pair[1].2.seconds_since(pair[0].2) / dt_s - 1.0).abs() < LARGEST_JITTER);
-        if !(is_even && dt_s > 0.0 && dt_s < LONGEST_STEP_S) {
+        let is_even = poses.windows(2).all(|pair| (pair[1].2.seconds_since(pair[0].2) / dt_s - 1.0).abs() < MAX_JITTER);
+        if !(is_even && dt_s > 0.0 && dt_s < MAX_STEP_S) {
             return None;
         }
         let (middle, from, _) = &poses[2];

@@ -8,21 +8,21 @@ use super::stage_model::bent;
 const POINTS: [usize; 2] = [24, 18];
 /// Maximum robust scale of the residuals to be good and to be usable: near 1 with the right model,
 /// larger with a wrong lens or shutter (research/mapping.md, section 6).
-const LARGEST_SCALE: [f64; 2] = [2.0, 5.0];
+const MAX_SCALE: [f64; 2] = [2.0, 5.0];
 /// Minimum fraction of keyframes that support the result, to be good and to be usable.
-const LEAST_USED: [f64; 2] = [0.8, 0.5];
+const MIN_USED: [f64; 2] = [0.8, 0.5];
 /// Maximum sigma of a surface's heights, as a fraction of its longer side: the first limit, for
 /// each of its parts, to be good; the second, for the median of the whole, to be usable.
-const LARGEST_HEIGHT_SIGMA: [f64; 2] = [1e-3, 5e-3];
+const MAX_HEIGHT_SIGMA: [f64; 2] = [1e-3, 5e-3];
 /// Maximum sigma of a surface's position, as the same fraction, to be good and to be usable: a
 /// surface that no frame shows stays where the config has it, and is reported.
-const LARGEST_PLACE_SIGMA: [f64; 2] = [2e-3, f64::INFINITY];
+const MAX_PLACE_SIGMA: [f64; 2] = [2e-3, f64::INFINITY];
 /// Maximum 3 sigma of a refined focal length, as a fraction, to be good and to be usable.
-const LARGEST_FOCAL: [f64; 2] = [2e-3, 1e-2];
+const MAX_FOCAL: [f64; 2] = [2e-3, 1e-2];
 /// Maximum 3 sigma of a refined lens at its least known place, in 640ths of the picture's width, to
 /// be good and to be usable: the limits of a calibration over most of the picture
 /// (`calibrate::judge`).
-const LARGEST_PIXEL: [f64; 2] = [2.0, 6.0];
+const MAX_PIXEL: [f64; 2] = [2.0, 6.0];
 
 /// The verdict, best first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -145,10 +145,10 @@ impl Survey {
         let mut findings: Vec<(Verdict, String)> = Vec::new();
         let mut below = |value, limits, good, bad: &dyn Fn() -> String| findings.push(graded(value, limits, good, bad));
         let used = self.used as f64 / self.keyframes.max(1) as f64;
-        below(-used, LEAST_USED.map(|share| -share), format!("{} of {} keyframes bear it out", self.used, self.keyframes), &|| {
+        below(-used, MIN_USED.map(|share| -share), format!("{} of {} keyframes bear it out", self.used, self.keyframes), &|| {
             format!("only {} of {} keyframes bear it out: is it this stage, and does its config fit?", self.used, self.keyframes)
         });
-        below(self.scale, LARGEST_SCALE, format!("what is left is noise ({:.3} px)", self.rms_px), &|| {
+        below(self.scale, MAX_SCALE, format!("what is left is noise ({:.3} px)", self.rms_px), &|| {
             format!(
                 "what is left ({:.3} px) is {:.1} times what noise leaves: the lens or the shutter is off, or the stage moved; try --lens refine, and \
                  check the shutter with `stagepose check --clip`",
@@ -184,11 +184,11 @@ impl Survey {
             if self.places.poses[k].is_some() && (support.is_little() || support.is_stray()) {
                 findings.push((Verdict::Usable, little(&surface.name, support, place_mm)));
             } else {
-                findings.push(graded(place_mm / side_mm, LARGEST_PLACE_SIGMA, String::new(), &|| {
+                findings.push(graded(place_mm / side_mm, MAX_PLACE_SIGMA, String::new(), &|| {
                     format!("where {} stands is known to {place_mm:.0} mm only: film it from nearer and from two sides", surface.name)
                 }));
             }
-            let [good, usable] = LARGEST_HEIGHT_SIGMA.map(|share| share * side_mm);
+            let [good, usable] = MAX_HEIGHT_SIGMA.map(|share| share * side_mm);
             // If one part was not filmed, the rest is still usable; if half of them were not, it is
             // not.
             let unknown_mm = if description.height_sigma_mm > usable { f64::INFINITY } else { worst_mm.min(usable) };
@@ -206,7 +206,7 @@ impl Survey {
     fn of_lens(&self) -> Vec<(Verdict, String)> {
         let (Some(doubt), Some(weakest)) = (self.camera.doubt(), self.weakest_pixel()) else { return Vec::new() };
         let share = doubt.uncertainty.focal_px[0] / self.camera.intrinsics().fx;
-        let focal = graded(share, LARGEST_FOCAL, format!("the focal length is known to {:.3} %", 100.0 * share), &|| {
+        let focal = graded(share, MAX_FOCAL, format!("the focal length is known to {:.3} %", 100.0 * share), &|| {
             format!(
                 "the focal length is known to {:.1} % only: film the stage aslant, from near and far, and with the camera turned on its side",
                 100.0 * share
@@ -214,7 +214,7 @@ impl Survey {
         });
         let (px, part) = (weakest.three_sigma_px, weakest.part);
         let of_640ths = px * 640.0 / f64::from(self.camera.width());
-        let picture = graded(of_640ths, LARGEST_PIXEL, format!("the lens is known to {px:.2} px all over its picture"), &|| {
+        let picture = graded(of_640ths, MAX_PIXEL, format!("the lens is known to {px:.2} px all over its picture"), &|| {
             format!(
                 "the lens is known to {px:.1} px only in the {part} of its picture: film so that the stage fills that part, and turn the camera on its side"
             )

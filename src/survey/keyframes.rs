@@ -12,7 +12,7 @@ use crate::track::KnownRates;
 /// accuracy depends on averaging its pixels' errors, and the whole stage depends on it: the
 /// positions of fifteen panels were 0.09 and 0.11 mm off with 67 keyframes (two noise
 /// realisations), and 0.05 with all 131. Raised, time and memory grow in proportion.
-const MOST_KEYFRAMES: usize = 160;
+const MAX_KEYFRAMES: usize = 160;
 /// Initial spacing of keyframes, as a fraction of the distance or in radians; doubled whenever
 /// there are too many. Raised, short walks have few of them; lowered, long ones hold more frames in
 /// memory meanwhile.
@@ -83,7 +83,7 @@ impl Keyframes {
         }
         self.last = Some(motion.pose);
         self.kept.extend(self.best.take().map(|(keyframe, _)| Keyframe { features: features(&keyframe.frame), ..keyframe }));
-        if self.kept.len() > MOST_KEYFRAMES {
+        if self.kept.len() > MAX_KEYFRAMES {
             let mut index = 0;
             self.kept.retain(|_| {
                 index += 1;
@@ -140,13 +140,13 @@ mod tests {
     fn of_a_long_walk_fewer_are_kept_from_its_beginning_to_its_end() {
         let frame = Frame { image: GrayImage::new(4, 3), timestamp: Default::default(), sequence: 0 };
         let mut keyframes = Keyframes::default();
-        let frames = 5 * MOST_KEYFRAMES;
+        let frames = 5 * MAX_KEYFRAMES;
         for number in 1..=frames {
             let motion = Motion::still(Pose::new(Default::default(), Vector3::new(0.1 * number as f64, 0.0, -3.0)));
             keyframes.offer((number, &frame), motion, 0.1, 3.0, |_| Vec::new());
         }
         let kept: Vec<usize> = keyframes.into_kept().iter().map(|k| k.number).collect();
-        assert!((MOST_KEYFRAMES / 2..=MOST_KEYFRAMES).contains(&kept.len()), "{}", kept.len());
+        assert!((MAX_KEYFRAMES / 2..=MAX_KEYFRAMES).contains(&kept.len()), "{}", kept.len());
         let widest = kept.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap();
         assert!(kept[0] == 1 && frames - kept[kept.len() - 1] < 16 && widest <= 16, "{kept:?}");
     }

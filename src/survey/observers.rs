@@ -13,7 +13,7 @@ use crate::motion::Motion;
 use crate::track::{BodySpec, KnownRates, ObservedFrame, ObservedTile, TileObserver};
 
 /// Minimum number of features in a frame: three times the four that a pose needs.
-const LEAST_FEATURES: usize = 12;
+const MIN_FEATURES: usize = 12;
 /// Number of keyframes that share one observer, which learns light and noise from one to the next.
 /// Fixed, so that the number of threads does not affect the result.
 const KEYFRAMES_AN_OBSERVER: usize = 30;
@@ -139,7 +139,7 @@ fn observed_features(keyframe: &mut Keyframe, model: &StageModel) -> Option<Obse
             Observation { point, pixel: f.pixel, information, delay_s: 0.0, group: 0 }
         })
         .collect();
-    if observations.len() < LEAST_FEATURES {
+    if observations.len() < MIN_FEATURES {
         return None;
     }
     let still = MovingCamera::still(&model.camera);

@@ -4,11 +4,11 @@
 use super::normal_equations::{FrameRows, TileRow};
 
 /// Minimum robust scale of the residuals: smaller ones come from tiles that share the same noise.
-const LEAST_SCALE: f64 = 0.4;
+const MIN_SCALE: f64 = 0.4;
 /// Minimum number of tiles for a surface to determine its own noise; with fewer, its scale is at
 /// least that of all surfaces. Raised, a good surface counts for less next to a bad one; lowered, a
 /// few tiles that agree by chance count for too much.
-const LEAST_ROWS: usize = 20;
+const MIN_ROWS: usize = 20;
 /// Number of pose parameters of a surface that its own tiles determine: three of position and three
 /// of rotation.
 const OF_A_PLACE: usize = 6;
@@ -23,7 +23,7 @@ const OF_A_PLACE: usize = 6;
 pub(super) fn robust_scales(frames: &[FrameRows], surfaces: usize) -> Option<Vec<f64>> {
     let mut squares = vec![Vec::new(); surfaces];
     tiles(frames).for_each(|(_, row)| squares[row.surface].push(row.squared_now()));
-    let all = Some(squares.concat()).filter(|all| all.len() >= LEAST_ROWS).and_then(scale)?;
+    let all = Some(squares.concat()).filter(|all| all.len() >= MIN_ROWS).and_then(scale)?;
     let own = squares.into_iter().enumerate().map(|(k, squares)| {
         let numbers = 2 * squares.len();
         // The first surface's pose defines the stage frame.
@@ -31,7 +31,7 @@ pub(super) fn robust_scales(frames: &[FrameRows], surfaces: usize) -> Option<Vec
         if remaining == 0 {
             return f64::INFINITY;
         }
-        let is_few = squares.len() < LEAST_ROWS;
+        let is_few = squares.len() < MIN_ROWS;
         let own = scale(squares).unwrap_or(all) * (numbers as f64 / remaining as f64).sqrt();
         if is_few { own.max(all) } else { own }
     });
@@ -41,7 +41,7 @@ pub(super) fn robust_scales(frames: &[FrameRows], surfaces: usize) -> Option<Vec
 fn scale(mut squares: Vec<f64>) -> Option<f64> {
     squares.sort_by(f64::total_cmp);
     let median = squares.get(squares.len() / 2)?;
-    Some((median / (2.0 * 2.0_f64.ln())).sqrt().max(LEAST_SCALE))
+    Some((median / (2.0 * 2.0_f64.ln())).sqrt().max(MIN_SCALE))
 }
 
 /// Returns all tiles with the index of their frame.
@@ -62,7 +62,7 @@ pub struct Support {
 
 /// Minimum number of keyframes, so that a single wrong one is outvoted. Raised, surfaces that few
 /// views show well are doubted.
-const LEAST_KEYFRAMES: usize = 3;
+const MIN_KEYFRAMES: usize = 3;
 /// Scatter above which a surface's tiles are doubted. Tiles of a surface that stands elsewhere
 /// match look-alikes, and scatter by 2.3 to 2.5 in a set of fifteen panels; correctly placed ones
 /// by at most 1.4. Raised, surfaces that were never found pass; lowered, good ones are reported.
@@ -71,7 +71,7 @@ const STRAY_SCATTER: f64 = 2.0;
 impl Support {
     /// Whether a few tiles of something else could have displaced the surface unnoticed.
     pub fn is_little(&self) -> bool {
-        self.tiles < LEAST_ROWS || self.keyframes < LEAST_KEYFRAMES
+        self.tiles < MIN_ROWS || self.keyframes < MIN_KEYFRAMES
     }
 
     /// Whether its tiles scatter so much more than the others' that they may show something else.

@@ -15,22 +15,22 @@ use crate::tracker::Tracker;
 
 /// Maximum number of frames used, from the clip's start: eight seconds at 30 per second. Raised,
 /// every pass takes longer for a sigma that only falls with the root.
-pub const MOST_FRAMES: usize = 240;
+pub const MAX_FRAMES: usize = 240;
 /// Maximum number of passes: the readout moves by up to a fifth of the frame interval in each, so
 /// five reach its bound. Raised, clips that do not converge take longer; lowered, fewer converge.
-const MOST_PASSES: usize = 12;
+const MAX_PASSES: usize = 12;
 /// Start: a global shutter and a typical exposure, seconds. From there the readout is found in
 /// either direction; a farther start takes more passes.
 const FIRST: Shutter = Shutter { readout_s: 0.0, exposure_s: 0.004 };
 /// Minimum exposure, seconds: a picture that moves by 1000 pixels per second smears by 0.3. Raised,
 /// short exposures are overestimated; lowered, an exposure without visible blur keeps shrinking
 /// pass after pass.
-const SHORTEST_EXPOSURE_S: f64 = 3e-4;
+const MIN_EXPOSURE_S: f64 = 3e-4;
 /// Maximum change per pass: of the readout as a fraction of the frame interval, of the exposure as
 /// a fraction of itself. The frames' answers are only valid for small changes. Raised, the estimate
 /// may oscillate; lowered, it takes more passes.
-const LARGEST_READOUT_STEP: f64 = 0.2;
-const LARGEST_EXPOSURE_STEP: f64 = 0.4;
+const MAX_READOUT_STEP: f64 = 0.2;
+const MAX_EXPOSURE_STEP: f64 = 0.4;
 /// Changes below which the estimate has converged: seconds of readout (or a tenth of its sigma),
 /// and fraction of the exposure. Raised, it ends farther from its limit; lowered, it may not end
 /// before the last pass.
@@ -39,7 +39,7 @@ const SMALL_EXPOSURE_STEP: f64 = 0.01;
 /// Minimum visible fraction of a readout change: velocities learnt from frames with a wrong readout
 /// hide part of the error. Lowered, one noisy pass may ask for a huge step; raised, each pass
 /// compensates less for what is hidden.
-const LEAST_SLOPE: f64 = 0.25;
+const MIN_SLOPE: f64 = 0.25;
 /// Sigma of a frame's own answer on the exposure, as a fraction of it, above which the frame is
 /// ignored. Raised, still frames count, which only show the model's errors; lowered, slow clips
 /// give no result.
@@ -90,7 +90,7 @@ impl Pass {
     fn over(clip: impl IntoIterator<Item = Frame>, matcher: &mut Matcher, shutter: Shutter) -> Self {
         matcher.ask_shutter(shutter);
         let mut pass = Self::default();
-        for frame in clip.into_iter().take(MOST_FRAMES) {
+        for frame in clip.into_iter().take(MAX_FRAMES) {
             pass.frames += 1;
             pass.first.get_or_insert(frame.timestamp);
             pass.last = frame.timestamp;
@@ -131,22 +131,22 @@ where
     let mut before: Option<(f64, f64)> = None;
     let mut slope = 1.0;
     let mut estimate = ShutterEstimate { readout: None, exposure: None, frames: 0, aligned: 0, has_settled: false };
-    for pass in 0..MOST_PASSES {
+    for pass in 0..MAX_PASSES {
         let found = Pass::over(open()?, &mut matcher, shutter);
         let interval_s = found.interval_s();
         let readout = agreed(&found.readout, VAGUE_READOUT_S);
         let exposure = agreed(&found.exposure, VAGUE_EXPOSURE);
         // The visible fraction of a change, from the answers at two shutters.
         if let (Some(r), Some((then_s, asked))) = (readout, before.filter(|(then_s, _)| (shutter.readout_s - then_s).abs() > 2e-4)) {
-            slope = ((asked - r.value) / (shutter.readout_s - then_s)).clamp(LEAST_SLOPE, 1.5);
+            slope = ((asked - r.value) / (shutter.readout_s - then_s)).clamp(MIN_SLOPE, 1.5);
         }
         before = readout.map(|r| (shutter.readout_s, r.value));
-        let most = LARGEST_READOUT_STEP * interval_s;
+        let most = MAX_READOUT_STEP * interval_s;
         let step_s = readout.map_or(0.0, |r| (r.value / slope).clamp(-most, most));
-        let step = exposure.map_or(0.0, |e| e.value.clamp(-LARGEST_EXPOSURE_STEP, LARGEST_EXPOSURE_STEP));
+        let step = exposure.map_or(0.0, |e| e.value.clamp(-MAX_EXPOSURE_STEP, MAX_EXPOSURE_STEP));
         tracing::debug!(pass, shutter.readout_s, shutter.exposure_s, ?readout, ?exposure, slope, aligned = found.aligned);
         shutter.readout_s = (shutter.readout_s + step_s).clamp(-interval_s, interval_s);
-        shutter.exposure_s = (shutter.exposure_s * (1.0 + step)).clamp(SHORTEST_EXPOSURE_S, interval_s.max(SHORTEST_EXPOSURE_S));
+        shutter.exposure_s = (shutter.exposure_s * (1.0 + step)).clamp(MIN_EXPOSURE_S, interval_s.max(MIN_EXPOSURE_S));
         estimate = ShutterEstimate {
             // At its bound it fits nothing: the rows disagree for another reason (a poor
             // calibration, a picture that bends).
@@ -246,7 +246,7 @@ mod tests {
 
     #[test]
     fn few_frames_that_know_are_not_enough() {
-        let mut clues = vec![clue(0.003, 1e-4); crate::track::agreement::LEAST_FRAMES - 1];
+        let mut clues = vec![clue(0.003, 1e-4); crate::track::agreement::MIN_FRAMES - 1];
         clues.extend(vec![clue(0.003, 0.1); 100]);
         assert_eq!(agreed(&clues, VAGUE_READOUT_S), None);
     }

@@ -21,7 +21,7 @@ use crate::tracker::TrackerSetup;
 
 /// Minimum number of keyframes. Raised, short walks are refused; lowered, shapes rest on a few
 /// views.
-const LEAST_KEYFRAMES: usize = 8;
+const MIN_KEYFRAMES: usize = 8;
 /// Prior of an unknown lens, one sigma: focal lengths (fraction), centre (fraction of the width),
 /// k1, k2, p1, p2.
 const UNKNOWN_LENS: [f64; 6] = [0.05, 0.03, 0.3, 0.3, 0.01, 0.01];
@@ -128,7 +128,7 @@ where
     let Walk { keyframes, lively, frames, found } = walk;
     match (found, keyframes.len()) {
         (0, _) => return Err(SurveyError::NotFound { frames }),
-        (_, n) if n < LEAST_KEYFRAMES => return Err(SurveyError::TooFewPlaces { found: n, least: LEAST_KEYFRAMES }),
+        (_, n) if n < MIN_KEYFRAMES => return Err(SurveyError::TooFewPlaces { found: n, least: MIN_KEYFRAMES }),
         _ => {}
     }
     let model =

@@ -27,7 +27,7 @@ const HEIGHT_INTERVALS: f64 = 26.0;
 const STRETCH_INTERVALS: f64 = 6.0;
 /// Maximum number of knots of all heights; if the surfaces would have more, their intervals are
 /// widened. Raised, the time grows with the cube.
-const MOST_KNOTS: usize = 900;
+const MAX_KNOTS: usize = 900;
 
 /// The current estimate of stage and lens.
 #[derive(Debug, Clone)]
@@ -102,7 +102,7 @@ impl StageModel {
         let mut spacing = longest / HEIGHT_INTERVALS;
         let knots = |spacing: f64| surfaces.iter().map(|s| intervals(s, spacing)).map(|[a, b]| (a + 3) * (b + 3)).sum::<usize>();
         // Each step widens them by a tenth, until nothing is left to widen.
-        while knots(spacing) > MOST_KNOTS && spacing < longest {
+        while knots(spacing) > MAX_KNOTS && spacing < longest {
             spacing *= 1.1;
         }
         let model = |surface: &SurfaceSpec| {

@@ -21,7 +21,7 @@ use crate::tracker::TrackerSetup;
 
 /// Maximum time between two poses that give a velocity, seconds. Raised, the velocity may span a
 /// turn; lowered, cameras with few frames per second give none.
-const LONGEST_GAP_S: f64 = 0.25;
+const MAX_GAP_S: f64 = 0.25;
 /// Number of consecutive frames tracked in vain before only features are used to find the camera.
 /// More than one, since a new pose may need confirmation by the next frame. Raised, stages that
 /// differ from their config take longer, 0.15 s for each such frame of fifteen surfaces; lowered to
@@ -283,7 +283,7 @@ impl StageFinder {
 fn motion_since(before: Option<(Pose<Body, Camera>, Timestamp)>, pose: Pose<Body, Camera>, stamp: Timestamp) -> Motion {
     before
         .map(|(then, at)| (then, stamp.seconds_since(at)))
-        .filter(|(_, dt_s)| *dt_s > 0.0 && *dt_s < LONGEST_GAP_S)
+        .filter(|(_, dt_s)| *dt_s > 0.0 && *dt_s < MAX_GAP_S)
         .map_or(Motion::still(pose), |(then, dt_s)| Motion::between(&then, &pose, dt_s))
 }
 

@@ -15,11 +15,11 @@ use super::stage_model::{StageModel, bent};
 use crate::track::{BentShape, ShapeWay, SurfaceShape, SurfaceSpec};
 
 /// Maximum number of ways kept. Raised, frames cost more; lowered, covariances are incomplete.
-const MOST_WAYS: usize = 24;
+const MAX_WAYS: usize = 24;
 /// Maximum number of frames whose poses are used, evenly spaced: six numbers each.
-const MOST_FRAMES: usize = 40;
+const MAX_FRAMES: usize = 40;
 /// Minimum effect of a way on any pose, metres and radians, for it to be kept.
-const SMALLEST_WAY: f64 = 1e-6;
+const MIN_WAY: f64 = 1e-6;
 
 /// Returns the surfaces of a model, each with its ways.
 pub fn with_ways(model: &StageModel, covariance: &DMatrix<f64>, equations: &NormalEquations) -> Vec<SurfaceSpec> {
@@ -37,7 +37,7 @@ pub fn with_ways(model: &StageModel, covariance: &DMatrix<f64>, equations: &Norm
 
 fn ways(model: &StageModel, covariance: &DMatrix<f64>, equations: &NormalEquations) -> Vec<DVector<f64>> {
     let frames = equations.frame_count();
-    let step = frames.div_ceil(MOST_FRAMES).max(1);
+    let step = frames.div_ceil(MAX_FRAMES).max(1);
     let n = model.places().readout.unwrap_or(model.places().count);
     let mut by_model = DMatrix::zeros(6 * frames.div_ceil(step), n);
     for (row, k) in (0..frames).step_by(step).enumerate() {
@@ -47,9 +47,9 @@ fn ways(model: &StageModel, covariance: &DMatrix<f64>, equations: &NormalEquatio
     // with the shutter.
     let spread = covariance.view((0, 0), (n, n)) * by_model.transpose();
     let eigen = (&by_model * &spread).symmetric_eigen();
-    let mut order: Vec<usize> = (0..eigen.eigenvalues.len()).filter(|k| eigen.eigenvalues[*k] > SMALLEST_WAY * SMALLEST_WAY).collect();
+    let mut order: Vec<usize> = (0..eigen.eigenvalues.len()).filter(|k| eigen.eigenvalues[*k] > MIN_WAY * MIN_WAY).collect();
     order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
-    order.truncate(MOST_WAYS);
+    order.truncate(MAX_WAYS);
     order.into_iter().map(|k| &spread * eigen.eigenvectors.column(k) / eigen.eigenvalues[k].sqrt()).collect()
 }
 

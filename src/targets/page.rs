@@ -62,11 +62,11 @@ pub const LINE_MM: f64 = 0.15;
 pub const RULER_MM: f64 = 8.0;
 /// Maximum length of a ruler, millimetres: that of a desk ruler, to compare with. Lowered, an error
 /// of the printer's scale is read less exactly.
-const LONGEST_RULER_MM: f64 = 200.0;
+const MAX_RULER_MM: f64 = 200.0;
 
 /// Draws a ruler in whole centimetres, at most `room` long, with a tick per millimetre.
 pub fn ruler([left, top]: [f64; 2], room: f64) -> Vec<Item> {
-    let length = ((room.min(LONGEST_RULER_MM) / 10.0).floor().max(1.0) * 10.0) as u32;
+    let length = ((room.min(MAX_RULER_MM) / 10.0).floor().max(1.0) * 10.0) as u32;
     let x = |mm: u32| left + f64::from(mm);
     let tick = |mm: u32| {
         if mm.is_multiple_of(10) {

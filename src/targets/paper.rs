@@ -22,7 +22,7 @@ const NAMED: [(&str, [f64; 2]); 9] = [
 const SIDES_MM: [f64; 2] = [100.0, 5000.0];
 /// Maximum ratio of the longer to the shorter side: a longer strip constrains a camera poorly
 /// across it. Chosen, not tuned. The error message states it.
-const LONGEST_RATIO: f64 = 4.0;
+const MAX_RATIO: f64 = 4.0;
 
 /// A sheet of paper.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,7 +56,7 @@ impl Paper {
         let side = |text: &str| text.trim().parse::<f64>().ok();
         let size_mm = numbers.and_then(|(a, b)| Some([side(a)?, side(b)?])).ok_or_else(|| PaperError::Unknown(text.to_owned()))?;
         let in_range = size_mm.iter().all(|side| (SIDES_MM[0]..=SIDES_MM[1]).contains(side));
-        if !in_range || size_mm[0].max(size_mm[1]) > LONGEST_RATIO * size_mm[0].min(size_mm[1]) {
+        if !in_range || size_mm[0].max(size_mm[1]) > MAX_RATIO * size_mm[0].min(size_mm[1]) {
             return Err(PaperError::Size(size_mm));
         }
         Ok(Self { size_mm })

@@ -36,7 +36,7 @@ use crate::motion::MotionEstimate;
 const TRIED: usize = 3;
 /// A frame with fewer features at a glance is not looked at closely: it is black or blank. Raised, dim stages are not looked for; lowered,
 /// black frames cost more.
-const LEAST_FEATURES: usize = 16;
+const MIN_FEATURES: usize = 16;
 /// Tests in a frame whose stage is known, over all missing bodies: bodies that were followed in vain, candidates that are aligned, poses that patches are asked
 /// about. Two are both planar poses of one body. Raised, a frame takes longer, as much as two more followed bodies each; lowered, the wrong one of two planar poses may be the
 /// only one tried.
@@ -181,7 +181,7 @@ impl BodySearch {
             let (image, mask) = (&scene.frame.image, mask.as_ref());
             features.look(image, mask, Look::Glance, workers);
             // A frame as plain as that has no others.
-            let is_plain = features.features().len() < LEAST_FEATURES;
+            let is_plain = features.features().len() < MIN_FEATURES;
             if !is_plain && !scene.missing().all(|body| features.is_enough(body.surfaces.clone())) {
                 features.look_again(image, mask, Look::Quick, workers);
             }
@@ -190,7 +190,7 @@ impl BodySearch {
         if self.ends_with_stage(scene) {
             return;
         }
-        if self.features.features().len() < LEAST_FEATURES {
+        if self.features.features().len() < MIN_FEATURES {
             self.find_by_prediction(scene);
         } else {
             self.find_closely(scene);

@@ -12,15 +12,15 @@ use super::patches::verify::Refusal;
 
 /// Matches that agree on one homography from here on are no chance. Chance agrees on 8 now and then where a frame is full of detail.
 /// Raised, a picture that is hardly seen counts as not recognised. Only the reason that is given depends on it.
-const LEAST_RECOGNISED: usize = 12;
+const MIN_RECOGNISED: usize = 12;
 /// Side of the picture (root of its area) below which size is what is wrong with it, as a share of the frame's width and in pixels:
 /// features need some 60 pixels of it. Raised, other faults of a small picture are called its size.
-const LEAST_SIDE: f64 = 0.09;
-const LEAST_SIDE_PX: f64 = 60.0;
+const MIN_SIDE: f64 = 0.09;
+const MIN_SIDE_PX: f64 = 60.0;
 /// What a pose may leave of the matches beyond a homography, for the geometry not to be what is wrong: right ones leave 0.1 at most, a
 /// width and a height that are swapped 2, and a rolling shutter that the config does not mention a few tenths. Raised, wrong sizes go
 /// unnamed.
-const LARGEST_MISFIT: f64 = 0.6;
+const MAX_MISFIT: f64 = 0.6;
 
 impl Reason {
     /// Why a verified pose was not given.
@@ -34,14 +34,14 @@ impl Reason {
     /// Why no pose was verified in a frame: what was recognised, what verification refused, and how the frame looks.
     pub(super) fn of_failure(seen: &Recognition, refusal: Option<Refusal>, look: &FrameLook, width_px: u32) -> Self {
         let of_frame = look.fault().map(Self::from);
-        if seen.agreeing < LEAST_RECOGNISED {
+        if seen.agreeing < MIN_RECOGNISED {
             return of_frame.unwrap_or(Self::NotRecognised);
         }
-        if seen.outline_px.is_some_and(|side| side < LEAST_SIDE_PX.max(LEAST_SIDE * f64::from(width_px))) {
+        if seen.outline_px.is_some_and(|side| side < MIN_SIDE_PX.max(MIN_SIDE * f64::from(width_px))) {
             return Self::TooSmall;
         }
         // A homography needs no lens and no size. Where it explains the matches far better than any pose does, those are wrong.
-        if seen.misfit.is_none_or(|misfit| misfit > LARGEST_MISFIT) {
+        if seen.misfit.is_none_or(|misfit| misfit > MAX_MISFIT) {
             return of_frame.unwrap_or(Self::NoPoseFits);
         }
         match refusal {

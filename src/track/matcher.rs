@@ -48,7 +48,7 @@ use crate::motion::Motion;
 /// their pixels tell it well; but they lie where no pose puts them: of 16 objects one was followed so for 28 frames, with 0.033 to 0.085. Of 2300 right poses of small,
 /// quick and blurred objects none had more than 0.008 (with a correlation length of 0.3 of the
 /// object; with 0.4 they are somewhat larger, and were not counted again). Raised, such poses are given; lowered, blurred objects are given up.
-const LARGEST_MISFIT_TURN: f64 = std::f64::consts::PI / 180.0;
+const MAX_MISFIT_TURN: f64 = std::f64::consts::PI / 180.0;
 
 /// So long after a second copy of the stage's picture was seen it may still be there, seconds.
 /// Chosen: a dozen frames in which it may be overlooked. Raised, the stage is given later once the
@@ -477,7 +477,7 @@ impl Matcher {
     fn refuse_misfits(&mut self) {
         for k in 1..self.bodies.len() {
             let turn = self.fits[k].and_then(|fit| fit.at_most).map_or(0.0, |c| c.fixed_view::<3, 3>(3, 3).trace().max(0.0).sqrt());
-            if turn > LARGEST_MISFIT_TURN {
+            if turn > MAX_MISFIT_TURN {
                 debug!(body = %self.bodies[k].body.name, turn, "misfit");
                 (self.verified[k], self.fits[k]) = (None, None);
                 let was_followed = self.bodies[k].followed_from.is_some();

@@ -36,7 +36,7 @@ pub(crate) use acquire::feature_search::LOWE_RATIO;
 pub use acquire::view_bank::ViewStore;
 pub use align::{AlignKernels, Alignment, Clue, UsedPixel};
 pub(crate) use body::agreement;
-pub use body::learnt_camera::{LARGEST_LEARNT_BYTES, LearntCamera, LearntError, LearntTime};
+pub use body::learnt_camera::{LearntCamera, LearntError, LearntTime, MAX_LEARNT_BYTES};
 pub use body::learnt_readout::{MODEL_ERROR_PX, VAGUE_READOUT_S};
 pub use body::pixel_watch::{Displaced, UsedPixels};
 pub use body::reason::Reason;

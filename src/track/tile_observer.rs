@@ -24,7 +24,7 @@ const START_TURN: f64 = 0.01;
 
 /// Anchors that are searched for in a frame, and the fewest that must be found. Chosen as verification's.
 const ANCHORS: usize = 400;
-const LEAST_ANCHORS: usize = 16;
+const MIN_ANCHORS: usize = 16;
 
 /// Asks frames for the tiles of one body.
 pub struct TileObserver {
@@ -134,7 +134,7 @@ impl TileObserver {
         register(&self.body, &self.targets, &picture, &self.workers, &mut self.registered);
         let seen: Vec<(&Registered, Observation)> = self.registered.iter().flatten().filter_map(|r| Some((r, r.observation?))).collect();
         let observations: Vec<Observation> = seen.iter().map(|(_, o)| *o).collect();
-        if observations.len() < LEAST_ANCHORS {
+        if observations.len() < MIN_ANCHORS {
             return None;
         }
         let still = MovingCamera::still(&camera);

@@ -29,10 +29,10 @@ pub struct TwoView {
 
 /// Fewest correspondences of a homography that is written: three times the four that define one. Raised, small stages have none; lowered,
 /// its eight numbers are mostly noise.
-const LEAST_FOR_HOMOGRAPHY: usize = 12;
+const MIN_FOR_HOMOGRAPHY: usize = 12;
 /// Baseline below which the essential matrix says nothing, as a share of the distance. Chosen, not tuned: the direction of a shift drowns
 /// in the noise of the rays. Raised, fewer frames have one; lowered, its direction is chance near the reference camera.
-const LEAST_BASELINE: f64 = 0.01;
+const MIN_BASELINE: f64 = 0.01;
 /// Share of the correspondences that a motion near the metric pose must explain to be taken. Chosen, not tuned. Raised, more frames pay for
 /// five-point samples; lowered, a motion may be kept where another explains more.
 const CLEAR_SHARE: f64 = 0.8;
@@ -82,7 +82,7 @@ pub fn two_view(
     let distance = (t_camera_body * body.surfaces[0].spec.pose).translation.norm();
     let focal = 0.5 * (camera.intrinsics().fx + camera.intrinsics().fy);
     let sigma = verified.rms_px.max(0.05) / focal;
-    let has_baseline = t_frame_reference.translation.norm() >= LEAST_BASELINE * distance;
+    let has_baseline = t_frame_reference.translation.norm() >= MIN_BASELINE * distance;
     let essential = has_baseline.then(|| estimate_motion(pairs, &t_frame_reference, sigma, seed)).flatten();
     TwoView {
         homography: first_surface_homography(body, anchors, rays, camera, points),
@@ -120,7 +120,7 @@ fn first_surface_homography(
     let of_first = anchors.iter().zip(rays).filter(|(a, _)| a.surface == 0);
     pairs.clear();
     pairs.extend(of_first.filter_map(|(a, ray)| Some(PointPair { from: a.artwork, to: camera.undistorted_pixel((*ray)?) })));
-    if pairs.len() < LEAST_FOR_HOMOGRAPHY {
+    if pairs.len() < MIN_FOR_HOMOGRAPHY {
         return None;
     }
     let fit = Homography::from_pairs(pairs, None)?.refined(pairs, 0.2, 15)?;

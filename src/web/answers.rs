@@ -35,7 +35,7 @@ use super::view::show;
 
 /// Maximum size of a client's WebSocket message, bytes; clients only send single letters. A round
 /// figure. Raised, a client may take more memory.
-const LONGEST_MESSAGE: usize = 4 * 1024;
+const MAX_MESSAGE: usize = 4 * 1024;
 
 /// The peer of a request without a connection.
 const NOBODY: IpAddr = IpAddr::V4(Ipv4Addr::UNSPECIFIED);
@@ -216,7 +216,7 @@ where
     };
     let (mut parts, _) = request.into_parts();
     match WebSocketUpgrade::from_request_parts(&mut parts, &()).await {
-        Ok(upgrade) => upgrade.max_message_size(LONGEST_MESSAGE).max_frame_size(LONGEST_MESSAGE).on_upgrade(move |socket| async move {
+        Ok(upgrade) => upgrade.max_message_size(MAX_MESSAGE).max_frame_size(MAX_MESSAGE).on_upgrade(move |socket| async move {
             serve(socket).await;
             drop(place);
         }),

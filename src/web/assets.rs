@@ -119,7 +119,7 @@ static PACKED: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| ASSETS.iter().map(|asse
 
 /// Maximum size of a file of the page, bytes; a round figure. Raised, a larger file may be served
 /// from a folder.
-const LARGEST_FILE: u64 = 16 << 20;
+const MAX_FILE: u64 = 16 << 20;
 
 /// Returns the reply for a path without content.
 pub(super) fn nothing_here() -> Response<Body> {
@@ -141,7 +141,7 @@ pub(super) async fn from_folder(request: Request<Body>, folder: PathBuf) -> Resp
     }
     let file = folder.join(path);
     let content_type = content_type(&file);
-    match tokio::task::spawn_blocking(move || safe_file::read(&file, LARGEST_FILE)).await {
+    match tokio::task::spawn_blocking(move || safe_file::read(&file, MAX_FILE)).await {
         Ok(Ok(bytes)) => {
             let reply = Reply::new(200, content_type, bytes).with("content-security-policy", POLICY);
             response(reply.with("cache-control", "no-cache").with("referrer-policy", "no-referrer"))

@@ -12,7 +12,7 @@ use super::reply::Reply;
 
 /// Maximum length of a name of a recording, a file or a client, bytes: below file systems' limits,
 /// to leave room for suffixes. Raised, file systems refuse long names.
-const LONGEST_NAME: usize = 128;
+const MAX_NAME: usize = 128;
 
 /// A request.
 #[derive(Debug)]
@@ -86,5 +86,5 @@ impl Call {
 /// Whether the text can name a single file or folder.
 pub(super) fn is_name(name: &str) -> bool {
     let is_plain = |b: u8| b.is_ascii_alphanumeric() || b"._-".contains(&b);
-    !name.is_empty() && name.len() <= LONGEST_NAME && !name.starts_with('.') && name.bytes().all(is_plain)
+    !name.is_empty() && name.len() <= MAX_NAME && !name.starts_with('.') && name.bytes().all(is_plain)
 }

@@ -10,7 +10,7 @@ use crate::record::{PoseSample, State};
 
 /// Maximum interval between two frames for their difference to be a motion, seconds. Chosen: ten
 /// frames per second. Raised, a shake between two frames passes for a slow motion.
-const LONGEST_GAP_S: f64 = 0.1;
+const MAX_GAP_S: f64 = 0.1;
 
 /// The camera's motion in its own axes, at a frame's stamp.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -45,7 +45,7 @@ impl MotionFollower {
         let before = self.before.take();
         let since = before.and_then(|before| {
             let dt_s = sample.timestamp.seconds_since(before.timestamp);
-            (dt_s > 0.0 && dt_s <= LONGEST_GAP_S).then_some((before, dt_s))
+            (dt_s > 0.0 && dt_s <= MAX_GAP_S).then_some((before, dt_s))
         });
         let rates = since.as_ref().map(|(before, dt_s)| {
             let shift = pose.rotation.inverse() * (pose.translation - before.pose.translation);

@@ -18,7 +18,7 @@ use crate::printable::printable;
 const REMEMBERED: usize = 200;
 /// Maximum events that a client may be behind before it is dropped. Chosen, not tuned. Raised, only
 /// memory.
-const MOST_BEHIND: usize = 256;
+const MAX_BEHIND: usize = 256;
 
 /// Past events and the clients' channel.
 #[derive(Debug)]
@@ -43,7 +43,7 @@ struct Line<'a> {
 
 impl Events {
     pub fn new() -> Self {
-        Self { source: Mutex::default(), recent: Mutex::default(), lines: broadcast::Sender::new(MOST_BEHIND) }
+        Self { source: Mutex::default(), recent: Mutex::default(), lines: broadcast::Sender::new(MAX_BEHIND) }
     }
 
     /// Follows these events from now on.

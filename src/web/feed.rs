@@ -19,7 +19,7 @@ use crate::record::{PoseSample, State};
 
 /// Maximum records that a client may be behind before it is dropped: about 8 seconds at 30 per
 /// second. Chosen, not tuned. Raised, slow clients show older poses, and more lines are held.
-const MOST_BEHIND: usize = 256;
+const MAX_BEHIND: usize = 256;
 /// Interval at which a silence is repeated. Chosen, not tuned. Raised, a client that connects later
 /// learns of it later.
 const REPEAT: Duration = Duration::from_secs(1);
@@ -55,7 +55,7 @@ fn milliseconds(age: Duration) -> f64 {
 
 impl Feed {
     pub fn new() -> Self {
-        Self { ages: Mutex::default(), last: Mutex::default(), lines: broadcast::Sender::new(MOST_BEHIND) }
+        Self { ages: Mutex::default(), last: Mutex::default(), lines: broadcast::Sender::new(MAX_BEHIND) }
     }
 
     /// Treats frames older than `most` as too old from now on.

@@ -31,9 +31,9 @@ use crate::track::{Displaced, UsedPixel, UsedPixels};
 const QUALITY: u8 = 80;
 /// Maximum used pixels sent per frame: dots that show where the stage is seen. Raised, messages are
 /// larger.
-const MOST_USED: usize = 600;
+const MAX_USED: usize = 600;
 /// Maximum displaced tiles sent per frame: arrows that do not overlap. Raised, messages are larger.
-const MOST_DISPLACED: usize = 300;
+const MAX_DISPLACED: usize = 300;
 /// Residuals beyond this many robust standard deviations have no weight in the alignment, so such
 /// pixels are not shown. Raised, pixels without weight are shown.
 const COUNTS_BELOW: f32 = 4.7;
@@ -240,11 +240,11 @@ impl PixelsByRow {
 fn shown(used: &UsedPixels) -> Shown {
     let counted: Vec<&UsedPixel> = used.pixels.iter().filter(|pixel| pixel.takes_part && pixel.sigmas < COUNTS_BELOW).collect();
     // A frame has fewer than 65536 columns and rows, or it would not fit a JPEG.
-    let pixels = evenly(&counted, MOST_USED).flat_map(|pixel| pixel.centre_px.map(|px| px.round().max(0.0) as u16)).collect();
+    let pixels = evenly(&counted, MAX_USED).flat_map(|pixel| pixel.centre_px.map(|px| px.round().max(0.0) as u16)).collect();
     // Round to thousandths of a pixel, the noise of a tile.
     let told = |px: f64| (px * 1e3).round() / 1e3;
     let arrow = |tile: &Displaced| [tile.centre_px.x, tile.centre_px.y, tile.shift_px.x, tile.shift_px.y].map(told);
-    Shown { pixels, displaced: evenly(&used.displaced, MOST_DISPLACED).flat_map(arrow).collect() }
+    Shown { pixels, displaced: evenly(&used.displaced, MAX_DISPLACED).flat_map(arrow).collect() }
 }
 
 /// Returns at most this many items, evenly spaced.

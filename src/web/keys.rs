@@ -29,20 +29,20 @@ const COOKIE: &str = "stagepose";
 const COOKIE_LASTS_S: u64 = 365 * 24 * 3600;
 /// Maximum codes that one peer may try within [`TRIES_WITHIN`]. Raised, the code is guessed sooner;
 /// lowered, mistyping means waiting.
-const MOST_TRIES: usize = 5;
+const MAX_TRIES: usize = 5;
 /// Maximum codes tried by all peers together: eight digits then withstand a year of guessing by any
 /// number of peers. Raised, they last less; lowered, fewer guessing peers can lock an honest one
 /// out.
-const MOST_TRIES_OF_ALL: usize = 100;
+const MAX_TRIES_OF_ALL: usize = 100;
 const TRIES_WITHIN: Duration = Duration::from_secs(60);
 /// Maximum number of paired browsers; the oldest is removed. Chosen: more than a theatre has.
 /// Raised, forgotten ones stay longer.
-const MOST_CLIENTS: usize = 64;
+const MAX_CLIENTS: usize = 64;
 /// Maximum length of a browser's name, characters. Chosen for the list that shows it. Raised, the
 /// list is wider.
-const LONGEST_LABEL: usize = 60;
+const MAX_LABEL: usize = 60;
 /// Maximum size of the file of clients, bytes. Raised, a foreign file takes more memory.
-const LARGEST_FILE: u64 = 1 << 20;
+const MAX_FILE: u64 = 1 << 20;
 
 /// Who may use a route.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -143,7 +143,7 @@ impl Keys {
     /// When the system provides no random numbers, or the folder cannot be written.
     pub fn open(folder: Option<&Path>, port: u16) -> io::Result<Self> {
         let keys = Self { folder: folder.map(Path::to_owned), port, known: Mutex::default() };
-        let kept = keys.file().and_then(|file| safe_file::read(&file, LARGEST_FILE).ok());
+        let kept = keys.file().and_then(|file| safe_file::read(&file, MAX_FILE).ok());
         // If the file is unreadable, no browser is paired and all must pair again.
         let kept: Kept = kept.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();
         if let Some(folder) = &keys.folder {
@@ -238,7 +238,7 @@ impl Keys {
         let (mut known, peer) = (self.known(), network_of(peer));
         known.tries.retain(|(tried, _)| now.duration_since(*tried) < TRIES_WITHIN);
         let of_peer = known.tries.iter().filter(|(_, by)| *by == peer).count();
-        if of_peer >= MOST_TRIES || known.tries.len() >= MOST_TRIES_OF_ALL {
+        if of_peer >= MAX_TRIES || known.tries.len() >= MAX_TRIES_OF_ALL {
             return Err(Reply::text(429, "too many codes were tried; wait a minute\n").with("retry-after", "60"));
         }
         known.tries.push((now, peer));
@@ -248,9 +248,9 @@ impl Keys {
         }
         let failed = |e: io::Error| Reply::text(500, format!("no pairing was made: {e}\n"));
         let (token, id) = (random_hex(32).map_err(failed)?, random_hex(4).map_err(failed)?);
-        let name = name.chars().filter(|c| crate::printable::stands_for_itself(*c)).take(LONGEST_LABEL).collect();
+        let name = name.chars().filter(|c| crate::printable::stands_for_itself(*c)).take(MAX_LABEL).collect();
         let since_unix_ms = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64);
-        if known.kept.clients.len() >= MOST_CLIENTS {
+        if known.kept.clients.len() >= MAX_CLIENTS {
             known.kept.clients.remove(0);
         }
         known.kept.clients.push(Client { id, name, since_unix_ms, hash: hash(&token) });

@@ -15,12 +15,12 @@ use tokio::task::AbortHandle;
 
 /// Maximum number of lasting connections. Each holds a file and about 50 kB. Chosen: more than the
 /// screens of a stage. Raised, more memory and files may be held.
-const MOST_CONNECTIONS: usize = 64;
+const MAX_CONNECTIONS: usize = 64;
 /// Maximum lasting connections of one peer: half, so that another gets in.
-const MOST_OF_A_PEER: usize = MOST_CONNECTIONS / 2;
+const MAX_OF_A_PEER: usize = MAX_CONNECTIONS / 2;
 /// Maximum number of brief connections. One is pushed out before its request arrives only if that
 /// many newer ones come within that time. Raised, more files are held.
-const MOST_BRIEF: usize = 64;
+const MAX_BRIEF: usize = 64;
 
 /// The places for lasting connections.
 #[derive(Debug)]
@@ -39,14 +39,14 @@ pub(super) struct Place {
 
 impl Places {
     pub fn new() -> Self {
-        Self { free: Arc::new(Semaphore::new(MOST_CONNECTIONS)), taken: Arc::default() }
+        Self { free: Arc::new(Semaphore::new(MAX_CONNECTIONS)), taken: Arc::default() }
     }
 
     /// Takes a place for this peer, if there is one.
     pub fn take(&self, peer: IpAddr) -> Option<Place> {
         let peer = network_of(peer);
         let mut taken = self.taken.lock().unwrap_or_else(PoisonError::into_inner);
-        if taken.get(&peer).is_some_and(|count| *count >= MOST_OF_A_PEER) {
+        if taken.get(&peer).is_some_and(|count| *count >= MAX_OF_A_PEER) {
             return None;
         }
         let permit = self.free.clone().try_acquire_owned().ok()?;
@@ -57,7 +57,7 @@ impl Places {
     /// Waits until all places are free.
     pub async fn empty(&self) {
         // The semaphore is never closed, and 64 fits into any integer.
-        let _ = self.free.acquire_many(MOST_CONNECTIONS as u32).await;
+        let _ = self.free.acquire_many(MAX_CONNECTIONS as u32).await;
     }
 }
 
@@ -93,7 +93,7 @@ impl BriefOnes {
     pub fn admit(&mut self, peer: IpAddr, newest: AbortHandle) {
         self.running.retain(|(_, task)| !task.is_finished());
         self.running.push_back((network_of(peer), newest));
-        if self.running.len() <= MOST_BRIEF {
+        if self.running.len() <= MAX_BRIEF {
             return;
         }
         let count = |of: IpAddr| self.running.iter().filter(|(peer, _)| *peer == of).count();
@@ -113,11 +113,11 @@ mod tests {
         let places = Places::new();
         let (one, other): (IpAddr, IpAddr) = ("fe80::1:2".parse().unwrap(), "10.0.0.7".parse().unwrap());
         let neighbour = "fe80::7".parse().unwrap();
-        let mut held: Vec<Place> = (0..MOST_OF_A_PEER).filter_map(|_| places.take(one)).collect();
-        assert_eq!(held.len(), MOST_OF_A_PEER);
+        let mut held: Vec<Place> = (0..MAX_OF_A_PEER).filter_map(|_| places.take(one)).collect();
+        assert_eq!(held.len(), MAX_OF_A_PEER);
         assert!(places.take(one).is_none() && places.take(neighbour).is_none());
-        held.extend((0..MOST_OF_A_PEER).filter_map(|_| places.take(other)));
-        assert_eq!(held.len(), MOST_CONNECTIONS);
+        held.extend((0..MAX_OF_A_PEER).filter_map(|_| places.take(other)));
+        assert_eq!(held.len(), MAX_CONNECTIONS);
         assert!(places.take("10.0.0.8".parse().unwrap()).is_none());
         held.truncate(1);
         assert!(places.take("::ffff:10.0.0.7".parse().unwrap()).is_some());
@@ -136,7 +136,7 @@ mod tests {
                 task
             };
             let first = admit("10.0.0.1");
-            let mut many: Vec<_> = (0..MOST_BRIEF + 1).map(|_| admit("10.0.0.2")).collect();
+            let mut many: Vec<_> = (0..MAX_BRIEF + 1).map(|_| admit("10.0.0.2")).collect();
             let later = many.split_off(2);
             for task in many {
                 assert!(task.await.unwrap_err().is_cancelled());

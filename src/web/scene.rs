@@ -25,7 +25,7 @@ const PIECES: u32 = 16;
 const MESH: u32 = 33;
 /// Maximum pixels along a picture's longer side. Chosen: a camera seldom sees more of a surface.
 /// Raised, pages load longer.
-const LONGEST_SIDE: u32 = 2048;
+const MAX_SIDE: u32 = 2048;
 /// JPEG quality of the pictures, 1 to 100. Chosen: its blocks are far below what affects an
 /// alignment. Raised, larger files.
 const QUALITY: u8 = 92;
@@ -119,8 +119,8 @@ impl Scene {
 fn jpeg(artwork: GrayImage) -> Option<Vec<u8>> {
     let (w, h) = artwork.dimensions();
     let longest = w.max(h);
-    let picture = if longest > LONGEST_SIDE {
-        let scaled = |side: u32| (u64::from(side) * u64::from(LONGEST_SIDE)).div_ceil(u64::from(longest)) as u32;
+    let picture = if longest > MAX_SIDE {
+        let scaled = |side: u32| (u64::from(side) * u64::from(MAX_SIDE)).div_ceil(u64::from(longest)) as u32;
         resize(&artwork, scaled(w), scaled(h), FilterType::Triangle)
     } else {
         artwork

@@ -59,8 +59,8 @@ use crate::tracker::TrackerSetup;
 const HEAD_WITHIN: Duration = Duration::from_secs(5);
 /// Maximum bytes and header lines of a request's head. Chosen: more than browsers send. Raised, a
 /// client may take more memory.
-const LONGEST_HEAD: usize = 16 * 1024;
-const MOST_HEADERS: usize = 64;
+const MAX_HEAD: usize = 16 * 1024;
+const MAX_HEADERS: usize = 64;
 /// Lifetime of a connection that is not a WebSocket; clients then reconnect. A client that reads
 /// one byte a second must not keep it. Raised, such clients hold places longer; lowered, large
 /// answers to slow clients are cut.
@@ -68,7 +68,7 @@ const LASTS: Duration = Duration::from_secs(60);
 /// Maximum connections waiting to be accepted. If the queue is full, the system ignores the next
 /// one, which retries only after a second. A round figure, which Linux limits to
 /// net.core.somaxconn.
-const MOST_WAITING: i32 = 1024;
+const MAX_WAITING: i32 = 1024;
 /// Maximum connections accepted in a row; far fewer than the number of brief connections. Raised to
 /// that, a flood pushes them out before they are heard.
 const AT_ONCE: u32 = 16;
@@ -80,7 +80,7 @@ const BRIEFLY: Duration = Duration::from_secs(2);
 const ENDS_WITHIN: Duration = Duration::from_millis(250);
 
 /// Threads for slow work in addition to the lanes': for the page's folder. Raised, more memory.
-const MOST_ASIDE: usize = 2;
+const MAX_ASIDE: usize = 2;
 
 /// Interval of checks of the newest frame's age and of the events; clients learn when a frame has
 /// become too old. Chosen: shorter than a person notices. Raised, they learn later.
@@ -153,7 +153,7 @@ impl Server {
         let mut runtime = tokio::runtime::Builder::new_current_thread();
         let runtime = runtime
             .enable_all()
-            .max_blocking_threads(most_threads() + MOST_ASIDE)
+            .max_blocking_threads(most_threads() + MAX_ASIDE)
             .on_thread_start(stand_back)
             .build()
             .map_err(WebError::Start)?;
@@ -255,7 +255,7 @@ fn bound(address: SocketAddr) -> io::Result<TcpListener> {
     socket.set_reuse_address(true)?;
     socket.set_nonblocking(true)?;
     socket.bind(&address.into())?;
-    socket.listen(MOST_WAITING)?;
+    socket.listen(MAX_WAITING)?;
     Ok(socket.into())
 }
 
@@ -340,8 +340,8 @@ async fn converse(
         .keep_alive(!is_brief)
         // A client may close its sending side and wait for the answer.
         .half_close(true)
-        .max_buf_size(LONGEST_HEAD)
-        .max_headers(MOST_HEADERS)
+        .max_buf_size(MAX_HEAD)
+        .max_headers(MAX_HEADERS)
         .serve_connection(TokioIo::new(Box::pin(stream)), service)
         .with_upgrades();
     let mut connection = pin!(connection);

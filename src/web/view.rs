@@ -19,7 +19,7 @@ use super::lifetime::{TAKES_WITHIN, close, ended};
 
 /// Maximum frames that a client may have asked for and not received. Two keep a picture on its way
 /// while one is drawn. Raised, a slow client sees older pictures.
-const MOST_ASKED: u32 = 2;
+const MAX_ASKED: u32 = 2;
 /// Maximum interval between messages to a client. Chosen: a loss of contact is noticed within a
 /// second, even if one message is late. Raised, it is noticed later; lowered, hidden pages cost
 /// more.
@@ -61,7 +61,7 @@ pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, 
                         messages.mark_unchanged();
                         waiting = Some(hub.wait());
                     }
-                    asked = (asked + 1).min(MOST_ASKED);
+                    asked = (asked + 1).min(MAX_ASKED);
                     asked_at = Instant::now();
                     continue;
                 }

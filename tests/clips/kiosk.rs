@@ -42,7 +42,7 @@ const RIMS: [Rim; 19] = [
     (64, Some([311.0, 206.6]), [602.4, 78.8], 817.5),
 ];
 /// The photograph is blurred, the panel sits behind its rim, and the shutter rolls: a few pixels are not an error of tracking.
-const LARGEST_ERROR_PX: f64 = 4.0;
+const MAX_ERROR_PX: f64 = 4.0;
 
 fn placed(record: &Record, corner: usize) -> Point2<f64> {
     record.place(CORNERS_PX[corner].into()).unwrap()
@@ -69,7 +69,7 @@ fn a_card_that_covers_the_panel_makes_no_wrong_pose() {
     for rim in RIMS.iter().filter(|rim| records[rim.0].homography.is_some()) {
         let error_px = rim_error_px(&records[rim.0], rim);
         eprintln!("kiosk: row {:2} {error_px:5.2} px off the rim", rim.0);
-        assert!(error_px <= LARGEST_ERROR_PX, "row {}: {error_px:.2} px off the rim", rim.0);
+        assert!(error_px <= MAX_ERROR_PX, "row {}: {error_px:.2} px off the rim", rim.0);
     }
     let states: String = records.iter().map(|record| record.state.chars().next().unwrap()).collect();
     eprintln!("kiosk: {states}");

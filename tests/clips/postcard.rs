@@ -11,8 +11,8 @@ use super::shared::{PhotographedStage, data_set, extract_first_frame, has_ffmpeg
 
 /// Share of the frames whose corners must be less than 5 pixels off. Of the 45 of postcard-67 four are not: the first two, one that is coasted over, and one in which a hand
 /// bends the card (6 pixels).
-const LEAST_SHARE_WITHIN_5_PX: f64 = 0.9;
-const LARGEST_MEDIAN_PX: f64 = 0.6;
+const MIN_SHARE_WITHIN_5_PX: f64 = 0.9;
+const MAX_MEDIAN_PX: f64 = 0.6;
 
 type Corners = [Point2<f64>; 4];
 
@@ -52,8 +52,8 @@ fn assert_tracked(name: &str, video: &str, size_ratio: f64) {
     let within_5_px = errors_px.iter().filter(|e| **e <= 5.0).count() as f64 / errors_px.len() as f64;
     let median_px = median(errors_px);
     eprintln!("{name}: {within_5_px:.3} of the frames within 5 px, median corner error {median_px:.3} px");
-    assert!(within_5_px >= LEAST_SHARE_WITHIN_5_PX, "{within_5_px:.3} of the frames within 5 px");
-    assert!(median_px <= LARGEST_MEDIAN_PX, "median corner error {median_px:.3} px");
+    assert!(within_5_px >= MIN_SHARE_WITHIN_5_PX, "{within_5_px:.3} of the frames within 5 px");
+    assert!(median_px <= MAX_MEDIAN_PX, "median corner error {median_px:.3} px");
 }
 
 #[test]

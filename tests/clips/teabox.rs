@@ -13,9 +13,9 @@ use super::shared::{PhotographedStage, data_set, extract_first_frame, has_ffmpeg
 /// Height over width of the upper face: 68 by 165 mm.
 const SIZE_RATIO: f64 = 0.412;
 /// Corners read to a pixel, a lid that is not quite flat, and lenses that nobody calibrated: 0.9 to 1.8 pixels, and 2.7 and 3.4 where the box has half left the picture.
-const LARGEST_ERROR_PX: f64 = 5.0;
+const MAX_ERROR_PX: f64 = 5.0;
 /// Of the frames of a clip.
-const LEAST_SHARE_GIVEN: f64 = 0.9;
+const MIN_SHARE_GIVEN: f64 = 0.9;
 const FRAMES: usize = 121;
 
 /// A row, and the face's corners in it: clockwise from the top left, where they are in the picture.
@@ -64,11 +64,11 @@ fn assert_followed(set: &Path, pictured: &Camera, filmed: &Camera) {
     let name = format!("{} by the picture of {}", filmed.video, pictured.video);
     let given = records.iter().filter(|record| record.is_tracking()).count();
     eprintln!("{name}: given in {given} of {FRAMES} frames");
-    assert!(given as f64 >= LEAST_SHARE_GIVEN * FRAMES as f64, "{name}: given in {given} of {FRAMES} frames");
+    assert!(given as f64 >= MIN_SHARE_GIVEN * FRAMES as f64, "{name}: given in {given} of {FRAMES} frames");
     for face in filmed.faces.iter().filter(|face| records[face.0].homography.is_some()) {
         let error_px = face_error_px(&records[face.0], reference, face);
         eprintln!("{name}: row {:3} {error_px:4.2} px off the corners", face.0);
-        assert!(error_px <= LARGEST_ERROR_PX, "{name}: row {}: {error_px:.2} px off the corners", face.0);
+        assert!(error_px <= MAX_ERROR_PX, "{name}: row {}: {error_px:.2} px off the corners", face.0);
     }
 }
 

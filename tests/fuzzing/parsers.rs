@@ -20,9 +20,9 @@ use super::{inputs, keep, seed, seeds};
 /// An input that takes so long hangs.
 const HANG: Duration = Duration::from_secs(60);
 /// Bytes that a text may take: a config reads pictures, all others take less.
-const MOST_OF_TEXT: usize = 256 << 20;
+const MAX_OF_TEXT: usize = 256 << 20;
 /// Bytes that a picture may take: 67 million pixels of 16-bit RGBA, and what is made of them.
-const MOST_OF_PICTURES: usize = 1200 << 20;
+const MAX_OF_PICTURES: usize = 1200 << 20;
 
 /// One parser at a time: the memory that is counted is the whole process'.
 static ALONE: Mutex<()> = Mutex::new(());
@@ -81,7 +81,7 @@ fn configs() {
     seeds::picture(120, 90).save(folder.path().join("mask.png")).unwrap();
     let file = folder.path().join("stage.toml");
     Settings::from_text(seeds::STAGE, &file).expect("the seed is good");
-    fuzz("config", text(&[seeds::STAGE, seeds::CONFIG]), MOST_OF_TEXT, move |bytes| {
+    fuzz("config", text(&[seeds::STAGE, seeds::CONFIG]), MAX_OF_TEXT, move |bytes| {
         let _kept = &folder;
         let _ = Settings::from_text(&String::from_utf8_lossy(bytes), &file).map_err(|e| assert!(!e.to_string().is_empty()));
     });
@@ -99,7 +99,7 @@ fn shapes() {
         "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"art.png\"\nsize_m = [4.0, 3.0]\nshape = \"shape.toml\"\n";
     std::fs::write(&shape, &good).unwrap();
     Settings::from_text(config, &file).expect("the seed is good");
-    fuzz("shape", text(&[&good]), MOST_OF_TEXT, move |bytes| {
+    fuzz("shape", text(&[&good]), MAX_OF_TEXT, move |bytes| {
         let _kept = &folder;
         std::fs::write(&shape, bytes).unwrap();
         let _ = Settings::from_text(config, &file).map_err(|e| assert!(e.to_string().contains("shape.toml"), "{e}"));
@@ -109,13 +109,13 @@ fn shapes() {
 #[test]
 fn packets() {
     let binary = |seed_bytes: Vec<u8>| Mutator::new(seed(), Form::Binary, vec![seed_bytes]);
-    fuzz("freed", binary(FreedPacket::default().encode().0.to_vec()), MOST_OF_TEXT, |bytes| {
+    fuzz("freed", binary(FreedPacket::default().encode().0.to_vec()), MAX_OF_TEXT, |bytes| {
         let _ = FreedPacket::decode(bytes);
     });
     let tracker =
         PsnTracker { id: 1, position_m: Some([1.0, 2.0, 3.0]), validity: Some(1.0), timestamp_us: Some(9), ..PsnTracker::default() };
     let psn = PsnPacket::Data(PsnHeader::default(), vec![tracker]).encode().expect("short enough");
-    fuzz("psn", binary(psn), MOST_OF_TEXT, |bytes| drop(PsnPacket::decode(bytes)));
+    fuzz("psn", binary(psn), MAX_OF_TEXT, |bytes| drop(PsnPacket::decode(bytes)));
     // Behind a wrong checksum nothing is read: the payload is changed, not the datagram.
     let json = br#"{"protocol":{"name":"OpenTrackIO","version":[1,0,1]},"transforms":[{"translation":{"x":1.5,"y":0,"z":2}}]}"#;
     let mut cbor = Vec::new();
@@ -123,7 +123,7 @@ fn packets() {
     for (name, encoding, payload) in [("opentrackio-json", Encoding::Json, json.to_vec()), ("opentrackio-cbor", Encoding::Cbor, cbor)] {
         let decode = move |bytes: &[u8]| opentrackio::datagram(encoding, 7, bytes).map(|datagram| opentrackio::decode(&datagram));
         decode(&payload).expect("short enough").expect("the seed is good");
-        fuzz(name, binary(payload), MOST_OF_TEXT, move |bytes| drop(decode(bytes)));
+        fuzz(name, binary(payload), MAX_OF_TEXT, move |bytes| drop(decode(bytes)));
     }
 }
 
@@ -140,7 +140,7 @@ fn calibrations() {
         for seed in good {
             parse_calibration(seed.as_bytes(), Path::new(name)).expect("the seed is good");
         }
-        fuzz(name, text(good), MOST_OF_TEXT, move |bytes| {
+        fuzz(name, text(good), MAX_OF_TEXT, move |bytes| {
             match parse_calibration(bytes, Path::new(name)) {
                 Ok(read) => assert!(read.model.intrinsics().fx.is_finite()),
                 Err(e) => assert!(e.to_string().starts_with(name) && !e.to_string().contains('\n'), "{e}"),
@@ -157,7 +157,7 @@ fn calibrations_in_utf_16() {
         for seed in &seeds {
             parse_calibration(seed, Path::new(name)).expect("the seed is good");
         }
-        fuzz(name, Mutator::new(seed(), Form::Binary, seeds), MOST_OF_TEXT, move |bytes| {
+        fuzz(name, Mutator::new(seed(), Form::Binary, seeds), MAX_OF_TEXT, move |bytes| {
             let _ = parse_calibration(bytes, Path::new(name)).map_err(|e| assert!(e.to_string().starts_with(name), "{e}"));
         });
     }
@@ -165,13 +165,13 @@ fn calibrations_in_utf_16() {
 
 #[test]
 fn timestamps() {
-    fuzz("timestamps.csv", text(&[seeds::STAMPS, seeds::STAMPS_MS]), MOST_OF_TEXT, |bytes| drop(read_timestamps(bytes)));
+    fuzz("timestamps.csv", text(&[seeds::STAMPS, seeds::STAMPS_MS]), MAX_OF_TEXT, |bytes| drop(read_timestamps(bytes)));
 }
 
 #[test]
 fn learnt_cameras() {
     LearntCamera::from_bytes(seeds::LEARNT.as_bytes()).expect("the seed is good");
-    fuzz("learnt", text(&[seeds::LEARNT]), MOST_OF_TEXT, |bytes| match LearntCamera::from_bytes(bytes) {
+    fuzz("learnt", text(&[seeds::LEARNT]), MAX_OF_TEXT, |bytes| match LearntCamera::from_bytes(bytes) {
         // What is taken is kept as it is.
         Ok(learnt) => assert_eq!(LearntCamera::from_bytes(&learnt.to_bytes()), Ok(learnt)),
         Err(e) => assert!(e.to_string().contains("learnt anew"), "{e}"),
@@ -186,7 +186,7 @@ fn models() {
         std::fs::write(&file, good).unwrap();
         judge_model(&file).expect("the seed is good");
     }
-    fuzz("glb", Mutator::new(seed(), Form::Binary, seeds::glbs()), MOST_OF_TEXT, move |bytes| {
+    fuzz("glb", Mutator::new(seed(), Form::Binary, seeds::glbs()), MAX_OF_TEXT, move |bytes| {
         let _kept = &folder;
         std::fs::write(&file, bytes).unwrap();
         let _ = judge_model(&file).map_err(|reason| assert!(!reason.is_empty()));
@@ -196,12 +196,12 @@ fn models() {
 #[test]
 fn words_of_ffmpeg() {
     assert_eq!(ffmpeg_account(seeds::FFMPEG_LOG), (Some("yuv420p".to_owned()), Some(-90.0)));
-    fuzz("ffmpeg", text(&[seeds::FFMPEG_LOG]), MOST_OF_TEXT, |bytes| drop(ffmpeg_account(&String::from_utf8_lossy(bytes))));
+    fuzz("ffmpeg", text(&[seeds::FFMPEG_LOG]), MAX_OF_TEXT, |bytes| drop(ffmpeg_account(&String::from_utf8_lossy(bytes))));
 }
 
 #[test]
 fn boards() {
-    fuzz("board", text(&["9x6", "8 x 5"]), MOST_OF_TEXT, |bytes| drop(Board::parse(&String::from_utf8_lossy(bytes), 25.0)));
+    fuzz("board", text(&["9x6", "8 x 5"]), MAX_OF_TEXT, |bytes| drop(Board::parse(&String::from_utf8_lossy(bytes), 25.0)));
 }
 
 #[test]
@@ -210,27 +210,27 @@ fn pictures() {
         let _ = picture_size(bytes);
         let _ = decode_oriented(bytes);
     };
-    fuzz("png", Mutator::new(seed(), Form::Png, seeds::pngs()), MOST_OF_PICTURES, decode);
-    fuzz("jpeg", Mutator::new(seed(), Form::Binary, seeds::jpegs()), MOST_OF_PICTURES, decode);
-    fuzz("pnm", Mutator::new(seed(), Form::Text, seeds::pnms()), MOST_OF_PICTURES, decode);
+    fuzz("png", Mutator::new(seed(), Form::Png, seeds::pngs()), MAX_OF_PICTURES, decode);
+    fuzz("jpeg", Mutator::new(seed(), Form::Binary, seeds::jpegs()), MAX_OF_PICTURES, decode);
+    fuzz("pnm", Mutator::new(seed(), Form::Text, seeds::pnms()), MAX_OF_PICTURES, decode);
     let (heads, rest) = seeds::exif_heads();
-    fuzz("exif", Mutator::new(seed(), Form::Binary, heads), MOST_OF_PICTURES, move |head| decode(&[head, &rest].concat()));
+    fuzz("exif", Mutator::new(seed(), Form::Binary, heads), MAX_OF_PICTURES, move |head| decode(&[head, &rest].concat()));
 }
 
 #[test]
 fn videos() {
-    fuzz("y4m", Mutator::new(seed(), Form::Text, seeds::y4ms()), MOST_OF_PICTURES, |bytes| {
+    fuzz("y4m", Mutator::new(seed(), Form::Text, seeds::y4ms()), MAX_OF_PICTURES, |bytes| {
         let Ok(mut reader) = Y4mReader::new(bytes) else { return };
         let _ = (reader.rate(), reader.frames_in(bytes.len() as u64));
         while reader.next_luma().is_some() {}
     });
-    fuzz("avi", Mutator::new(seed(), Form::Binary, seeds::avis()), MOST_OF_PICTURES, |bytes| {
+    fuzz("avi", Mutator::new(seed(), Form::Binary, seeds::avis()), MAX_OF_PICTURES, |bytes| {
         let Ok(mut reader) = AviReader::new(bytes) else { return };
         while let Some(jpeg) = reader.next_jpeg() {
             let _ = jpeg.map(|bytes| decode_oriented(&bytes));
         }
     });
-    fuzz("mjpeg", Mutator::new(seed(), Form::Binary, seeds::mjpegs()), MOST_OF_PICTURES, |bytes| {
+    fuzz("mjpeg", Mutator::new(seed(), Form::Binary, seeds::mjpegs()), MAX_OF_PICTURES, |bytes| {
         let mut reader = MjpegReader::new(bytes);
         while let Some(Ok(jpeg)) = reader.next_jpeg() {
             let _ = decode_oriented(&jpeg);

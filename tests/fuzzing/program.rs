@@ -18,9 +18,9 @@ const SHARE: u64 = 40;
 /// A run that takes so long hangs.
 const HANG: Duration = Duration::from_secs(60);
 /// Address space of a run, bytes.
-const MOST_MEMORY: u64 = 2 << 30;
+const MAX_MEMORY: u64 = 2 << 30;
 /// Resident memory of a run, or of a child of its own, bytes.
-const MOST_RESIDENT: u64 = 1 << 30;
+const MAX_RESIDENT: u64 = 1 << 30;
 
 /// Where a changed file goes.
 enum To {
@@ -69,7 +69,7 @@ fn ended(child: &Child) -> Option<(ExitStatus, u64)> {
 #[allow(clippy::zombie_processes)] // `ended` waits for it, by wait4
 fn run(command: &mut Command, stdin: Option<&Vec<u8>>) -> Result<(i32, u64), String> {
     // SAFETY: setrlimit is async-signal-safe, and nothing is allocated on the way to it.
-    unsafe { command.pre_exec(|| setrlimit(Resource::RLIMIT_AS, MOST_MEMORY, MOST_MEMORY).map_err(std::io::Error::from)) };
+    unsafe { command.pre_exec(|| setrlimit(Resource::RLIMIT_AS, MAX_MEMORY, MAX_MEMORY).map_err(std::io::Error::from)) };
     let mut child = command.spawn().expect("the program starts");
     let writer = stdin.cloned().zip(child.stdin.take()).map(|(bytes, mut to)| std::thread::spawn(move || to.write_all(&bytes)));
     let mut stderr = child.stderr.take().expect("it is piped");
@@ -94,7 +94,7 @@ fn run(command: &mut Command, stdin: Option<&Vec<u8>>) -> Result<(i32, u64), Str
     if told.contains("panicked") {
         return Err(format!("prints a panic ({})", told.lines().next().unwrap_or_default()));
     }
-    if resident > MOST_RESIDENT {
+    if resident > MAX_RESIDENT {
         return Err(format!("holds {} MB", resident >> 20));
     }
     status.code().map(|code| (code, resident)).ok_or_else(|| format!("is killed ({status}; {told})"))

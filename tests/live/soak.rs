@@ -10,8 +10,8 @@ use stagepose::{Daemon, Reason, State, Tracker};
 use super::faulty::{Faulty, source, take, tracker_setup};
 
 /// A pose is wrong beyond these.
-const MOST_M: f64 = 0.1;
-const MOST_DEG: f64 = 2.0;
+const MAX_M: f64 = 0.1;
+const MAX_DEG: f64 = 2.0;
 
 /// Memory of this process in use, megabytes.
 fn resident_mb() -> f64 {
@@ -49,7 +49,7 @@ fn soak() {
                     let truth = take().truths[frame];
                     ((measured.translation - truth.translation).norm(), measured.angle_to(&truth).to_degrees())
                 });
-                if errors.is_none_or(|(m, deg)| m > MOST_M || deg > MOST_DEG) {
+                if errors.is_none_or(|(m, deg)| m > MAX_M || deg > MAX_DEG) {
                     println!(
                         "soak: WRONG POSE in frame {}: {errors:?} m and degrees off, inliers {}, rms {:.2} px",
                         sample.sequence, measured_by.0, measured_by.1

@@ -13,7 +13,7 @@ use super::packets::{PROTOCOLS, good, mended};
 use super::{inputs, peak_memory_kb};
 
 /// Peak memory of a listener, kB; it needs 10 MB. A length that is believed takes much more.
-const MOST_MEMORY_KB: u64 = 64_000;
+const MAX_MEMORY_KB: u64 = 64_000;
 
 struct Listener {
     program: Child,
@@ -76,7 +76,7 @@ impl Listener {
         let mut said = String::new();
         self.program.stderr.take().unwrap().read_to_string(&mut said).unwrap();
         assert_eq!((status.code(), said.as_str()), (Some(0), ""));
-        assert!(memory < MOST_MEMORY_KB, "{memory} kB");
+        assert!(memory < MAX_MEMORY_KB, "{memory} kB");
     }
 }
 

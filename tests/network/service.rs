@@ -9,7 +9,7 @@ use super::peak_memory_kb;
 use crate::live::program::{config, stagepose};
 
 /// Peak memory, kB; it needs 30 MB.
-const MOST_MEMORY_KB: u64 = 128_000;
+const MAX_MEMORY_KB: u64 = 128_000;
 
 pub struct Service {
     program: Child,
@@ -71,7 +71,7 @@ impl Service {
         assert_eq!(self.program.wait().unwrap().code(), Some(0));
         let (checks, longest) = self.checks;
         println!("{what}: {checks} health checks, the longest {:.0} ms, {memory} kB", longest.as_secs_f64() * 1e3);
-        assert!(memory < MOST_MEMORY_KB, "{memory} kB");
+        assert!(memory < MAX_MEMORY_KB, "{memory} kB");
         if let Some(most) = std::env::var("STAGEPOSE_HEALTH_WITHIN_MS").ok().and_then(|ms| ms.parse().ok()) {
             assert!(longest <= Duration::from_millis(most), "a health check took {longest:?}");
         }

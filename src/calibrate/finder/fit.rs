@@ -57,7 +57,7 @@ const WIDEST_BLUR: f64 = 0.6;
 /// Lower bound of the fitted blur, pixels. A pixel's own width is 0.29; sharpened or subsampled
 /// pictures with a smaller apparent blur have jagged edges, between whose steps a narrower model
 /// would jump. Raised, sharp edges are fitted by wider ones.
-const LEAST_BLUR: f64 = 0.45;
+const MIN_BLUR: f64 = 0.45;
 /// Cosine of the maximum angle between an edge and the board's direction, 26 degrees: more than
 /// perspective and distortion cause within a square. Raised, corners of strongly bent boards are
 /// lost; lowered, fits that turned onto another edge are kept.
@@ -78,7 +78,7 @@ const HASTY_ROUNDS: usize = 2;
 /// since motion blur and sharpening leave residuals too;
 /// [`Lattice::drop_disturbed`](super::lattice::Lattice::drop_disturbed) is stricter afterwards.
 /// Raised, other crossings pass.
-pub(crate) const LARGEST_RESIDUAL: f64 = 0.35;
+pub(crate) const MAX_RESIDUAL: f64 = 0.35;
 
 /// Fits a corner near `start`, where `u` and `v` are one square's steps along the board's axes
 /// (cross product positive). The window is made for `blur`, and the fit starts from the blur
@@ -110,7 +110,7 @@ pub(crate) fn fit_corner(
             return None;
         }
         if drawn.holds_for(fit.offset, fit.blur) || round == HASTY_ROUNDS + ROUNDS - 1 {
-            let good = fit.residual < LARGEST_RESIDUAL;
+            let good = fit.residual < MAX_RESIDUAL;
             let residual = fit.residual * fit.contrast.abs();
             return good.then_some(CornerFit { position: centre, blur, middle: fit.middle, contrast: fit.contrast, residual });
         }
@@ -168,7 +168,7 @@ fn fit_drawn(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64, farthest
     }
     let widest = WIDEST_BLUR * u.perp(&v) / u.norm().max(v.norm());
     let (mut model, mut here) = start(window, [u, v], blur.min(widest))?;
-    let bounds = [LEAST_BLUR.ln(), widest.max(2.0 * LEAST_BLUR).ln()];
+    let bounds = [MIN_BLUR.ln(), widest.max(2.0 * MIN_BLUR).ln()];
     let mut damping = Damping { now: 1e-4, least: 1e-9, most: 1e4 };
     for iteration in 0..20 {
         // A blur at its bound that would move beyond it is held fixed, or it would spoil the step
@@ -203,7 +203,7 @@ fn fit_drawn(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64, farthest
 /// Returns the start model: edges along the board's directions, and the levels that fit best.
 fn start(window: &mut Window, [u, v]: [Vector2<f64>; 2], blur: f64) -> Option<(Model, Linearised)> {
     let angle = |d: Vector2<f64>| d.y.atan2(d.x);
-    window.with_levels(&Model([0.0, 0.0, angle(u), angle(v), blur.max(LEAST_BLUR).ln(), 0.0, 1.0].into()))
+    window.with_levels(&Model([0.0, 0.0, angle(u), angle(v), blur.max(MIN_BLUR).ln(), 0.0, 1.0].into()))
 }
 
 /// Returns the result if the edges stayed near the board's directions.

@@ -17,7 +17,7 @@ use crate::geometry::robust_kernel::median;
 const WIDEST_START: f64 = 2.0;
 /// Number of corners above which a lattice stops growing: the largest board has 100 x 100. Raised,
 /// patterns that are no board take longer.
-const MOST_CORNERS: usize = 10_000;
+const MAX_CORNERS: usize = 10_000;
 
 impl From<CornerFit> for Cell {
     fn from(fit: CornerFit) -> Self {
@@ -59,7 +59,7 @@ impl Lattice {
                     self.cells.insert((i, j), fit.into());
                 }
             }
-            if self.cells.len() == before || self.cells.len() > MOST_CORNERS {
+            if self.cells.len() == before || self.cells.len() > MAX_CORNERS {
                 return;
             }
         }

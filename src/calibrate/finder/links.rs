@@ -34,7 +34,7 @@ const ALONG: f64 = 0.94;
 const CROSSING: f64 = 0.8;
 /// Minimum number of candidates in a lattice: two thirds of the smallest board, 3 x 3. Raised,
 /// small boards with few visible corners are missed; lowered, chance groups are examined.
-const LEAST_LATTICE: usize = 6;
+const MIN_LATTICE: usize = 6;
 
 /// The neighbours in the four ways out of a corner: along edge 0, against it, along edge 1, against
 /// it.
@@ -65,7 +65,7 @@ pub(super) fn lattices(smooth: &Level, saddles: &[Saddle]) -> Vec<Lattice> {
     for root in 0..saddles.len() {
         if !taken[root] && (0..4).any(|way| mutual(root, way).is_some()) {
             let lattice = spread(saddles, root, &mut taken, mutual);
-            if lattice.len() >= LEAST_LATTICE {
+            if lattice.len() >= MIN_LATTICE {
                 found.push(lattice);
             }
         }

@@ -106,7 +106,7 @@ pub enum NoBoard {
 /// Minimum shorter side of a level, pixels: squares of a 9x6 board that fills such a picture have
 /// about 9 pixels. Raised, noisy pictures lose the level that shows the board best; lowered, one
 /// more level is searched in vain.
-const LEAST_SIDE: usize = 60;
+const MIN_SIDE: usize = 60;
 /// Maximum number of lattices examined per level, largest first: the board is mostly the first, the
 /// others allow for larger patterns in the background. Raised, pictures without the board take
 /// longer.
@@ -126,7 +126,7 @@ const NEARLY_WHOLE: f64 = 0.9;
 /// Minimum fraction of visible corners for a board to count as found. Chosen, not tuned: fewer
 /// mostly lie on one side and constrain the pose poorly. Raised, pictures with a hand before the
 /// board are lost.
-const LEAST_SEEN: f64 = 0.7;
+const MIN_SEEN: f64 = 0.7;
 /// Maximum blur, pixels, of a level on which corners are fitted: finer pixels only make the windows
 /// larger, for the edges hold no more detail. Raised, blurred pictures take longer; lowered,
 /// corners are fitted on coarser pixels …
@@ -144,7 +144,7 @@ const EXPECTED_BLUR: f64 = 2.8;
 /// # Errors
 /// What was seen instead of the whole board.
 pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBoard> {
-    let levels = level::pyramid(picture, LEAST_SIDE);
+    let levels = level::pyramid(picture, MIN_SIDE);
     let (index, lattice) = search(&levels, board).map_err(|partial| seen_instead(picture, board, partial, &levels))?;
     // Corners dropped from here on count as hidden: the board keeps its extent.
     let extent = lattice.extent().unwrap_or_default();
@@ -173,7 +173,7 @@ pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBo
     let lattice = lattice.rescaled(-(sharp as i32));
     let found = placement::placed(&lattice, extent, board, margin.lightness);
     match found {
-        Some(found) if found.seen() as f64 >= LEAST_SEEN * board.corner_count() as f64 => Ok(found),
+        Some(found) if found.seen() as f64 >= MIN_SEEN * board.corner_count() as f64 => Ok(found),
         found => Err(NoBoard::Hidden { seen: found.map_or(0, |f| f.seen()), all: board.corner_count() }),
     }
 }

@@ -64,7 +64,7 @@ const REACH_BLURRED: i32 = 3;
 const ALTERNATES: f64 = 0.45;
 /// Minimum number of visible squares along a side for a verdict: fewer alternate by chance. A side
 /// of three corners has two squares and gives none; raised, longer sides give none either.
-const LEAST_SQUARES: usize = 3;
+const MIN_SQUARES: usize = 3;
 
 impl Lattice {
     /// Whether the board ends where the lattice does: exactly one more row of squares beyond its
@@ -141,7 +141,7 @@ impl Lattice {
                 sum = (sum.0 + quadrant * lightness.clamp(-1.5, 1.5), sum.1 + 1);
             }
         }
-        (sum.1 >= LEAST_SQUARES).then(|| sum.0 / sum.1 as f64)
+        (sum.1 >= MIN_SQUARES).then(|| sum.0 / sum.1 as f64)
     }
 
     /// Returns what the neighbours tell about a corner at `here`.

@@ -28,11 +28,11 @@ pub(super) struct Saddle {
 /// Determinant below which a saddle is noise, (grey levels per square pixel) squared: a board of
 /// about 2.5 grey levels of contrast on a quiet sensor. Raised, dim boards are missed; lowered,
 /// noise produces candidates, each of which costs a ring check.
-const LEAST_DETERMINANT: f32 = 2.5;
+const MIN_DETERMINANT: f32 = 2.5;
 /// Maximum number of candidates kept, the strongest: more than the 10 000 corners of the largest
 /// board. Raised, textured pictures take longer; lowered, texture with more contrast crowds out
 /// large boards.
-const MOST_CANDIDATES: usize = 12_000;
+const MAX_CANDIDATES: usize = 12_000;
 /// Radius of the ring, level pixels: three sigma of the smoothing, so that the quadrants show, and
 /// less than a square. Raised, boards with small squares are missed; lowered, the smoothing mixes
 /// the quadrants.
@@ -51,9 +51,9 @@ pub(super) fn find_saddles(smooth: &Level) -> Vec<Saddle> {
         [cos * RING_RADIUS, sin * RING_RADIUS].map(|c| c as f32)
     });
     let mut peaks = determinant_peaks(smooth);
-    if peaks.len() > MOST_CANDIDATES {
-        peaks.select_nth_unstable_by(MOST_CANDIDATES, |a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-        peaks.truncate(MOST_CANDIDATES);
+    if peaks.len() > MAX_CANDIDATES {
+        peaks.select_nth_unstable_by(MAX_CANDIDATES, |a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        peaks.truncate(MAX_CANDIDATES);
         peaks.sort_unstable_by_key(|p| p.1);
     }
     peaks.into_iter().filter_map(|(_, index)| look_at(smooth, index, &ring)).collect()
@@ -84,7 +84,7 @@ fn determinant_peaks(smooth: &Level) -> Vec<(f32, usize)> {
         for start in (margin..w - margin).step_by(8) {
             // Most pixels are flat: test eight at once.
             let end = (start + 8).min(w - margin);
-            if row[start..end].iter().fold(true, |flat, &v| flat & (v < LEAST_DETERMINANT)) {
+            if row[start..end].iter().fold(true, |flat, &v| flat & (v < MIN_DETERMINANT)) {
                 continue;
             }
             peaks.extend((start..end).map(|x| y * w + x).filter(|&at| is_peak(&determinant, w, at)).map(|at| (determinant[at], at)));
@@ -97,7 +97,7 @@ fn determinant_peaks(smooth: &Level) -> Vec<(f32, usize)> {
 /// rows is the peak.
 fn is_peak(determinant: &[f32], w: usize, index: usize) -> bool {
     let value = determinant[index];
-    if value < LEAST_DETERMINANT || value <= determinant[index - 1] || value < determinant[index + 1] {
+    if value < MIN_DETERMINANT || value <= determinant[index - 1] || value < determinant[index + 1] {
         return false;
     }
     let above = determinant[index - w - 1..=index - w + 1].iter().all(|&v| value > v);

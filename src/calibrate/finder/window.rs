@@ -251,8 +251,8 @@ fn exp_of_negative(x: f32) -> f32 {
     // Minimum exponent. Products of three such values must stay normal numbers (2^-126); subnormal
     // ones take a hundred times as long. Raised, the tails of blurred edges end too early; lowered,
     // such products underflow.
-    const LEAST_POWER: f32 = -40.0;
-    let power = (x * LOG2_E).max(LEAST_POWER);
+    const MIN_POWER: f32 = -40.0;
+    let power = (x * LOG2_E).max(MIN_POWER);
     let rounded = power + ROUND;
     let rest = power - (rounded - ROUND);
     let whole = f32::from_bits(rounded.to_bits().wrapping_sub(ROUND.to_bits()).wrapping_add(127) << 23);

@@ -2,7 +2,7 @@
 
 use super::super::solve::adjust::{Bundle, Observation};
 use super::super::solve::lens::{LENS_NAMES, LENS_NUMBERS};
-use super::super::solve::{self, Estimate, LEAST_VIEWS, SolveOptions};
+use super::super::solve::{self, Estimate, MIN_VIEWS, SolveOptions};
 use super::map;
 
 /// How the two halves compare.
@@ -29,7 +29,7 @@ impl Halves {
 
 /// Calibrates the even and the odd views; `None` if a half has too few views or is undetermined.
 pub fn compare(views: &[Vec<Observation>], whole: &Estimate, size: (u32, u32), options: &SolveOptions) -> Option<Halves> {
-    if views.len() < 2 * LEAST_VIEWS {
+    if views.len() < 2 * MIN_VIEWS {
         return None;
     }
     let half = |first: usize| {

@@ -102,9 +102,9 @@ const FOCAL_SHARE: [f64; 2] = [0.008, 0.02];
 /// Maximum 3 sigma over most of the picture, in 640ths of the picture's width, to be good and to be
 /// usable. Chosen like [`FOCAL_SHARE`]. Raised, lenses pass that displace what is drawn; lowered,
 /// sets must reach further into the corners.
-const MOST_PX: [f64; 2] = [2.0, 6.0];
+const MAX_PX: [f64; 2] = [2.0, 6.0];
 /// Maximum 3 sigma at the worst place, in 640ths of the picture's width, to be good: several times
-/// [`MOST_PX`], since the picture's corners rarely show board corners. Raised, distortion that
+/// [`MAX_PX`], since the picture's corners rarely show board corners. Raised, distortion that
 /// diverges there goes unmentioned.
 const WORST_PX: f64 = 15.0;
 /// Difference between the halves, in joint sigma, above which it is no chance even if the corners'
@@ -122,7 +122,7 @@ const COVERAGE: [f64; 2] = [0.6, 0.25];
 /// Minimum angle between the directions from which the board is seen, degrees, for Zhang's
 /// equations to separate focal length from distance; below it the set must not be used. Chosen, not
 /// tuned. Raised, sets of small tilts are refused although their uncertainty may be acceptable.
-const LEAST_ANGLE_DEG: f64 = 8.0;
+const MIN_ANGLE_DEG: f64 = 8.0;
 
 /// Judges an estimate; `observations` are those of the used views, in the estimate's order.
 /// `repeated` holds the number of pictures that repeat another one's view, and the number of all
@@ -191,7 +191,7 @@ impl Judgement {
     /// Judges what the views can determine at all.
     fn weigh_geometry(&mut self, estimate: &Estimate, set: &ViewSet) {
         let (views, angle) = (set.len(), self.widest_angle_deg);
-        if angle < LEAST_ANGLE_DEG {
+        if angle < MIN_ANGLE_DEG {
             let text = format!(
                 "all {views} views show the board from one direction (within {angle:.1} degrees): focal length and distance cannot be told apart"
             );
@@ -276,7 +276,7 @@ impl Judgement {
         let rms = estimate.rms_px;
         self.graded(rms / pixel, RMS_PX, || format!("the corners fit to {rms:.2} px only"));
         let (most, worst) = (self.uncertainty.quantile(map::MOST), self.uncertainty.worst());
-        self.graded(most / pixel, MOST_PX, || format!("a distant point may appear {most:.1} px off over most of the picture (3 sigma)"));
+        self.graded(most / pixel, MAX_PX, || format!("a distant point may appear {most:.1} px off over most of the picture (3 sigma)"));
         if worst / pixel > WORST_PX {
             let text = format!("a distant point may appear {worst:.1} px off near the picture's rim (3 sigma), where no corners are");
             self.find(Verdict::Usable, text);
@@ -291,7 +291,7 @@ impl Judgement {
                     let how = if halves.agree() { "agree within their joint 3 sigma" } else { "agree nearly" };
                     self.find(Verdict::Good, format!("the two halves of the views {how} ({px:.2} px apart over most of the picture)"));
                 } else {
-                    let severe = sigmas > CONTRADICTION_SIGMAS && px / pixel > MOST_PX[1];
+                    let severe = sigmas > CONTRADICTION_SIGMAS && px / pixel > MAX_PX[1];
                     let weight = if severe { Verdict::DoNotUse } else { Verdict::Usable };
                     self.find(weight, format!("the two halves of the views differ ({name} by {times:.1} times the joint 3 sigma, {px:.1} px apart over most of the picture)"));
                 }

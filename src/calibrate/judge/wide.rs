@@ -22,7 +22,7 @@ pub(super) struct Reach {
 const RINGS: usize = 10;
 /// Minimum number of corners per ring for its mean to be significant. Raised, small sets are not
 /// checked.
-const LEAST_A_RING: usize = 12;
+const MIN_A_RING: usize = 12;
 /// Angle from the axis, degrees, above which a lens is very wide: 90 degrees in total. Raised,
 /// fisheyes with the board only in the middle are not reported; lowered, ordinary wide lenses are
 /// suspected.
@@ -54,7 +54,7 @@ pub(super) fn reach(observations: &[Vec<Observation>], estimate: &Estimate) -> O
             corners.push((at.xy().norm().atan2(at.z).to_degrees(), radial, residual.norm_squared()));
         }
     }
-    if corners.len() < RINGS * LEAST_A_RING {
+    if corners.len() < RINGS * MIN_A_RING {
         return None;
     }
     corners.sort_by(|a, b| a.0.total_cmp(&b.0));

@@ -4,7 +4,7 @@ use super::super::board::Board;
 use super::super::finder::FoundBoard;
 use super::super::other_target::Target;
 use super::super::picture::Inspected;
-use super::super::solve::{Estimate, LEAST_VIEWS};
+use super::super::solve::{Estimate, MIN_VIEWS};
 use crate::geometry::robust_kernel::median;
 
 /// Returns the size of board that most pictures show instead, and in how many. A board at the
@@ -69,7 +69,7 @@ pub(crate) fn mend_for_few(pictures: &[Inspected], board: &Board) -> String {
     let first = pictures.iter().find_map(|p| Some((p, p.board.as_ref().err()?)));
     match first {
         Some((picture, why)) => format!("{}: {why}; {same}", picture.file.display()),
-        None if pictures.len() < LEAST_VIEWS => same.to_owned(),
+        None if pictures.len() < MIN_VIEWS => same.to_owned(),
         None => format!("the others show the same view again; {same}"),
     }
 }

@@ -50,7 +50,7 @@ pub struct Estimate {
 
 /// Minimum number of views: Zhang's method has two equations per view, and three views determine
 /// all five intrinsics.
-pub const LEAST_VIEWS: usize = 3;
+pub const MIN_VIEWS: usize = 3;
 /// Residual, in sigma, above which corners are rejected: one good corner in 40 000 (Rayleigh
 /// distribution). Raised, wrong corners pull the lens; lowered, good ones are lost and sigma comes
 /// out too small.
@@ -58,10 +58,10 @@ const OUTLIER_SIGMAS: f64 = 4.6;
 /// The median length of a 2-vector of unit noise: sqrt(2 ln 2).
 const MEDIAN_LENGTH: f64 = 1.1774;
 
-/// Estimates the lens and a pose for every view; `None` with fewer than `LEAST_VIEWS` views, or if
+/// Estimates the lens and a pose for every view; `None` with fewer than `MIN_VIEWS` views, or if
 /// they do not determine the unknowns.
 pub fn estimate(views: &[Vec<Observation>], size: (u32, u32), options: &SolveOptions) -> Option<Estimate> {
-    if views.len() < LEAST_VIEWS {
+    if views.len() < MIN_VIEWS {
         return None;
     }
     let bundle = start::start(views, size, &options.free, &options.held)?;

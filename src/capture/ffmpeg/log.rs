@@ -30,7 +30,7 @@ pub(super) struct Log {
 
 /// Maximum number of complaints kept: the first is the most useful. Raised, a damaged file takes
 /// more memory.
-const MOST_COMPLAINTS: usize = 8;
+const MAX_COMPLAINTS: usize = 8;
 /// Substrings of the messages in which ffmpeg's demuxers report a file that ends too early.
 const CUT_OFF: [&str; 5] = ["moov atom not found", "partial file", "ended prematurely", "premature end", "truncat"];
 /// Log levels of ffmpeg at which something is wrong with the file.
@@ -64,7 +64,7 @@ impl Log {
     fn complain(&mut self, complaint: &str) {
         let lower = complaint.to_ascii_lowercase();
         self.is_cut_off |= CUT_OFF.iter().any(|words| lower.contains(words));
-        if self.complaints.len() < MOST_COMPLAINTS && !complaint.is_empty() {
+        if self.complaints.len() < MAX_COMPLAINTS && !complaint.is_empty() {
             self.complaints.push(complaint.to_owned());
         }
     }

@@ -75,7 +75,7 @@ const HAS_FPS_MODE: (u32, u32) = (5, 1);
 /// How long bytes may wait in the pipe without an announcing line, in units of [`LISTENING`]. The
 /// line is written first, so this is ample even on a busy machine. Raised, a stream out of step is
 /// noticed later.
-const MOST_SILENT: u32 = 20;
+const MAX_SILENT: u32 = 20;
 /// Interval at which the pipe is polled while no line comes. Raised, a stream out of step is
 /// noticed later; lowered, waiting costs more CPU time.
 const LISTENING: Duration = Duration::from_millis(500);
@@ -166,7 +166,7 @@ impl Ffmpeg {
                 Err(RecvTimeoutError::Disconnected) => return None,
                 Err(RecvTimeoutError::Timeout) => silent = if self.has_bytes() { silent + 1 } else { 0 },
             }
-            if silent >= MOST_SILENT {
+            if silent >= MAX_SILENT {
                 let _ = self.child.kill(); // fails if ffmpeg has already ended
                 self.is_out_of_step = true;
                 return Some(Err("ffmpeg's pictures and what it says of them do not belong together any more".to_owned()));

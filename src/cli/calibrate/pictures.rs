@@ -13,8 +13,8 @@ use crate::calibrate::origin::Origin;
 use crate::calibrate::pick::ViewPicker;
 use crate::calibrate::picture::{Inspected, inspect};
 use crate::capture::{
-    CaptureError, ClipOptions, EntryContent, LARGEST_PICTURE_FILE, PICTURE_EXTENSIONS, decode_oriented, foreign, open_clip,
-    orientation_words, picture_size,
+    CaptureError, ClipOptions, EntryContent, MAX_PICTURE_FILE, PICTURE_EXTENSIONS, decode_oriented, foreign, open_clip, orientation_words,
+    picture_size,
 };
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
@@ -72,7 +72,7 @@ struct Looking {
 
 impl Looking {
     fn look_at(&self, file: PathBuf, board: &Board) -> Inspected {
-        let bytes = match safe_file::read(&file, LARGEST_PICTURE_FILE) {
+        let bytes = match safe_file::read(&file, MAX_PICTURE_FILE) {
             Ok(bytes) => bytes,
             Err(e) => return Inspected::unreadable(file, format!("cannot be read: {e}")),
         };

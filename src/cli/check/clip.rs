@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use super::pass::{FOLLOWED, LEAST_DOUBT, NOTED, Pass, TOLD, WELL_FOLLOWED};
+use super::pass::{FOLLOWED, MIN_DOUBT, NOTED, Pass, TOLD, WELL_FOLLOWED};
 use super::readout::Readout;
 use crate::cli::failure::Failure;
 use crate::cli::outcome::Outcome;
@@ -109,7 +109,7 @@ fn of_no_pose(frames: u64) -> Finding {
 /// Minimum number of different views for saying that no part of the model explains the residuals.
 /// Fewer show much the same however many frames there are, and some residuals of a single frame
 /// never fit any part. Chosen, not tuned. Raised, only long walks are judged.
-const LEAST_VIEWS: usize = 4;
+const MIN_VIEWS: usize = 4;
 
 /// Names the part of the stage or lens that is not as configured, from the poses' residuals.
 /// Returns nothing if there is a graver finding.
@@ -118,11 +118,11 @@ fn of_model(model: &ModelReport, findings: &[Finding]) -> Vec<Finding> {
         return Vec::new();
     }
     let ModelReport { parts, left_px, doubt_mm, doubt_share, views } = model;
-    if parts.is_empty() && *doubt_share >= LEAST_DOUBT {
+    if parts.is_empty() && *doubt_share >= MIN_DOUBT {
         let seen =
             format!("the stage is seen {left_px:.2} px (rms) from where its poses have it, so that they may be {doubt_mm:.1} mm off");
         let walk = "walk past it, to both sides and near and far, and check that clip, or survey the stage by it";
-        return vec![match *views >= LEAST_VIEWS {
+        return vec![match *views >= MIN_VIEWS {
             true => Finding::warning(format!(
                 "{seen}, and no part that stays as it is explains that; cloth that moves would: keep draughts from it or weigh it down. If nothing moves: {walk}"
             )),

@@ -159,7 +159,7 @@ impl Verdict {
 /// Share of the picture under the mask above which the mask is probably inverted. Chosen: a speaker
 /// and a lectern may hide half, an inverted mask hides most. Raised, some inverted masks pass;
 /// lowered, correct ones are doubted.
-const LARGEST_MASK: f64 = 0.6;
+const MAX_MASK: f64 = 0.6;
 
 /// Returns what is odd about the config itself, without a clip.
 fn of_config(settings: &Settings) -> Vec<Finding> {
@@ -170,7 +170,7 @@ fn of_config(settings: &Settings) -> Vec<Finding> {
         findings.extend(diagnose::of_layout(body));
         findings.extend(diagnose::of_corners(body, matches!(settings.lens, LensSource::Guess(..))));
     }
-    if let Some(share) = settings.mask.as_ref().map(hidden_share).filter(|share| *share > LARGEST_MASK) {
+    if let Some(share) = settings.mask.as_ref().map(hidden_share).filter(|share| *share > MAX_MASK) {
         let share = 100.0 * share;
         findings.push(Finding::warning(format!(
             "the mask hides {share:.0} % of the picture: black is ignored, white is seen; invert it if it was painted the other way round"

@@ -29,7 +29,7 @@ pub(super) const NOTED: f64 = 0.02;
 
 /// Maximum rows tracked: half a minute at 30 frames per second, chosen to keep a check short.
 /// Raised, faults late in a long clip are found, and the check takes longer.
-const MOST_ROWS: u64 = 900;
+const MAX_ROWS: u64 = 900;
 /// Maximum number of frames kept for diagnosis; at least half as many if the clip has them. Chosen:
 /// diagnosis takes 8 or 10 at even steps. Raised, more whole frames are held in memory.
 const KEPT: usize = 24;
@@ -37,7 +37,7 @@ const KEPT: usize = 24;
 /// part of the model explains it. It equals one pixel, at a focal length of 1000, in graphics that
 /// follow the camera. Chosen: twice the cost at which a named part with a fix is reported. Raised,
 /// misfits go unreported; lowered, stages that are good enough are sent to a survey.
-pub(super) const LEAST_DOUBT: f64 = 0.001;
+pub(super) const MIN_DOUBT: f64 = 0.001;
 
 /// The result of a pass over the clip.
 #[derive(Clone)]
@@ -80,10 +80,10 @@ impl Pass {
         let mut tracker = Tracker::new(setup.clone().as_trial())?;
         tracker.matcher.study_model();
         let rows = source.rows();
-        let progress = Progress::start(Some(rows.unwrap_or(MOST_ROWS).min(MOST_ROWS)));
+        let progress = Progress::start(Some(rows.unwrap_or(MAX_ROWS).min(MAX_ROWS)));
         let (mut outcome, mut kept, mut travel) = (Outcome::default(), Kept::default(), Travel::default());
         let (mut stamps, mut objects) = (Vec::new(), vec![0_u64; setup.objects.len()]);
-        while outcome.frames < MOST_ROWS {
+        while outcome.frames < MAX_ROWS {
             let Some(row) = source.next_entry() else { break };
             if let EntryContent::Frame(frame) = &row.content {
                 kept.offer(frame);
@@ -120,7 +120,7 @@ impl Pass {
     pub(super) fn is_as_modelled(&self) -> bool {
         let moved: u64 = self.outcome.reasons().into_iter().filter(|(reason, _)| *reason == Reason::LensMoved).map(|(_, n)| n).sum();
         let is_moved = moved as f64 > NOTED * self.outcome.frames as f64;
-        self.model.parts.is_empty() && self.model.doubt_share < LEAST_DOUBT && !is_moved
+        self.model.parts.is_empty() && self.model.doubt_share < MIN_DOUBT && !is_moved
     }
 
     /// Whether an unconfigured readout time may be the cause of a misfit: the picture is

@@ -9,13 +9,13 @@ use crate::cli::replay::progress::Progress;
 use crate::cli::replay::tracker_setup;
 use crate::config::Settings;
 use crate::frame::Frame;
-use crate::survey::shutter::{MOST_FRAMES, ShutterEstimate, ShutterTime, estimate_shutter};
+use crate::survey::shutter::{MAX_FRAMES, ShutterEstimate, ShutterTime, estimate_shutter};
 use crate::tracker::{Tracker, TrackerSetup};
 
 /// A time whose sigma exceeds both of these is not printed: seconds, and as a share of the time.
 /// Chosen, not tuned. Raised, configs get times that are worse than none.
-const LARGEST_SIGMA_S: f64 = 0.001;
-const LARGEST_SHARE: f64 = 0.15;
+const MAX_SIGMA_S: f64 = 0.001;
+const MAX_SHARE: f64 = 0.15;
 /// Shortest readout of a rolling shutter, seconds; no sensor is faster. A shorter estimate is a
 /// global shutter's with a small error. Raised, fast rolling shutters are taken for global;
 /// lowered, global ones for rolling.
@@ -71,7 +71,7 @@ fn frames(mut source: Box<dyn FrameSource>, progress: Progress) -> impl Iterator
 /// Describes the estimate in words.
 pub(super) fn told(estimate: &ShutterEstimate, settings: &Settings) -> Vec<String> {
     let ShutterEstimate { frames, aligned, .. } = estimate;
-    let mut lines = vec![format!("from the clip's first {frames} frames (of {MOST_FRAMES} at most), the stage was followed in {aligned}")];
+    let mut lines = vec![format!("from the clip's first {frames} frames (of {MAX_FRAMES} at most), the stage was followed in {aligned}")];
     if !estimate.has_settled && [estimate.readout, estimate.exposure].iter().flatten().any(is_known) {
         lines.push("the estimate did not settle: take the times below for a hint".to_owned());
     }
@@ -82,7 +82,7 @@ pub(super) fn told(estimate: &ShutterEstimate, settings: &Settings) -> Vec<Strin
 
 /// Whether a time is known well enough to be written into a config.
 fn is_known(time: &ShutterTime) -> bool {
-    time.sigma_s < LARGEST_SIGMA_S.max(LARGEST_SHARE * time.seconds.abs())
+    time.sigma_s < MAX_SIGMA_S.max(MAX_SHARE * time.seconds.abs())
 }
 
 fn readout(found: Option<ShutterTime>, configured_s: f64) -> String {

@@ -6,7 +6,7 @@ use image::GrayImage;
 
 use super::CompareArguments;
 use crate::camera::CameraModel;
-use crate::capture::{CaptureError, LARGEST_PICTURE_FILE, decode_on_white, orientation_words};
+use crate::capture::{CaptureError, MAX_PICTURE_FILE, decode_on_white, orientation_words};
 use crate::cli::failure::Failure;
 use crate::compare::View;
 use crate::config::read_calibration;
@@ -57,8 +57,7 @@ fn with_camera(file: &Path, calibration: Option<&Path>) -> Result<NamedPicture, 
 
 /// Reads a picture as its pixels lie in the file, which is how a calibration counts them.
 pub(in crate::cli) fn read_picture(file: &Path) -> Result<NamedPicture, Failure> {
-    let bytes =
-        safe_file::read(file, LARGEST_PICTURE_FILE).map_err(|source| CaptureError::NotReadable { path: file.to_owned(), source })?;
+    let bytes = safe_file::read(file, MAX_PICTURE_FILE).map_err(|source| CaptureError::NotReadable { path: file.to_owned(), source })?;
     let (picture, orientation, unseen) =
         decode_on_white(&bytes).map_err(|e| Failure::Picture { file: file.to_owned(), reason: e.to_string() })?;
     let turned = orientation_words(orientation)

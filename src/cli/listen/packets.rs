@@ -15,7 +15,7 @@ const SHOWN_OF_A_BLOB: usize = 32;
 /// Maximum nesting of OSC bundles and arrays. Decoding, printing and dropping them recurse once per
 /// level, and a datagram has room for 30,000 levels. Chosen: far more than senders use. Raised to
 /// thousands, a forged datagram overflows the stack.
-const MOST_LEVELS: usize = 16;
+const MAX_LEVELS: usize = 16;
 
 /// Returns one packet as a line; names in it are not escaped.
 pub(super) fn line(protocol: Spoken, bytes: &[u8]) -> String {
@@ -25,7 +25,7 @@ pub(super) fn line(protocol: Spoken, bytes: &[u8]) -> String {
         Spoken::OpenTrackIo => {
             opentrackio::decode(bytes).map(|(sequence, sample)| format!("#{sequence} {sample}")).map_err(|e| e.to_string())
         }
-        Spoken::Osc if nests_too_deep(bytes) => Err(format!("its bundles or arrays nest more than {MOST_LEVELS} deep; check the sender")),
+        Spoken::Osc if nests_too_deep(bytes) => Err(format!("its bundles or arrays nest more than {MAX_LEVELS} deep; check the sender")),
         Spoken::Json => json(bytes),
         Spoken::Osc => osc_packet(bytes).ok_or_else(|| "it is no OSC packet; check the sender's port".to_owned()),
     };
@@ -183,13 +183,13 @@ fn time(tag: OscTime) -> String {
     format!("{}.{us:06}Z", to_the_second.trim_end_matches('Z'))
 }
 
-/// Whether bundles or arrays nest deeper than [`MOST_LEVELS`], without recursion. Damaged packets
+/// Whether bundles or arrays nest deeper than [`MAX_LEVELS`], without recursion. Damaged packets
 /// are left to the decoder.
 fn nests_too_deep(datagram: &[u8]) -> bool {
     let mut open = vec![(0, datagram.len(), 1)];
     while let Some((begin, end, level)) = open.pop() {
         let packet = &datagram[..end];
-        if level > MOST_LEVELS {
+        if level > MAX_LEVELS {
             return true;
         }
         let Some((address, mut at)) = osc_string(packet, begin) else { continue };
@@ -212,7 +212,7 @@ fn nests_too_deep(datagram: &[u8]) -> bool {
                     b']' => depth = depth.saturating_sub(1),
                     _ => {}
                 }
-                if depth > MOST_LEVELS {
+                if depth > MAX_LEVELS {
                     return true;
                 }
             }

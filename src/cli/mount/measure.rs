@@ -19,7 +19,7 @@ use crate::tracker::{Tracker, TrackerSetup};
 /// each of them, because it reports no pose until another frame confirms it. Chosen: the first is
 /// two seconds of film; raised, short films are solved as stills. The second is more than the two
 /// that a confirmed pose needs; raised, it only takes longer.
-const MOST_STILLS: u64 = 60;
+const MAX_STILLS: u64 = 60;
 const TIMES_SHOWN: u64 = 4;
 /// Interval at which stills are shown to the tracker, nanoseconds: a webcam's at 30 frames per
 /// second. Nothing moves, so the value matters little.
@@ -76,10 +76,10 @@ pub(super) fn measure(settings: &Settings, clip: &Path) -> Result<Measured, Fail
 /// answer.
 fn beginning(source: &mut dyn FrameSource) -> (Vec<ClipEntry>, bool) {
     if let Some(rows) = source.rows() {
-        return (Vec::new(), rows <= MOST_STILLS);
+        return (Vec::new(), rows <= MAX_STILLS);
     }
-    let first: Vec<ClipEntry> = std::iter::from_fn(|| source.next_entry()).take(MOST_STILLS as usize + 1).collect();
-    let is_stills = first.len() as u64 <= MOST_STILLS;
+    let first: Vec<ClipEntry> = std::iter::from_fn(|| source.next_entry()).take(MAX_STILLS as usize + 1).collect();
+    let is_stills = first.len() as u64 <= MAX_STILLS;
     (first, is_stills)
 }
 

@@ -19,11 +19,11 @@ const PALE: Colour = [186, 192, 200];
 /// smaller). Chosen for looks. Raised, captions hide more of the picture.
 const TYPE_SHARE: f32 = 1.0 / 38.0;
 /// Minimum readable type size, pixels. Raised, captions hide more of small pictures.
-const LEAST_TYPE_PX: f32 = 11.0;
+const MIN_TYPE_PX: f32 = 11.0;
 
 /// Returns the type for a picture of this size.
 pub(super) fn lettering([width, height]: [f32; 2]) -> Lettering {
-    Lettering { size_px: (TYPE_SHARE * height.min(0.75 * width)).max(LEAST_TYPE_PX).round() }
+    Lettering { size_px: (TYPE_SHARE * height.min(0.75 * width)).max(MIN_TYPE_PX).round() }
 }
 
 /// A phrase that is not broken over lines, with its mark in front.

@@ -12,7 +12,7 @@ use crate::track::UsedPixel;
 const ACROSS: f32 = 26.0;
 /// Minimum side of a cell, pixels: dots of smaller cells would hide the picture. Raised, small
 /// pictures have fewer cells.
-const LEAST_CELL_PX: f32 = 18.0;
+const MIN_CELL_PX: f32 = 18.0;
 /// Residuals beyond this many sigmas have no weight: the end of the aligner's kernel.
 const COUNTS_NOTHING: f32 = crate::geometry::robust_kernel::TUKEY as f32;
 
@@ -72,7 +72,7 @@ impl Cell {
 /// Draws a dot for each cell with pixels that alignment used.
 pub(super) fn draw(canvas: &mut Canvas, pixels: &[UsedPixel]) {
     let [width, height] = canvas.size();
-    let side = (width / ACROSS).max(LEAST_CELL_PX);
+    let side = (width / ACROSS).max(MIN_CELL_PX);
     let (columns, rows) = ((width / side).ceil() as usize, (height / side).ceil() as usize);
     let mut cells = vec![Cell::default(); columns * rows];
     for pixel in pixels {

@@ -28,7 +28,7 @@ const INTERVALS: usize = 3;
 const SINGLE_FRAME_NS: i64 = 1_000_000_000 / 25;
 /// Maximum time that one picture is repeated for missing rows, nanoseconds: stamps may jump by
 /// hours. Chosen, not tuned. Raised, a jump makes a longer still in the video.
-const LONGEST_STAND_NS: i64 = 10_000_000_000;
+const MAX_STAND_NS: i64 = 10_000_000_000;
 
 /// File extensions that mean a video, with ffmpeg's encoding options. The qualities (`-crf`) are
 /// chosen, not tuned; raised, videos are smaller and worse.
@@ -230,7 +230,7 @@ impl Pacing {
     fn repeats_before(&mut self, timestamp: Timestamp) -> usize {
         let since_ns = timestamp.ns_since(self.first);
         let due = since_ns.saturating_add(self.interval_ns / 2).div_euclid(self.interval_ns);
-        let most = LONGEST_STAND_NS / self.interval_ns;
+        let most = MAX_STAND_NS / self.interval_ns;
         let missing = (due - self.written).max(0);
         if missing > most {
             self.first = self.first.after_ns((missing - most).saturating_mul(self.interval_ns));

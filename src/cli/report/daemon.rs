@@ -9,7 +9,7 @@ use std::time::Duration;
 const PATIENCE: Duration = Duration::from_secs(1);
 /// Maximum bytes taken of an answer: far above the status and the metrics, which are kilobytes.
 /// Raised, another server could fill the report.
-const MOST_BYTES: u64 = 1 << 20;
+const MAX_BYTES: u64 = 1 << 20;
 
 /// Returns the answer to a GET request, head and content, or why there is none.
 pub(super) fn ask(listen: SocketAddr, path: &str) -> String {
@@ -27,6 +27,6 @@ fn answer(address: SocketAddr, path: &str) -> io::Result<String> {
     stream.set_write_timeout(Some(PATIENCE))?;
     write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n")?;
     let mut bytes = Vec::new();
-    stream.take(MOST_BYTES).read_to_end(&mut bytes)?;
+    stream.take(MAX_BYTES).read_to_end(&mut bytes)?;
     Ok(String::from_utf8_lossy(&bytes).into_owned())
 }

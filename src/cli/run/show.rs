@@ -25,7 +25,7 @@ use crate::web::page_address;
 /// Maximum failures of a stage within [`RESTART_SPAN`] before the daemon gives up. Chosen: a
 /// failure that recurs every few seconds is left to the service manager. With a higher number or a
 /// shorter span, a daemon that cannot work keeps restarting.
-const MOST_RESTARTS: usize = 5;
+const MAX_RESTARTS: usize = 5;
 const RESTART_SPAN: Duration = Duration::from_secs(60);
 
 /// Interval of checks whether a lent camera is back or a config has come. Chosen: nobody notices
@@ -144,7 +144,7 @@ impl Show<'_> {
             self.link.statistics.contained_panics.add(1);
             self.failures.retain(|at| at.elapsed() < RESTART_SPAN);
             self.failures.push(Instant::now());
-            if self.failures.len() > MOST_RESTARTS {
+            if self.failures.len() > MAX_RESTARTS {
                 return Err(failure);
             }
             tracing::error!("{failure}; starting again");

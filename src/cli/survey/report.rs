@@ -124,7 +124,7 @@ const VIEWS: [View; 3] = [
 /// Segments per side of a surface. Raised, folds are smoother and the file grows.
 const PIECES: usize = 24;
 /// Maximum names on a drawing; raised, they overlap.
-const MOST_NAMES: usize = 8;
+const MAX_NAMES: usize = 8;
 
 /// Draws the surfaces' edges as they hang, and the walk's cameras.
 fn layout(made: &Survey, view: &View) -> String {
@@ -154,7 +154,7 @@ fn layout(made: &Survey, view: &View) -> String {
     for (k, (outline, spec)) in outlines.iter().zip(&made.surfaces).enumerate() {
         let points: Vec<[f64; 2]> = outline.iter().map(to_page).collect();
         drawing.path(&points, true, &hue(k), "none", 2.0);
-        if made.surfaces.len() <= MOST_NAMES {
+        if made.surfaces.len() <= MAX_NAMES {
             let [x, y] = points[0];
             drawing.text([x + 4.0, y + 14.0], 12.0, "start", &hue(k), &spec.name);
         }

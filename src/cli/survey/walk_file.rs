@@ -17,7 +17,7 @@ use crate::tracker::TrackerSetup;
 
 /// Maximum file size read, bytes: 160 keyframes of 2000 features take a seventh of it. Raised, a
 /// foreign file takes more memory; lowered, a rich stage's record is not read.
-const MOST_BYTES: u64 = 128 << 20;
+const MAX_BYTES: u64 = 128 << 20;
 
 /// A survey's walk file, and the command it belongs to.
 pub(super) struct WalkFile {
@@ -41,7 +41,7 @@ impl WalkFile {
 
     /// Returns the walk left by an interrupted run.
     pub(super) fn read(&self) -> Option<WalkRecord> {
-        let bytes = safe_file::read(&self.file, MOST_BYTES).ok()?;
+        let bytes = safe_file::read(&self.file, MAX_BYTES).ok()?;
         let contents: Contents = ciborium::from_reader(bytes.as_slice()).ok()?;
         (contents.of == self.of).then_some(contents.walk)
     }

@@ -9,7 +9,7 @@ use crate::html_page::svg::Drawing;
 const FIELD: [f64; 2] = [400.0, 220.0];
 const MARGIN: f64 = 34.0;
 /// Right end of the error curve, pixels. A match farther off is not inaccurate but wrong.
-const MOST_PX: f64 = 8.0;
+const MAX_PX: f64 = 8.0;
 
 pub(super) fn cumulative(made: &Comparison) -> String {
     let mut drawing = Drawing::new(2.0 * (FIELD[0] + MARGIN), FIELD[1] + 2.0 * MARGIN);
@@ -17,7 +17,7 @@ pub(super) fn cumulative(made: &Comparison) -> String {
     let most = distances.last().copied().unwrap_or(1.0).max(1e-9);
     curve(&mut drawing, MARGIN / 2.0, &distances, most, "distance of descriptors");
     let errors = sorted(made.errors_px());
-    curve(&mut drawing, FIELD[0] + 1.5 * MARGIN, &errors, MOST_PX, "pixels from the model");
+    curve(&mut drawing, FIELD[0] + 1.5 * MARGIN, &errors, MAX_PX, "pixels from the model");
     drawing.finish("Shares of the matches below a distance of descriptors, and below an error in pixels")
 }
 

@@ -11,7 +11,7 @@ use crate::html_page::svg::{Drawing, data_uri};
 /// Width of a picture in a figure, in figure units. Raised, the file grows.
 pub(super) const WIDTH: f64 = 480.0;
 /// Maximum number of matches drawn as lines; more would hide the pictures.
-const MOST_LINES: usize = 100;
+const MAX_LINES: usize = 100;
 /// Number of grid lines over a picture, each way.
 const GRID: usize = 4;
 
@@ -59,7 +59,7 @@ impl Sheet {
         let mut drawing = Drawing::new(2.0 * WIDTH, a.size[1].max(b.size[1]));
         a.draw(&mut drawing, [0.0, 0.0]);
         b.draw(&mut drawing, [WIDTH, 0.0]);
-        let every = which.len().div_ceil(MOST_LINES).max(1);
+        let every = which.len().div_ceil(MAX_LINES).max(1);
         for &k in which.iter().step_by(every) {
             let [p, q] = made.raw_places(k);
             let (from, to) = (a.at(p), b.at(q));
@@ -91,7 +91,7 @@ pub(super) fn transfer(made: &Comparison, relation: &Relation, pictures: [&GrayI
             drawing.path(&places, false, "hsl(210 90% 60%)", "none", width);
         }
     }
-    let every = relation.inliers.len().div_ceil(MOST_LINES).max(1);
+    let every = relation.inliers.len().div_ceil(MAX_LINES).max(1);
     for &k in relation.inliers.iter().step_by(every) {
         if let Some(mapped) = homography.map(made.pairs[k].from) {
             drawing.cross(small.at(made.raw_in_second(mapped)), 3.0, "hsl(50 95% 55%)", 0.8);

@@ -40,7 +40,7 @@ pub fn contradiction(shutter: &Shutter, first: &CameraMode, now: &CameraMode) ->
 
 /// Returns the exposure that a camera has locked, if it is plausible.
 fn locked(mode: &CameraMode) -> Option<f64> {
-    mode.exposure_s.filter(|s| *s > 0.0 && *s <= Shutter::LONGEST_S)
+    mode.exposure_s.filter(|s| *s > 0.0 && *s <= Shutter::MAX_S)
 }
 
 #[cfg(test)]

@@ -18,7 +18,7 @@ use crate::drop_oldest::drop_oldest;
 
 /// Maximum number of abandoned readers; after that the daemon only waits for one of them. Chosen,
 /// not tuned. Raised, a driver that hangs forever holds more threads.
-const MOST_READERS: usize = 8;
+const MAX_READERS: usize = 8;
 /// Interval of checks on the reader. Chosen: well below a frame time of slow cameras. Raised, a
 /// lost camera is noticed later; lowered, waiting takes processor time.
 const TICK: Duration = Duration::from_millis(20);
@@ -120,7 +120,7 @@ impl LiveSource {
             self.nudged = false;
         } else if blocked >= 2 * limit {
             self.left_behind.retain(|r| r.is_running());
-            if self.left_behind.len() >= MOST_READERS {
+            if self.left_behind.len() >= MAX_READERS {
                 return;
             }
             let reason = format!("its driver has not answered for {:.1} s; another try is made beside it", blocked.as_secs_f64());

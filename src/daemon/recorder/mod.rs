@@ -48,8 +48,8 @@ pub struct RecorderPlan {
 /// Maximum rows waiting for the disk, and their bytes; beyond them the disk is too slow. Chosen: 17
 /// seconds at 30 per second, and what a small machine can spare. Raised, longer stalls of a disk
 /// lose nothing and take more memory.
-const MOST_WAITING: usize = 512;
-const MOST_WAITING_BYTES: usize = 256 << 20;
+const MAX_WAITING: usize = 512;
+const MAX_WAITING_BYTES: usize = 256 << 20;
 /// Maximum events in a saved ring, the newest. A round figure far above what happens in a ring's
 /// time. Raised, only memory.
 const RECENT_EVENTS: usize = 4096;
@@ -92,7 +92,7 @@ impl Recorder {
         if let Some(folder) = &plan.clip {
             link.events.publish(Event::RecorderStarted { clip: folder.display().to_string() });
         }
-        let (jobs, to_do) = bounded(MOST_WAITING);
+        let (jobs, to_do) = bounded(MAX_WAITING);
         let queue = Arc::new(Queue::default());
         queue.wanted.store(clip.is_some() || ring.is_some(), Ordering::Relaxed);
         let work = Work {
@@ -119,7 +119,7 @@ impl Recorder {
             }
             let recorded = recorded(row, sample);
             let bytes = queue.bytes.fetch_add(recorded.bytes(), Ordering::Relaxed);
-            if bytes > MOST_WAITING_BYTES || matches!(jobs.try_send(Job::Entry(recorded)), Err(TrySendError::Full(_))) {
+            if bytes > MAX_WAITING_BYTES || matches!(jobs.try_send(Job::Entry(recorded)), Err(TrySendError::Full(_))) {
                 queue.overflown.store(true, Ordering::Relaxed);
             }
         }

@@ -12,7 +12,7 @@ use crate::safe_file;
 
 /// Maximum bytes taken of one file, since reports are sent by mail. A cut file's name says so.
 /// Chosen, not tuned. Raised, reports of long recordings grow too large for mail.
-const MOST_BYTES: u64 = 32 << 20;
+const MAX_BYTES: u64 = 32 << 20;
 
 /// A zip that is being written.
 pub(super) struct Bundle<W: Write> {
@@ -48,11 +48,11 @@ impl<W: Write> Bundle<W> {
     fn add_opened(&mut self, name: &str, file: &Path, open: impl FnOnce() -> io::Result<File>) -> io::Result<()> {
         let read = || -> io::Result<Vec<u8>> {
             let mut bytes = Vec::new();
-            open()?.take(MOST_BYTES).read_to_end(&mut bytes)?;
+            open()?.take(MAX_BYTES).read_to_end(&mut bytes)?;
             Ok(bytes)
         };
         match read() {
-            Ok(bytes) if bytes.len() as u64 == MOST_BYTES => self.add(&format!("{name}.first-{}", size(MOST_BYTES)), &bytes),
+            Ok(bytes) if bytes.len() as u64 == MAX_BYTES => self.add(&format!("{name}.first-{}", size(MAX_BYTES)), &bytes),
             Ok(bytes) => self.add(name, &bytes),
             Err(e) => self.add(&format!("{name}.missing.txt"), format!("{}: cannot be read ({e})\n", file.display())),
         }

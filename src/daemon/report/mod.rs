@@ -20,7 +20,7 @@ pub use recordings::{Recording, find};
 
 /// Maximum size of a config, bytes: a round figure above any, so that a wrong file is refused and
 /// not read into memory.
-const MOST_CONFIG_BYTES: u64 = 16 << 20;
+const MAX_CONFIG_BYTES: u64 = 16 << 20;
 
 /// The content of a report.
 pub struct Report<'a> {
@@ -44,7 +44,7 @@ pub struct Report<'a> {
 /// # Errors
 /// The system's error, or that the file is too large for a config.
 pub fn config_text(file: &Path) -> io::Result<Vec<u8>> {
-    safe_file::read(file, MOST_CONFIG_BYTES)
+    safe_file::read(file, MAX_CONFIG_BYTES)
 }
 
 impl Report<'_> {

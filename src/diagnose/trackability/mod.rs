@@ -54,7 +54,7 @@ const TRIED: TiltedViews = TiltedViews { tilt: 1.5, count: 2 };
 const RIGHT_PX: f64 = 4.0;
 /// Minimum number of matched corners in a view, right or wrong, for the fraction of wrong ones to
 /// be significant. Chosen, not tuned. Raised, coarse patterns are called plain.
-const LEAST_MATCHES: f64 = 4.0;
+const MIN_MATCHES: f64 = 4.0;
 /// Fraction of the recognised corners that are taken for others of the same picture, for scores 0
 /// and 5. Photographs and paintings have 0.03 to 0.16, boards before a wall 0.35, windows, some of
 /// them lit, 0.65, tiles 0.9. Raised, patterns pass; lowered, pictures in a uniform style are rated
@@ -66,7 +66,7 @@ const MISTAKEN: [f64; 2] = [0.65, 0.3];
 const COMPARED_PX: f64 = 400.0;
 /// Minimum contrast of a corner, grey levels: twice the tracker's own, as a show sometimes has half
 /// the light. Raised, faint pictures are rated lower.
-const LEAST_CONTRAST: u8 = 12;
+const MIN_CONTRAST: u8 = 12;
 /// Median distance between the descriptors of a corner in a frame and in the reference, of 256
 /// bits, with typical tilt and blur. A corner whose nearest rival is no farther than that is
 /// mistaken for it. Raised, fewer corners count as distinct.
@@ -201,7 +201,7 @@ impl Recognised {
     /// give a moderate value; 0 if there are next to none.
     fn share_wrong(&self) -> f64 {
         let all = self.right + self.wrong;
-        if all < LEAST_MATCHES { 0.0 } else { (self.wrong + 1.0) / (all + 2.0) }
+        if all < MIN_MATCHES { 0.0 } else { (self.wrong + 1.0) / (all + 2.0) }
     }
 }
 
@@ -221,7 +221,7 @@ pub fn rate(stage: &BodySpec, objects: &[BodySpec], camera: &CameraModel) -> Vec
             // Levels as for the references to which frames are matched: soft pictures have their
             // corners on the coarse ones.
             let options =
-                ExtractorOptions { count: FEATURES, least_threshold: LEAST_CONTRAST, levels: 16, area_power: 0.35, ..Default::default() };
+                ExtractorOptions { count: FEATURES, least_threshold: MIN_CONTRAST, levels: 16, area_power: 0.35, ..Default::default() };
             extractor.extract(&picture, None, &options, &workers, &mut features);
             extractor.extract(&same_size, None, &options, &workers, &mut compared);
             let copies = Copies::of(&picture);

@@ -7,7 +7,7 @@ use image::{GrayImage, Rgb, RgbImage, imageops};
 /// alignment judges a picture. Raised, cells hold too few pixels.
 const COLUMNS: u32 = 16;
 /// Minimum side of a cell, pixels. Lowered, a few pixels of noise count as detail.
-const LEAST_CELL_PX: u32 = 6;
+const MIN_CELL_PX: u32 = 6;
 /// Maximum sigma of a cell's own position due to noise, in the worse direction, pixels, for it to
 /// count as detailed: the limit for alignment's tiles. Lowered, faint and soft pictures have no
 /// detail.
@@ -45,9 +45,9 @@ impl StrengthMap {
     /// Computes the map of a picture, given its corners and whether each is distinct.
     pub fn of(picture: &GrayImage, corners: impl Iterator<Item = ([f64; 2], bool)>) -> Self {
         let (width, height) = picture.dimensions();
-        let across = (width / LEAST_CELL_PX).clamp(1, COLUMNS);
+        let across = (width / MIN_CELL_PX).clamp(1, COLUMNS);
         let down = (f64::from(across * height) / f64::from(width.max(1))).round() as u32;
-        let size = [across, down.clamp(1, (height / LEAST_CELL_PX).max(1))];
+        let size = [across, down.clamp(1, (height / MIN_CELL_PX).max(1))];
         let cells = (size[0] * size[1]) as usize;
         let cell_of = |x: u32, y: u32| (y * size[1] / height * size[0] + x * size[0] / width) as usize;
         let mut tensors = vec![[0.0_f64; 4]; cells];

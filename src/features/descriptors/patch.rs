@@ -25,14 +25,14 @@ impl Default for PatchDescriber {
 
 /// Maximum half-width used, pixels: 40401 values each. Raised, a few thousand patches fill the
 /// memory of a small computer.
-const MOST_HALF_WIDTH: usize = 100;
+const MAX_HALF_WIDTH: usize = 100;
 /// Minimum standard deviation of a patch, grey levels: half a rounding step. Patches with less are
 /// uniform except for rounding; raised, faint ones are dropped too.
-const LEAST_DEVIATION: f64 = 0.5;
+const MIN_DEVIATION: f64 = 0.5;
 
 impl Describer for PatchDescriber {
     fn describe(&self, picture: &PictureForms, keypoints: &[Keypoint]) -> Features {
-        let reach = self.half_width.min(MOST_HALF_WIDTH) as isize;
+        let reach = self.half_width.min(MAX_HALF_WIDTH) as isize;
         let side = 2 * reach as usize + 1;
         let float = picture.float();
         let mut kept = Vec::new();
@@ -62,7 +62,7 @@ fn normalise(patch: &mut [f32]) -> bool {
     let count = patch.len() as f64;
     let mean = patch.iter().map(|v| f64::from(*v)).sum::<f64>() / count;
     let squares = patch.iter().map(|v| (f64::from(*v) - mean).powi(2)).sum::<f64>();
-    if squares < count * LEAST_DEVIATION * LEAST_DEVIATION {
+    if squares < count * MIN_DEVIATION * MIN_DEVIATION {
         return false;
     }
     let factor = 1.0 / squares.sqrt();

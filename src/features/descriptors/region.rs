@@ -33,7 +33,7 @@ const HALF: usize = (PATCH_REACH * PATCH_SIGMA) as usize;
 const SAMPLES_PER_SIGMA: f64 = 1.5;
 /// Maximum number of samples for a patch. Only a region far larger than its picture, or a needle,
 /// needs more. Raised, such a region may take very long.
-const MOST_SAMPLES: f64 = 1e6;
+const MAX_SAMPLES: f64 = 1e6;
 
 /// Reusable buffers for elliptic regions.
 #[derive(Debug, Default)]
@@ -74,7 +74,7 @@ impl Patch {
         // Samples per patch pixel along either axis.
         let finer = sigmas.map(|sigma| (SAMPLES_PER_SIGMA / PATCH_SIGMA * sigma / copy.sigma).ceil().max(1.0));
         let side = (2 * HALF + 1) as f64;
-        if finer.product() * side * side > MOST_SAMPLES {
+        if finer.product() * side * side > MAX_SAMPLES {
             return None;
         }
         let spacing = sigmas.component_div(&finer) / PATCH_SIGMA;

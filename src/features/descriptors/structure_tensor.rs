@@ -27,7 +27,7 @@ impl Default for StructureTensorDescriber {
 
 /// Minimum sum of the mean squares, squared grey levels per squared pixel; less is uniform except
 /// for rounding. Raised, faint places are dropped.
-const LEAST_TRACE: f32 = 1e-3;
+const MIN_TRACE: f32 = 1e-3;
 
 impl Describer for StructureTensorDescriber {
     fn describe(&self, picture: &PictureForms, keypoints: &[Keypoint]) -> Features {
@@ -42,7 +42,7 @@ impl Describer for StructureTensorDescriber {
                 continue;
             }
             let [xx, yy, xy] = [&moments.xx, &moments.yy, &moments.xy].map(|image| image.bilinear(x as f32, y as f32));
-            if xx + yy >= LEAST_TRACE {
+            if xx + yy >= MIN_TRACE {
                 kept.push(*keypoint);
                 values.extend([xx, yy, xy]);
             }

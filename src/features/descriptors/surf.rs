@@ -36,9 +36,9 @@ const DIRECTION_REACH: i32 = 6;
 const DIRECTION_SIGMA: f64 = 2.0;
 /// Minimum norm of the sums, grey levels; with less, the surroundings are uniform except for
 /// rounding. Raised, faint places are dropped.
-const LEAST_NORM: f64 = 1.0;
+const MIN_NORM: f64 = 1.0;
 /// Maximum scale described, pixels; larger wavelets are wider than any picture.
-const MOST_SCALE: f64 = 1e4;
+const MAX_SCALE: f64 = 1e4;
 
 impl Describer for SurfDescriber {
     fn describe(&self, picture: &PictureForms, keypoints: &[Keypoint]) -> Features {
@@ -47,7 +47,7 @@ impl Describer for SurfDescriber {
         for keypoint in picture.watch.over(keypoints) {
             let (scale, place) = (keypoint.scale(), keypoint.position);
             let inside = |v: f64, side: usize| v >= 0.0 && v <= side as f64 - 1.0;
-            let has_size = scale > 0.0 && scale < MOST_SCALE;
+            let has_size = scale > 0.0 && scale < MAX_SCALE;
             if !has_size || !inside(place.x, integral.width) || !inside(place.y, integral.height) {
                 continue;
             }
@@ -125,7 +125,7 @@ fn described(integral: &IntegralImage, place: Vector2<f64>, scale: f64, angle: f
         }
     }
     let norm = sums.iter().map(|v| v * v).sum::<f64>().sqrt();
-    if norm < LEAST_NORM {
+    if norm < MIN_NORM {
         return None;
     }
     let [xx, yy, _] = surf_hessian(integral, place, scale);

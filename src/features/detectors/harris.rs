@@ -79,10 +79,10 @@ const EDGE_SIGMA: f64 = 0.7;
 const STEPS: usize = 5;
 /// Maximum distance from the maximum to the intersection, sigmas. If it is farther, it is another
 /// corner or none, and the maximum itself is used. Raised, wrong intersections are accepted.
-const MOST_SIGMAS: f64 = 2.0;
+const MAX_SIGMAS: f64 = 2.0;
 /// Minimum ratio of the eigenvalues for an intersection: below, the window shows a single line,
 /// along which the point is undetermined. Raised, more corners stay at their maximum.
-const LEAST_RATIO: f64 = 0.02;
+const MIN_RATIO: f64 = 0.02;
 
 impl Detector for HarrisDetector {
     fn detect(&self, picture: &PictureForms) -> Vec<Keypoint> {
@@ -136,12 +136,12 @@ impl HarrisDetector {
                 }
             }
             let eigen = normal.symmetric_eigenvalues();
-            if eigen.min() <= LEAST_RATIO * eigen.max() {
+            if eigen.min() <= MIN_RATIO * eigen.max() {
                 return None;
             }
             let step = normal.try_inverse()? * right;
             place += step;
-            if (place - start).norm().is_nan() || (place - start).norm() > MOST_SIGMAS * sigma {
+            if (place - start).norm().is_nan() || (place - start).norm() > MAX_SIGMAS * sigma {
                 return None;
             }
             if step.norm() < 1e-3 {

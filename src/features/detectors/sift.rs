@@ -42,7 +42,7 @@ const STEPS: usize = 5;
 /// Maximum offset from a pixel to its fitted extremum, pixels or scales; beyond, the fit moves to
 /// the neighbour. More than a half, because for an extremum midway between two pixels either fit
 /// may point to the other, and it would be lost.
-const MOST_OFFSET: f64 = 0.6;
+const MAX_OFFSET: f64 = 0.6;
 /// Fraction of the minimum contrast that an extremum needs before subpixel fitting, which raises it
 /// a little. Raised, weak extrema are lost.
 const BEFORE_FIT: f64 = 0.5;
@@ -72,7 +72,7 @@ impl SiftDetector {
         for _ in 0..STEPS {
             let fit = Fit::around(octave, cell);
             let offset = fit.curvature.lu().solve(&-fit.slope).filter(|o| o.iter().all(|v| v.is_finite()))?;
-            if offset.amax() > MOST_OFFSET {
+            if offset.amax() > MAX_OFFSET {
                 let limits = [(BORDER, width - BORDER - 1), (BORDER, height - BORDER - 1), (1, SCALES)];
                 let stepped = |k: usize| (cell[k] as f64 + offset[k].round()).clamp(0.0, 1e9) as usize;
                 cell = [stepped(0), stepped(1), stepped(2)];

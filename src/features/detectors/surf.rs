@@ -37,7 +37,7 @@ impl Default for SurfDetector {
 /// 3.3).
 const LAYERS: usize = 4;
 /// Maximum number of octaves: the filters of the eighth are 3075 pixels wide.
-const MOST_OCTAVES: usize = 8;
+const MAX_OCTAVES: usize = 8;
 /// Ratio of the sigma of the Gaussian that a filter approximates to its side (section 3.2: 1.2
 /// pixels at side 9).
 const SIGMA_BY_SIDE: f64 = 1.2 / 9.0;
@@ -48,7 +48,7 @@ const MIXED: f32 = 0.81;
 /// fit of a blob whose scale is between two of them may lead more than half way to the next layer,
 /// which is not larger all the same: at 0.5 those blobs are lost. Raised, meaningless fits are
 /// kept.
-const MOST_OFFSET: f64 = 1.0;
+const MAX_OFFSET: f64 = 1.0;
 
 /// Determinants for one filter side, sampled every `step` pixels.
 struct Layer {
@@ -62,7 +62,7 @@ impl Detector for SurfDetector {
     fn detect(&self, picture: &PictureForms) -> Vec<Keypoint> {
         let integral = picture.integral();
         let mut found = Vec::new();
-        for octave in 0..self.octaves.min(MOST_OCTAVES) {
+        for octave in 0..self.octaves.min(MAX_OCTAVES) {
             let (step, sides) = (1 << octave, sides(octave));
             if sides[LAYERS - 1] + 2 * step > integral.width.min(integral.height) {
                 break;
@@ -168,7 +168,7 @@ fn fitted(three: [&Layer; 3], x: usize, y: usize) -> Option<Vector3<f64>> {
     let ys = 0.25 * (at(1, 2, 2) - at(1, 0, 2) - at(1, 2, 0) + at(1, 0, 0));
     let curvature = Matrix3::new(xx, xy, xs, xy, yy, ys, xs, ys, ss);
     let fits = at(1, 1, 2) != 0.0 && at(1, 1, 0) != 0.0;
-    curvature.lu().solve(&-slope).filter(|offset| fits && offset.iter().all(|v| v.abs() <= MOST_OFFSET))
+    curvature.lu().solve(&-slope).filter(|offset| fits && offset.iter().all(|v| v.abs() <= MAX_OFFSET))
 }
 
 #[cfg(test)]

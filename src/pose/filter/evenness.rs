@@ -22,7 +22,7 @@ const ACCELERATIONS_S: f64 = 0.2;
 const NOISE_S: f64 = 0.3;
 /// Minimum noise as a fraction of the stated covariance, as a variance: a still picture repeats its
 /// measurement exactly, the next one does not. Lowered, that next one counts as a jump.
-const LEAST_NOISE: f64 = 1e-4;
+const MIN_NOISE: f64 = 1e-4;
 /// Maximum weight of one measurement, in mean noises, because a jump is not noise. Raised, a jump
 /// makes the filter sluggish for a while; lowered, rising noise is learnt later.
 const OUTLIER: f64 = 10.0;
@@ -98,7 +98,7 @@ impl<P: Place> Evenness<P> {
         let (beyond, by_noise) = off_line(place, variance, &[a, b, c]);
         let ratio = (beyond / by_noise).min(OUTLIER * self.noise_share);
         let share = 1.0 - (-step_s / NOISE_S).exp();
-        self.noise_share = (self.noise_share + share * (ratio - self.noise_share)).clamp(LEAST_NOISE, 1.0);
+        self.noise_share = (self.noise_share + share * (ratio - self.noise_share)).clamp(MIN_NOISE, 1.0);
     }
 }
 

@@ -25,7 +25,7 @@ pub(super) struct Unknown {
 /// Minimum weight decay factor per step, for memories far shorter than the frame interval. Lowered,
 /// the last three measurements decide just as well, and rounding errors grow; raised, long frame
 /// intervals lag.
-const LEAST_KEPT: f64 = 0.01;
+const MIN_KEPT: f64 = 0.01;
 
 #[derive(Debug, Clone)]
 pub(super) struct Fading<P> {
@@ -48,7 +48,7 @@ impl<P: Place> Fading<P> {
 
     /// Takes a measurement; returns the innovation in standard deviations of noise alone.
     pub fn update(&mut self, step_s: f64, memory_s: f64, measured: &P, variance: f64) -> Vector3<f64> {
-        let kept = (-step_s / memory_s).exp().max(LEAST_KEPT);
+        let kept = (-step_s / memory_s).exp().max(MIN_KEPT);
         let (on, back) = (carry(step_s), carry(-step_s));
         let expected = self.place.moved(self.velocity * step_s + self.acceleration * (step_s * step_s / 2.0));
         let innovation = measured.way_from(&expected);

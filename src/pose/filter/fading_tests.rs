@@ -43,7 +43,7 @@ fn no_steady_state_rings_or_alternates() {
                 for _ in 0..(30.0 * memory_s / step_s) as usize + 30 {
                     filter.update(step_s, memory_s, &Vector3::zeros(), sigma * sigma);
                 }
-                let kept = (-step_s / memory_s).exp().max(LEAST_KEPT);
+                let kept = (-step_s / memory_s).exp().max(MIN_KEPT);
                 let found = eigenvalues(&error_transition(&filter, step_s, memory_s, sigma));
                 assert!(!swings(&found), "{rate} Hz, {sigma}, {memory_s}: {found:?}");
                 for value in found {
@@ -92,7 +92,7 @@ fn errors_fade_over_any_intervals_and_noise() {
             let units = Matrix3::from_diagonal(&Vector3::new(1.0, step_s.recip(), step_s.powi(-2)));
             let inverse = Matrix3::from_diagonal(&units.diagonal().map(f64::recip));
             product = units * error_transition(&before, step_s, memory_s, sigma) * inverse * product;
-            kept *= (-step_s / memory_s).exp().max(LEAST_KEPT);
+            kept *= (-step_s / memory_s).exp().max(MIN_KEPT);
             seconds += step_s;
             let expected = filter.information.try_inverse().expect("positive") * carry(-seconds).transpose() * begun * kept;
             assert!((product - expected).norm() <= 1e-6 * expected.norm() + 1e-9, "{memory_s}: {product} {expected}");

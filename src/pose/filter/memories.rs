@@ -12,7 +12,7 @@ use nalgebra::Vector3;
 use super::fading::{Fading, Unknown};
 use super::place::Place;
 
-/// Number of filters: with [`RATIO`] and [`LONGEST_S`] the shortest memory is 0.5 ms, below every
+/// Number of filters: with [`RATIO`] and [`MAX_S`] the shortest memory is 0.5 ms, below every
 /// frame interval. Raised, unnecessary shorter ones are added, each at the cost of its update.
 const COUNT: usize = 6;
 /// Ratio of each memory to the previous one. Lowered, more filters are needed; raised, the choice
@@ -20,7 +20,7 @@ const COUNT: usize = 6;
 const RATIO: f64 = 4.0;
 /// The longest memory, seconds. At rest the scatter falls with its root; a drift too slow for it to
 /// follow is detected eventually. Raised, that takes longer, and the pose lags until then.
-const LONGEST_S: f64 = 0.5;
+const MAX_S: f64 = 0.5;
 /// Squared innovation, relative to its mean of 1, that contradicts a filter. By chance fewer than
 /// one in a hundred thousand exceeds it; but measured noise is neither quite normal nor quite
 /// white, and at 7 a still camera's filters are replaced every second. Raised, lags last longer.
@@ -50,12 +50,12 @@ impl<P: Place> Memories<P> {
 
     /// Takes a measurement; `shortest_s` is the shortest useful memory.
     pub fn update(&mut self, step_s: f64, shortest_s: f64, measured: &P, variance: f64) {
-        let mut memory_s = LONGEST_S / RATIO.powi(COUNT as i32 - 1);
+        let mut memory_s = MAX_S / RATIO.powi(COUNT as i32 - 1);
         let mut shorter: Option<Fading<P>> = None;
         for (filter, doubt) in &mut self.filters {
             let in_sigmas = match shorter {
                 // The first filter has none to fall back to, so it uses the shortest useful memory.
-                None => filter.update(step_s, shortest_s.min(LONGEST_S), measured, variance),
+                None => filter.update(step_s, shortest_s.min(MAX_S), measured, variance),
                 Some(_) => filter.update(step_s, memory_s.max(shortest_s), measured, variance),
             };
             let is_contradicted = doubt.contradicts(step_s / (MEAN_OVER * memory_s), &in_sigmas);

@@ -57,10 +57,10 @@ const PREDICTED_WAYS: f64 = 2.0;
 /// Maximum time between stamps for continuity, seconds, unless the frame interval itself is that
 /// long: by then a hand may have reversed. Raised, a filter carries old motion across gaps;
 /// lowered, brief hiccups restart it.
-const LONGEST_STEP_S: f64 = 0.25;
+const MAX_STEP_S: f64 = 0.25;
 /// Number of frame intervals that always count as continuous: one dropped frame, and some
 /// unevenness. Raised, slow cameras are filtered across more dropped frames.
-const LONGEST_STEP_FRAMES: f64 = 2.5;
+const MAX_STEP_FRAMES: f64 = 2.5;
 /// Time that always breaks continuity, seconds, at any frame interval. Raised, clips of stills are
 /// filtered as one motion.
 const NO_CONTINUATION_S: f64 = 1.0;
@@ -160,7 +160,7 @@ impl<From> Running<From> {
     /// Returns the maximum time between stamps for continuity.
     fn longest_step_s(&self) -> f64 {
         let interval_s = self.intervals_s.iter().flatten().copied().fold(f64::INFINITY, f64::min);
-        if interval_s.is_finite() { (LONGEST_STEP_FRAMES * interval_s).clamp(LONGEST_STEP_S, NO_CONTINUATION_S) } else { LONGEST_STEP_S }
+        if interval_s.is_finite() { (MAX_STEP_FRAMES * interval_s).clamp(MAX_STEP_S, NO_CONTINUATION_S) } else { MAX_STEP_S }
     }
 }
 

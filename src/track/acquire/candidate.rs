@@ -79,14 +79,14 @@ pub struct AgreeingMatch {
 
 /// Fewest inliers of a homography that is worth a look: twice the four that define it. Chance agrees on as many now and then, and
 /// verification refuses it. Raised, small or dim pictures are not found; lowered, frames without the stage cost more.
-const LEAST_INLIERS: usize = 8;
+const MIN_INLIERS: usize = 8;
 /// Fewest places that agree on an affine map that is worth a look: two more than define one. Raised, weak pictures are not found; lowered, frames without them cost more.
-const LEAST_AFFINE_INLIERS: usize = 5;
+const MIN_AFFINE_INLIERS: usize = 5;
 /// Matches that speak for a pose without doubt: then affine maps are not asked. Chosen, not tuned. Raised, bodies that are seen well cost more; lowered, a homography through wrong matches is the
 /// only one tried.
 pub const FEW_INLIERS: usize = 20;
 /// Candidates at most: both planar poses of a homography, and of an affine map. Raised, wrong ones cost more.
-const MOST_CANDIDATES: usize = 4;
+const MAX_CANDIDATES: usize = 4;
 /// Where the affine map of a surface is looked at to tell its planar poses, pixels of a match's level from it. The map is the same everywhere; as near as this, a plane has no perspective.
 const AFFINE_REACH_PX: f64 = 10.0;
 /// Noise of a feature's position, pixels of the level it was found on, one sigma. A round figure. Raised, wrong matches come within reach
@@ -100,13 +100,13 @@ const REFINED_WITHIN: [f64; 2] = [20.0, 8.0];
 /// from there. Raised, candidates cost more: with 15 up to a quarter more.
 const REFINING_STEPS: usize = 5;
 /// The other planar pose is left out where the first one explains this many matches, and fewer than this share of them are within reach of the other. Few matches hardly tell the
-/// two apart before both are refined: with no least number, a small prop was found a frame later. `LEAST_EXPLAINED` raised, the right one of two may be left out; lowered, poses that the picture
+/// two apart before both are refined: with no least number, a small prop was found a frame later. `MIN_EXPLAINED` raised, the right one of two may be left out; lowered, poses that the picture
 /// cannot show cost as much as the first.
 const TELLING_MATCHES: usize = 60;
-const LEAST_EXPLAINED: f64 = 0.5;
+const MIN_EXPLAINED: f64 = 0.5;
 /// A squared residual in sigmas counts as this at most: four sigmas, within which a match is an inlier. Raised, wrong matches decide
 /// between candidates.
-const LARGEST_SQUARED: f64 = 16.0;
+const MAX_SQUARED: f64 = 16.0;
 /// Samples of the robust homography at most: enough to find one among 72 % of wrong matches, to 99.99 %. Raised, frames without the stage
 /// cost more.
 const SAMPLES: usize = 1500;
@@ -160,13 +160,13 @@ pub fn candidates(
         for start in surface_poses(body, &view, camera, &mut seen) {
             // Seen from nearby or far aside, a plane that is tilted the other way explains little.
             let near = || within_reach(&start, &still, &observations, REFINED_WITHIN[1]).count() as f64;
-            if explained >= TELLING_MATCHES && near() < LEAST_EXPLAINED * explained as f64 {
+            if explained >= TELLING_MATCHES && near() < MIN_EXPLAINED * explained as f64 {
                 continue;
             }
             let Some(candidate) = refined_candidate(&start, &still, &observations) else { continue };
             poses.push(candidate.pose);
             explained = explained.max(candidate.inliers);
-            if candidate.inliers >= LEAST_INLIERS {
+            if candidate.inliers >= MIN_INLIERS {
                 add_new(&mut found, candidate);
             }
         }
@@ -187,7 +187,7 @@ pub fn add_candidates_of_few(body: &PreparedBody, matches: &[SurfaceMatch], came
     for surface in 0..body.surfaces.len() as u32 {
         let starts = affine_poses(body, surface, matches, camera);
         let refined = starts.iter().filter_map(|start| refined_candidate(start, &still, &observations));
-        refined.filter(|candidate| candidate.inliers >= LEAST_AFFINE_INLIERS).for_each(|candidate| add_new(found, candidate));
+        refined.filter(|candidate| candidate.inliers >= MIN_AFFINE_INLIERS).for_each(|candidate| add_new(found, candidate));
     }
     keep_best(found);
 }
@@ -195,7 +195,7 @@ pub fn add_candidates_of_few(body: &PreparedBody, matches: &[SurfaceMatch], came
 /// Those with the least cost, best first.
 fn keep_best(found: &mut Vec<Candidate>) {
     found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-    found.truncate(MOST_CANDIDATES);
+    found.truncate(MAX_CANDIDATES);
 }
 
 /// Adds a candidate that is not there yet.
@@ -208,7 +208,7 @@ fn add_new(found: &mut Vec<Candidate>, candidate: Candidate) {
 /// The start refined, and what speaks for it.
 fn refined_candidate(start: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, observations: &[Observation]) -> Option<Candidate> {
     let found = refined(start, camera, observations)?;
-    let inliers = within_reach(&found.pose, camera, observations, LARGEST_SQUARED.sqrt()).count();
+    let inliers = within_reach(&found.pose, camera, observations, MAX_SQUARED.sqrt()).count();
     Some(Candidate { pose: found.pose, inliers, cost: truncated_cost(&found.pose, camera, observations), off: off(&found) })
 }
 
@@ -248,7 +248,7 @@ fn observation(body: &PreparedBody, m: &SurfaceMatch) -> Observation {
 /// Sum of squared residuals in sigmas, each cut at 16.
 fn truncated_cost(pose: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, observations: &[Observation]) -> f64 {
     let squared = |o: &Observation| squared_residual(pose, camera, o).unwrap_or(f64::INFINITY);
-    observations.iter().map(|o| squared(o).min(LARGEST_SQUARED)).sum()
+    observations.iter().map(|o| squared(o).min(MAX_SQUARED)).sum()
 }
 
 /// Whether one of two candidates is enough: they are within a hundredth of the distance and half a degree.
@@ -282,14 +282,14 @@ impl SurfaceView {
     /// What the homography leaves of a match, in sigmas, squared and cut.
     fn squared_error(&self, m: &SurfaceMatch) -> f64 {
         let pair = PointPair { from: m.artwork, to: m.undistorted };
-        (self.homography.squared_error(&pair) / (FEATURE_NOISE_PX * m.scale).powi(2)).min(LARGEST_SQUARED)
+        (self.homography.squared_error(&pair) / (FEATURE_NOISE_PX * m.scale).powi(2)).min(MAX_SQUARED)
     }
 }
 
 /// See [`Recognition::misfit`].
 fn misfit(poses: &[Pose<Camera, Body>], camera: &MovingCamera<CameraModel>, agreeing: &[AgreeingMatch]) -> Option<f64> {
     let squared =
-        |pose: &Pose<Camera, Body>, o: &Observation| squared_residual(pose, camera, o).map_or(LARGEST_SQUARED, |s| s.min(LARGEST_SQUARED));
+        |pose: &Pose<Camera, Body>, o: &Observation| squared_residual(pose, camera, o).map_or(MAX_SQUARED, |s| s.min(MAX_SQUARED));
     let over =
         |pose: &Pose<Camera, Body>| agreeing.iter().map(|m| squared(pose, &m.observation) - m.floor).sum::<f64>() / agreeing.len() as f64;
     poses.iter().map(over).min_by(f64::total_cmp).filter(|m| m.is_finite())
@@ -298,14 +298,14 @@ fn misfit(poses: &[Pose<Camera, Body>], camera: &MovingCamera<CameraModel>, agre
 /// The homography that most matches of a surface agree with. A mirror image is no view of the surface's front.
 pub fn surface_view(surface: u32, matches: &[SurfaceMatch], camera: &CameraModel, seed: u64) -> Option<SurfaceView> {
     let own: Vec<SurfaceMatch> = matches.iter().filter(|m| m.surface == surface).copied().collect();
-    if own.len() < LEAST_INLIERS {
+    if own.len() < MIN_INLIERS {
         return None;
     }
     let pairs: Vec<PointPair> = own.iter().map(|m| PointPair { from: m.artwork, to: m.undistorted }).collect();
     let threshold = 4.0 * (f64::from(camera.width().max(camera.height())) / 1280.0).max(0.75);
     let order = Order::BestFirst { even_after: SAMPLES, draws_each: 1, stops_by_best: false };
     let options = RobustOptions { threshold, max_samples: SAMPLES, confidence: 0.9999, order, weighs_alike: false, seed };
-    let found = robust_homography(&pairs, &options).filter(|f| f.inliers.len() >= LEAST_INLIERS && f.model.keeps_orientation())?;
+    let found = robust_homography(&pairs, &options).filter(|f| f.inliers.len() >= MIN_INLIERS && f.model.keeps_orientation())?;
     let matches = found.inliers.iter().map(|&k| own[k]).collect();
     Some(SurfaceView { surface, homography: found.model, matches })
 }
@@ -340,7 +340,7 @@ fn affinities(surface: u32, matches: &[SurfaceMatch]) -> (Vec<&SurfaceMatch>, Ve
 pub fn agreeing_matches(body: &PreparedBody, matches: &[SurfaceMatch]) -> Vec<SurfaceMatch> {
     let of_surface = |surface: u32| {
         let (own, affinities) = affinities(surface, matches);
-        most_agreeing(&affinities, LEAST_AFFINE_INLIERS).unwrap_or_default().into_iter().map(move |k| *own[k])
+        most_agreeing(&affinities, MIN_AFFINE_INLIERS).unwrap_or_default().into_iter().map(move |k| *own[k])
     };
     (0..body.surfaces.len() as u32).flat_map(of_surface).collect()
 }
@@ -349,7 +349,7 @@ pub fn agreeing_matches(body: &PreparedBody, matches: &[SurfaceMatch]) -> Vec<Su
 fn affine_poses(body: &PreparedBody, surface: u32, matches: &[SurfaceMatch], camera: &CameraModel) -> Vec<Pose<Camera, Body>> {
     let spec = &body.surfaces[surface as usize].spec;
     let (own, affinities) = affinities(surface, matches);
-    let Some((map, agreeing)) = robust_affine(&affinities, LEAST_AFFINE_INLIERS) else { return Vec::new() };
+    let Some((map, agreeing)) = robust_affine(&affinities, MIN_AFFINE_INLIERS) else { return Vec::new() };
     let steps = [Vector2::x(), -Vector2::x(), Vector2::y(), -Vector2::y()];
     let around = |m: &SurfaceMatch| {
         let back = m.derivative.try_inverse().unwrap_or_default() * (AFFINE_REACH_PX * m.scale);

@@ -103,7 +103,7 @@ fn a_handful_of_right_matches_among_many_wrong_ones_puts_a_body_where_it_is() {
         let (mut found, _) = candidates_of(&body, &few, &camera);
         by_homography += usize::from(is_right(&found));
         add_candidates_of_few(&body, &few, &camera, &mut found);
-        assert!(is_right(&found) && found.len() <= MOST_CANDIDATES, "{seed}: {found:?}");
+        assert!(is_right(&found) && found.len() <= MAX_CANDIDATES, "{seed}: {found:?}");
         assert!(found.windows(2).all(|w| w[0].cost <= w[1].cost));
     }
     assert!(by_homography < 8, "{by_homography}");

@@ -20,7 +20,7 @@ pub const FIRST_TURN: f64 = 0.003;
 /// chance; lowered, bodies whose motion changed are found later.
 const FURTHEST: f64 = 0.05;
 /// Fewest places that must agree. Chosen: of 60 wrong matches three hardly ever do. Raised, bodies that come out are found a frame later; lowered, candidates that are wrong take time.
-const LEAST_AGREEING: usize = 3;
+const MIN_AGREEING: usize = 3;
 
 /// The expected pose, moved aside to where most matches nearby are. Of several the one that most speak for.
 pub fn expected_candidate(
@@ -38,7 +38,7 @@ pub fn expected_candidate(
 fn shifted(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, expected: &Pose<Camera, Body>) -> Option<Candidate> {
     let (depths, affinities): (Vec<f64>, Vec<LocalAffinity>) =
         matches.iter().filter_map(|m| relative_to_expected(body, m, camera, expected)).unzip();
-    let (shift, agreeing) = robust_shift(&affinities, FURTHEST * f64::from(camera.width()), LEAST_AGREEING)?;
+    let (shift, agreeing) = robust_shift(&affinities, FURTHEST * f64::from(camera.width()), MIN_AGREEING)?;
     let depth = agreeing.iter().map(|&k| depths[k]).sum::<f64>() / agreeing.len() as f64;
     let middle = Vector2::new(f64::from(camera.width()), f64::from(camera.height())) * 0.5;
     let [from, to] = [middle, middle + shift].map(|p| camera.from_undistorted_pixel(p).0);

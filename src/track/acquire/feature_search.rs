@@ -37,8 +37,8 @@ const QUICK_PX: u32 = 800;
 const SLICE_COMPARISONS: usize = 3_000_000;
 /// Features of a slice at least, however many bodies are missing, and at most. A prop that is found has a dozen matches among them: in five clips of three objects 400 found
 /// them in as many frames as 600 did, and 350 in fewer. Raised, slices take longer; lowered, small and dim props are not found.
-const LEAST_SLICE_FEATURES: usize = 150;
-const MOST_SLICE_FEATURES: usize = 400;
+const MIN_SLICE_FEATURES: usize = 150;
+const MAX_SLICE_FEATURES: usize = 400;
 
 /// Most missing surfaces that one slice is compared with; the others wait for their turn. Chosen: with five, a slice can afford some 300 features. When every slice was compared
 /// with all of sixteen objects, it could afford 150, and ten objects were not found within a second. Raised, slices have too few features; lowered, each surface waits longer.
@@ -167,7 +167,7 @@ impl FeatureSearch {
             self.missing_views.take_from(&self.all_views, |surface| self.missing.binary_search(&surface).is_ok());
         }
         let entries = self.missing_views.features().len().max(1);
-        let count = (SLICE_COMPARISONS / entries).clamp(LEAST_SLICE_FEATURES, MOST_SLICE_FEATURES).min(self.count);
+        let count = (SLICE_COMPARISONS / entries).clamp(MIN_SLICE_FEATURES, MAX_SLICE_FEATURES).min(self.count);
         // Where all is explained there is nothing to spread the contrast of.
         let stretched = if unexplained.is_anything() { self.contrast.stretched(image) } else { None };
         let image = stretched.unwrap_or(image);

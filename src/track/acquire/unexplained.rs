@@ -31,10 +31,10 @@ const CELL_ROWS: usize = CELL / ROW_STEP;
 const EXPLAINED_CORRELATION: f32 = 0.9;
 /// Least standard deviation of a cell, grey levels, for it to be worth a search: corners stand out by more. Chosen, not tuned: a few times the noise at
 /// this level. Raised, faint pictures are not found; lowered, plain walls are searched.
-const LEAST_CONTRAST: f32 = 3.0;
+const MIN_CONTRAST: f32 = 3.0;
 /// Fewest pixels of three by three cells by which these are judged: a quarter of them. Chosen, not tuned. Raised, what stands at the border of the stage is
 /// overlooked; lowered, a few pixels decide.
-const LEAST_JUDGED: f32 = (9 * CELL * CELL_ROWS / 4) as f32;
+const MIN_JUDGED: f32 = (9 * CELL * CELL_ROWS / 4) as f32;
 /// Features of a window where a body should be, over those of another one that is as large. Chosen. Raised, what is new beside it is found later; lowered, what was covered for a moment is.
 const EXPECTED_SHARE: f64 = 2.0;
 
@@ -119,7 +119,7 @@ impl Moments {
 
     /// Whether something is to be seen that is not what should be: where surfaces are expected, or where none is.
     fn is_unexplained(&self) -> bool {
-        let has_detail = |n: f32, s: f32, ss: f32| n >= LEAST_JUDGED && ss / n - (s / n).powi(2) > LEAST_CONTRAST.powi(2);
+        let has_detail = |n: f32, s: f32, ss: f32| n >= MIN_JUDGED && ss / n - (s / n).powi(2) > MIN_CONTRAST.powi(2);
         let [n, s, ss, p, pp, sp, m, t, tt] = self.0;
         let differs = || {
             let (seen, expected, both) = (ss - s * s / n, pp - p * p / n, sp - s * p / n);

@@ -9,9 +9,9 @@ use super::search_windows::{Extent, Window};
 pub const SIDE_PX: u32 = 16;
 /// Fewest cells of a region that is searched: a quarter of a picture that is 64 pixels wide, which is the least that features find. Raised, props that come into view
 /// are found later; lowered, specks are searched.
-const LEAST_CELLS: usize = 6;
+const MIN_CELLS: usize = 6;
 /// Most regions that are searched in a frame, the largest ones. Chosen: sixteen props, and people. Raised, a frame that is strewn with specks costs more.
-const MOST_REGIONS: usize = 24;
+const MAX_REGIONS: usize = 24;
 /// Pixels of the frame around a region that are looked at: as far as the description of a corner reaches two octaves up. Raised, searches cost more; lowered, corners near a
 /// region's border are found at full size alone.
 pub const MARGIN_PX: u32 = 64;
@@ -85,10 +85,10 @@ impl UnexplainedCells {
             }
             self.regions.push((size, number));
         }
-        self.regions.retain(|(size, _)| *size >= LEAST_CELLS);
+        self.regions.retain(|(size, _)| *size >= MIN_CELLS);
         // The largest first; where two are equal, in reading order.
         self.regions.sort_unstable_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
-        self.regions.truncate(MOST_REGIONS);
+        self.regions.truncate(MAX_REGIONS);
     }
 
     /// Cells and number of each region, the largest first.
@@ -147,7 +147,7 @@ impl UnexplainedCells {
             high = [0, 1].map(|k| high[k].max(at[k] + SIDE_PX));
         }
         let (waited, own) = self.cells_of(window, window.own).fold((0.0, 0), |(sum, n), cell| (sum + f32::from(self.waits[cell]), n + 1));
-        if cells < LEAST_CELLS || own == 0 {
+        if cells < MIN_CELLS || own == 0 {
             return None;
         }
         let origin = [0, 1].map(|k| low[k].saturating_sub(MARGIN_PX).max(window.origin[k]));

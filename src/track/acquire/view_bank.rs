@@ -18,16 +18,16 @@ use crate::track::scene::reference::{ANCHOR_BORDER, ANCHORS, Anchor, PreparedSur
 /// Reference features of all surfaces together, and of one at least. Chosen, not tuned. Raised, matching costs more in proportion; lowered,
 /// fewer features of a stage that is seen in part or small are among them.
 const REFERENCE_FEATURES: usize = 4000;
-const LEAST_REFERENCE_FEATURES: usize = 700;
+const MIN_REFERENCE_FEATURES: usize = 700;
 /// The same of the tilted views, and of one view at least. Chosen, not tuned: a close look takes three times as long as one at the pictures as
 /// they are. Raised, it takes longer; lowered, steep views of a stage that is partly covered are not recognised.
 const TILTED_FEATURES: usize = 8000;
-const LEAST_TILTED_FEATURES: usize = 60;
+const MIN_TILTED_FEATURES: usize = 60;
 /// Artwork is looked at for features at no more than this many pixels across, or down where it is higher: no camera resolves more. Raised,
 /// features are spent on detail that no frame shows; lowered, close views find fewer.
-const LARGEST_REFERENCE_PX: u32 = 2000;
+const MAX_REFERENCE_PX: u32 = 2000;
 /// The same for tilted views, which no frame shows as large. Raised, the start takes longer by the square.
-const LARGEST_TILTED_PX: u32 = 1300;
+const MAX_TILTED_PX: u32 = 1300;
 /// Tilted views that are simulated. Descriptors bear a tilt of two from one view to another, and so do these among each other; the last reaches
 /// beyond 80 degrees (a tilt of 5.8). More of one tilt: longitudes in between are recognised better, and the start takes longer.
 const VIEWS: [TiltedViews; 3] =
@@ -70,12 +70,12 @@ pub struct PictureCopy<'a> {
 impl<'a> PictureCopy<'a> {
     /// The one that the picture is described by as it is.
     pub fn frontal(surface: &'a PreparedSurface) -> Self {
-        Self::up_to(surface, LARGEST_REFERENCE_PX)
+        Self::up_to(surface, MAX_REFERENCE_PX)
     }
 
     /// The one that its tilted views are made of.
     pub fn tilted(surface: &'a PreparedSurface) -> Self {
-        Self::up_to(surface, LARGEST_TILTED_PX)
+        Self::up_to(surface, MAX_TILTED_PX)
     }
 
     fn up_to(surface: &'a PreparedSurface, largest_px: u32) -> Self {
@@ -106,10 +106,8 @@ impl<'a> BankBuilder<'a> {
     pub fn new(pictures: usize, store: Option<Arc<dyn ViewStore>>, workers: &'a Workers) -> Self {
         let views: usize = VIEWS.iter().map(|v| v.count).sum();
         let pictures = pictures.max(1);
-        let counts = [
-            (REFERENCE_FEATURES / pictures).max(LEAST_REFERENCE_FEATURES),
-            (TILTED_FEATURES / pictures / views).max(LEAST_TILTED_FEATURES),
-        ];
+        let counts =
+            [(REFERENCE_FEATURES / pictures).max(MIN_REFERENCE_FEATURES), (TILTED_FEATURES / pictures / views).max(MIN_TILTED_FEATURES)];
         Self { counts, store, workers, extractor: FeatureExtractor::default() }
     }
 

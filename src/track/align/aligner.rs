@@ -18,7 +18,7 @@ use crate::geometry::{Body, Camera, Pose};
 use crate::motion::{Motion, MotionError, MotionEstimate};
 use crate::track::frame::frame_levels::{FINEST, FrameLevels};
 use crate::track::frame::rays::CameraRays;
-use crate::track::frame::tile_grid::MOST_TILES;
+use crate::track::frame::tile_grid::MAX_TILES;
 use crate::track::scene::reference::PreparedBody;
 use crate::track::scene::surface::SurfaceSpec;
 
@@ -72,7 +72,7 @@ impl Aligner {
 
     /// Most patches that a frame can show: one a tile of each surface.
     pub fn most_patches(&self) -> usize {
-        self.settings.surfaces.len() * MOST_TILES[0] * MOST_TILES[1]
+        self.settings.surfaces.len() * MAX_TILES[0] * MAX_TILES[1]
     }
 
     /// Takes the surfaces' places and shapes anew; their pictures stay. What frames left of the former ones hardly counts as noise any more.

@@ -6,7 +6,7 @@ use nalgebra::Vector2;
 /// 30 a second. Raised, sigma itself scatters; lowered, sigma comes out too small.
 pub const BLOCK: usize = 6;
 /// Fewest frames that tell of something: two blocks. Raised, clips with a short shake give no answer; lowered, sigma is a guess.
-pub const LEAST_FRAMES: usize = 12;
+pub const MIN_FRAMES: usize = 12;
 
 /// What a frame says: a value, and the variance that it has by the frame's noise.
 pub type Said = Vector2<f64>;
@@ -74,9 +74,9 @@ impl AgreementBuffers {
     }
 }
 
-/// The robust mean of what frames say, in order; `None` where fewer than [`LEAST_FRAMES`] say something.
+/// The robust mean of what frames say, in order; `None` where fewer than [`MIN_FRAMES`] say something.
 pub fn agreement(said: &[Said]) -> Option<Agreement> {
-    (said.len() >= LEAST_FRAMES).then(|| AgreementBuffers::default().agreement(said))
+    (said.len() >= MIN_FRAMES).then(|| AgreementBuffers::default().agreement(said))
 }
 
 /// The value below which half of the weight lies; 0 of nothing.

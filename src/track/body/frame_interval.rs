@@ -10,7 +10,7 @@ use crate::frame::Timestamp;
 const REMEMBERED: usize = 5;
 /// Longer gaps are interruptions, not intervals, seconds. Raised, a clip of single pictures would count as a film; lowered, a camera of 2
 /// frames a second has no interval.
-const LONGEST_S: f64 = 0.5;
+const MAX_S: f64 = 0.5;
 /// Intervals jitter: a frame comes this many intervals after the one before at most, unless one is missing. Chosen, not tuned: any value up
 /// to nearly 2 tells them apart. Lowered, late frames end a track; raised, slow cameras coast longer.
 const JITTER: f64 = 1.25;
@@ -29,7 +29,7 @@ impl FrameInterval {
     pub fn update(&mut self, timestamp: Timestamp) {
         let Some(before) = self.last.replace(timestamp) else { return };
         let interval = timestamp.seconds_since(before);
-        if interval > 0.0 && interval <= LONGEST_S {
+        if interval > 0.0 && interval <= MAX_S {
             self.intervals[self.next] = interval;
             self.next = (self.next + 1) % REMEMBERED;
         }

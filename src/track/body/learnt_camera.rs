@@ -11,9 +11,9 @@ const HEAD: &str = "stagepose learnt camera";
 /// Version of the form.
 const VERSION: u32 = 1;
 /// Longest snapshot that is read, bytes: far more than any has. A round figure.
-pub const LARGEST_LEARNT_BYTES: u64 = 64 << 10;
+pub const MAX_LEARNT_BYTES: u64 = 64 << 10;
 /// Longest time of a shutter that is believed, seconds, as in a config.
-const LONGEST_S: f64 = crate::camera::Shutter::LONGEST_S;
+const MAX_S: f64 = crate::camera::Shutter::MAX_S;
 
 /// A time that was learnt, and how sure it is.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -86,7 +86,7 @@ impl LearntCamera {
             let words: Vec<&str> = line.split_whitespace().take(4).collect();
             let &[name, seconds, sigma_s] = words.as_slice() else { return Err(damaged) };
             let (Ok(seconds), Ok(sigma_s)) = (seconds.parse::<f64>(), sigma_s.parse::<f64>()) else { return Err(damaged) };
-            let is_possible = seconds.abs() <= LONGEST_S && sigma_s > 0.0 && sigma_s <= LONGEST_S;
+            let is_possible = seconds.abs() <= MAX_S && sigma_s > 0.0 && sigma_s <= MAX_S;
             let time = Some(LearntTime { seconds, sigma_s }).filter(|_| is_possible);
             match (name, time) {
                 ("readout_s", Some(_)) => learnt.readout = time,

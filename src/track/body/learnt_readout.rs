@@ -5,7 +5,7 @@
 
 use std::collections::VecDeque;
 
-use super::agreement::{Agreement, AgreementBuffers, BLOCK, LEAST_FRAMES, Said};
+use super::agreement::{Agreement, AgreementBuffers, BLOCK, MIN_FRAMES, Said};
 use super::learnt_camera::LearntTime;
 use super::shutter_news::ShutterNews;
 use crate::track::align::ShutterClue;
@@ -20,17 +20,17 @@ pub const MODEL_ERROR_PX: f64 = 0.05;
 /// One sigma of a readout of which nothing is known, about 0, seconds: sensors have 0 to 33 ms. Raised, first poses of moving cameras are less sure.
 const UNKNOWN_SIGMA_S: f64 = 0.02;
 /// Frames that are remembered: eight seconds of motion at 30 a second. Raised, the first frames, which were solved with another readout, count for longer.
-const MOST_FRAMES: usize = 240;
+const MAX_FRAMES: usize = 240;
 /// Share of a step of the readout that its linearisation may be wrong by, one sigma. Raised, the readout is known later; lowered, first answers pass for sure ones.
 pub const CURVATURE: f64 = 0.25;
 /// Frames in which less of a change shows tell nothing. Raised, cameras that are shaken evenly tell less; lowered, one frame's noise passes for a large change.
-const LEAST_SHOWN: f64 = 0.3;
+const MIN_SHOWN: f64 = 0.3;
 /// The readout that is used follows what is found beyond this share of its sigma. Raised, it lags; lowered, poses are corrected in every frame.
 const SHARE_OF_SIGMA: f64 = 0.2;
 /// Share of a change that is still in the motion a frame later: it was learnt with the former readout. Raised, poses are less sure for longer after a change.
 const SETTLING: f64 = 0.7;
 /// Less counts as none, seconds.
-const LEAST_SETTLING_S: f64 = 1e-5;
+const MIN_SETTLING_S: f64 = 1e-5;
 /// Below this a readout counts as none, seconds: no sensor reads its rows faster. Raised, fast rolling shutters pass for global ones.
 const FASTEST_READOUT_S: f64 = 5e-4;
 /// A readout is known once one sigma is below this share of it, or below so many seconds. Raised, it is announced before it is sure.
@@ -149,9 +149,9 @@ impl LearntReadout {
         Self {
             configured_s,
             before,
-            told: VecDeque::with_capacity(MOST_FRAMES),
-            said: Vec::with_capacity(MOST_FRAMES),
-            buffers: AgreementBuffers::with_capacity(MOST_FRAMES),
+            told: VecDeque::with_capacity(MAX_FRAMES),
+            said: Vec::with_capacity(MAX_FRAMES),
+            buffers: AgreementBuffers::with_capacity(MAX_FRAMES),
             used: before,
             settling_s: 0.0,
             frames: 0,
@@ -183,8 +183,8 @@ impl LearntReadout {
     /// Of the frame that comes now.
     pub fn next_doubt(&mut self) -> ReadoutDoubt {
         self.frames = self.frames.wrapping_add(1);
-        self.settling_s = if self.settling_s > LEAST_SETTLING_S { SETTLING * self.settling_s } else { 0.0 };
-        let is_suspected = self.told.len() >= LEAST_FRAMES && self.contradicts_roughly();
+        self.settling_s = if self.settling_s > MIN_SETTLING_S { SETTLING * self.settling_s } else { 0.0 };
+        let is_suspected = self.told.len() >= MIN_FRAMES && self.contradicts_roughly();
         let is_check_due =
             self.configured_s.is_some() && (self.frames.is_multiple_of(CHECKED_FRAMES) || is_suspected) && !self.has_told_news;
         ReadoutDoubt { sigma_s: self.sigma_s(), is_check_due }
@@ -199,10 +199,10 @@ impl LearntReadout {
     pub fn hear(&mut self, clue: &ShutterClue, interval_s: f64) {
         let (used_s, readout, shown) = (self.used.readout_s, clue.readout.clue, clue.readout.shown);
         let information = readout.information * shown.powi(2);
-        if information <= VAGUE_READOUT_S.powi(-2) || !readout.score.is_finite() || shown < LEAST_SHOWN {
+        if information <= VAGUE_READOUT_S.powi(-2) || !readout.score.is_finite() || shown < MIN_SHOWN {
             return;
         }
-        if self.told.len() == MOST_FRAMES {
+        if self.told.len() == MAX_FRAMES {
             self.told.pop_front();
         }
         let readout_s = used_s + readout.score / readout.information / shown;
@@ -270,7 +270,7 @@ impl LearntReadout {
         }
         // What is found and not used yet is not known.
         self.used.sigma_s = sigma_s.hypot(readout_s - self.used.readout_s);
-        if self.used.is_sure() && !self.has_told_news && self.told.len() >= 2 * LEAST_FRAMES {
+        if self.used.is_sure() && !self.has_told_news && self.told.len() >= 2 * MIN_FRAMES {
             self.has_told_news = true;
             self.news = Some(ShutterNews::ReadoutLearnt(self.used.as_time()));
         }
@@ -283,7 +283,7 @@ impl LearntReadout {
     }
 
     fn compare(&mut self, configured_s: f64, found: Known) {
-        if !self.has_told_news && self.told.len() >= 2 * LEAST_FRAMES && contradict(self.before, found) {
+        if !self.has_told_news && self.told.len() >= 2 * MIN_FRAMES && contradict(self.before, found) {
             self.has_told_news = true;
             self.news = Some(ShutterNews::ReadoutContradicted { configured_s, found: found.as_time() });
             // It is used all the same, but no longer believed.

@@ -90,7 +90,7 @@ const SLACK_SHIFT: f64 = 0.02;
 const SLACK_TURN: f64 = 0.02;
 /// Frames further apart than this do not confirm each other, seconds. Chosen, not tuned: within more, the camera could be anywhere. Raised,
 /// two wrong poses have longer to agree; lowered, cameras of 2 frames a second are never tracked.
-const LONGEST_GAP_S: f64 = 0.5;
+const MAX_GAP_S: f64 = 0.5;
 /// Fastest motion since the last given pose, m/s, where that is more than `FASTEST_SHIFT_PER_S`: a
 /// thrown prop. Raised, nearer copies pass for a motion.
 const FASTEST_M_PER_S: f64 = 10.0;
@@ -151,8 +151,8 @@ impl TrackStateMachine {
         self.doubt = None;
         if let Some(pose) = verified {
             let pending = self.taken_up(pose, timestamp);
-            let disagrees = pending.agreeing == 1
-                && self.pending.as_ref().is_some_and(|before| timestamp.seconds_since(before.timestamp) <= LONGEST_GAP_S);
+            let disagrees =
+                pending.agreeing == 1 && self.pending.as_ref().is_some_and(|before| timestamp.seconds_since(before.timestamp) <= MAX_GAP_S);
             self.pending = Some(pending);
             let is_confirmed = match pending.jumped {
                 None => pending.agreeing >= confirm_frames,
@@ -175,7 +175,7 @@ impl TrackStateMachine {
             (false, false) => State::Searching,
         };
         if verified.is_none() {
-            let is_stale = |p: &Pending| timestamp.seconds_since(p.timestamp) > LONGEST_GAP_S;
+            let is_stale = |p: &Pending| timestamp.seconds_since(p.timestamp) > MAX_GAP_S;
             // A single verified frame must be followed by another at once; a track may skip frames
             // while it coasts, and so may what jumped.
             self.pending = self.pending.filter(|p| !is_stale(p) && (self.is_continued() || p.jumped.is_some()));
@@ -205,7 +205,7 @@ impl TrackStateMachine {
 /// Whether the body could have moved from the pending pose to this one in the time between.
 fn agree(pending: &Pending, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> bool {
     let dt = timestamp.seconds_since(pending.timestamp);
-    if !(0.0..=LONGEST_GAP_S).contains(&dt) {
+    if !(0.0..=MAX_GAP_S).contains(&dt) {
         return false;
     }
     let distance = nearest_m(&pending.pose, pose);
@@ -238,7 +238,7 @@ fn ways(from: &Pose<Body, Camera>, to: &Pose<Body, Camera>) -> [Vector3<f64>; 2]
 
 fn velocities(from: &Pending, to: &Pending) -> Option<[Vector3<f64>; 2]> {
     let dt_s = to.timestamp.seconds_since(from.timestamp);
-    (dt_s > 0.0 && dt_s <= LONGEST_GAP_S).then(|| ways(&from.pose, &to.pose).map(|way| way / dt_s))
+    (dt_s > 0.0 && dt_s <= MAX_GAP_S).then(|| ways(&from.pose, &to.pose).map(|way| way / dt_s))
 }
 
 fn nearest_m(a: &Pose<Body, Camera>, b: &Pose<Body, Camera>) -> f64 {

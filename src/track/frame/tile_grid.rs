@@ -12,11 +12,11 @@ pub struct Chosen {
 /// Most tiles across and down the part of the frame that the body covers: with 10,000 pixels, 60 in each. Two by two tiles share a cell of
 /// the light grid; where their number is odd, the last cells are half as wide. Raised, tiles have too few pixels to be judged by, and the
 /// system grows; lowered, a tile is lost with what covers a part of it.
-pub const MOST_TILES: [usize; 2] = [16, 10];
+pub const MAX_TILES: [usize; 2] = [16, 10];
 /// Least side of a tile, pixels of the level. A tile votes on a pose by the correlation of its pixels, of which it needs a dozen: smaller
 /// ones have too few. Larger, and a picture seen small has too few tiles to be believed, however well all of them agree: with 8, one of 27 by
 /// 39 pixels of the level (a tenth of the frame's width) has four.
-const LEAST_TILE_PX: usize = 6;
+const MIN_TILE_PX: usize = 6;
 
 /// The tiles that a body's pixels are grouped by: a grid over the part of the frame that they cover.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -40,7 +40,7 @@ impl TileGrid {
             }
         }
         let size = [0, 1].map(|k| (usize::from(high[k]) + 1).saturating_sub(usize::from(low[k])).max(1));
-        let count = [0, 1].map(|k| (size[k] / LEAST_TILE_PX).clamp(2, MOST_TILES[k]));
+        let count = [0, 1].map(|k| (size[k] / MIN_TILE_PX).clamp(2, MAX_TILES[k]));
         Self { count, origin: low.map(|v| if v == u16::MAX { 0 } else { usize::from(v) }), size }
     }
 
@@ -99,7 +99,7 @@ mod tests {
     fn a_small_picture_has_as_many_tiles_as_fit() {
         assert_eq!(covering(21, 33).count, [3, 5]);
         assert_eq!(covering(5, 5).count, [2, 2]);
-        assert_eq!(covering(900, 700).count, MOST_TILES);
+        assert_eq!(covering(900, 700).count, MAX_TILES);
     }
 
     #[test]

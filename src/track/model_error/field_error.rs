@@ -24,13 +24,13 @@ use crate::simd::multiversion;
 const CORRELATION_LENGTH: f64 = 0.4;
 /// Largest variance of what each tile is off by itself that counts as noise, in variances of what pixels tell. Chosen: more than twice that of a webcam that sharpens (1.6). Raised, folds as
 /// narrow as tiles pass for noise; lowered, noise passes for a field: with 1, d-webcam's covariance is six times as large.
-const LARGEST_NOISE: f64 = 4.0;
-/// Factor on the variance of the field that explains what is left beyond [`LARGEST_NOISE`]. Neighbours do not bear that field out, so its correlation length is unknown, and it
+const MAX_NOISE: f64 = 4.0;
+/// Factor on the variance of the field that explains what is left beyond [`MAX_NOISE`]. Neighbours do not bear that field out, so its correlation length is unknown, and it
 /// may reach further into the pose than one of [`CORRELATION_LENGTH`]. Chosen: with 1, the squared errors above are
 /// 4.2, 2.1, 2.5 and 1.6 times the covariance. Raised, poses of stages that do not fit are withheld that could be given.
 const UNKNOWN_LENGTH: f64 = 2.0;
 /// Fewest numbers beyond the pose's six that the field's size may be found from. Chosen, not tuned. Raised, small stages claim to fit.
-const LEAST_FREEDOM: f64 = 12.0;
+const MIN_FREEDOM: f64 = 12.0;
 
 /// How much nearer to each other tiles lie that tell a smooth field from shifts that each tile has for itself: the weight of a pair is what its shifts correlate by, to
 /// this power, so that the correlation length of the weights is 0.08 of the width. Chosen: about the distance between neighbouring tiles, so that folds a tenth of the
@@ -41,7 +41,7 @@ const PAIR_POWER: i32 = 25;
 /// its covariances are a tenth wider.
 const TOUCHING: f64 = 0.055;
 /// Pairs whose weight is below this are left out. Lowered, frames that do not fit cost more.
-const LEAST_PAIR: f64 = 0.05;
+const MIN_PAIR: f64 = 0.05;
 
 /// Frames over which the size of the field is averaged, where neighbouring tiles tell it. What does not fit changes slowly, while a single frame tells its variance poorly, and a variance
 /// that is never below 0 is too large in the mean. Chosen: d-webcam's squared errors are 0.74 of the covariance with 1, 0.84 with 20, 0.88 with 60, 0.89 with 200, d-gel's 1.8, 1.2 and 1.2
@@ -138,7 +138,7 @@ pub fn model_error(
     let factor = residuals.normal().cholesky()?;
     let change = factor.solve(&residuals.right_side());
     let squared: f64 = residuals.tiles().iter().map(|t| t.squared_left_by_pose(&change)).sum();
-    if freedom < LEAST_FREEDOM || squared <= freedom {
+    if freedom < MIN_FREEDOM || squared <= freedom {
         return None;
     }
     let normal_inverse = factor.inverse();
@@ -154,7 +154,7 @@ pub fn model_error(
     // As far below 0 by chance as it may be above, or the mean of several frames would be too small.
     let most = of_field_alone.max(0.0);
     let by_pairs_px2 = if determinant > 0.0 { of_both.clamp(-most, most) } else { most };
-    let at_least_px2 = UNKNOWN_LENGTH * (squared - LARGEST_NOISE * freedom) / left;
+    let at_least_px2 = UNKNOWN_LENGTH * (squared - MAX_NOISE * freedom) / left;
     let noise = ((squared - left * by_pairs_px2.max(at_least_px2).max(0.0)) / freedom).max(1.0);
     let by_field = covariance_of_inverse(pose, field.of_pose());
     let error = ModelError { by_field, by_pairs_px2, at_least_px2, at_most_px2: of_field_alone, noise };
@@ -238,7 +238,7 @@ multiversion! {
 #[inline(always)]
 fn add_neighbours_plain(paired: &mut [PairedTile], width_px: f64) {
     let per_squared_length = -0.5 / (CORRELATION_LENGTH * width_px).powi(2);
-    let farthest = LEAST_PAIR.ln() / (per_squared_length * f64::from(PAIR_POWER));
+    let farthest = MIN_PAIR.ln() / (per_squared_length * f64::from(PAIR_POWER));
     let beside_px2 = (TOUCHING * width_px).powi(2)..farthest;
     for k in 1..paired.len() {
         let (before, rest) = paired.split_at_mut(k);

@@ -33,18 +33,18 @@ const USUAL_READOUT_S: f64 = 0.02;
 /// A readout that is known to this share of itself, one sigma, is described. Raised, rows that a readout displaces pass for a lens; lowered, a learnt one is of less use.
 const SURE_SHARE: f64 = 0.1;
 /// Least sigma of that motion, m/s and rad/s: keeps the equations regular where nothing moves. Raised, see [`MOTION_SIGMA`].
-const LEAST_MOTION: f64 = 1e-4;
+const MIN_MOTION: f64 = 1e-4;
 /// A focal length counts as another one beyond this share of itself: it puts a camera 4 m away 2 cm off. Raised, such errors are given;
 /// lowered, lenses that breathe with focus are refused.
-const LEAST_CHANGE: f64 = 0.005;
+const MIN_CHANGE: f64 = 0.005;
 /// And beyond this many sigmas of what the frame tells, and of the calibration's own doubt. Chosen, not tuned: tiles next to each other err
 /// together, so that sigmas are too small by a factor of two at most. Raised, a zoom is noticed later; lowered, patterns of other causes pass
 /// for one.
-const LEAST_SIGMAS: f64 = 8.0;
+const MIN_SIGMAS: f64 = 8.0;
 const DOUBT_SIGMAS: f64 = 4.0;
 /// And where it explains this share of what all else leaves. Of folds in cloth it explains 0.05 at most, of a zoom 0.5 to 0.98. Raised, a zoom of
 /// a stage that does not fit is not noticed; lowered, see above.
-const LEAST_SHARE: f64 = 0.5;
+const MIN_SHARE: f64 = 0.5;
 /// A motion while rows are read that leaves less than this share of what the focal length leaves explains the frame instead. 0.95 to 1.1 of a zoom. Raised, a zoom passes for a
 /// motion; lowered, shaken cameras with a rolling shutter that nobody described are refused: with 0.7 d-handheld had 59 of 150 poses, d-webcam 27 of 120, d-whip 1 of 60.
 const RIVAL_SHARE: f64 = 0.93;
@@ -57,10 +57,10 @@ const CHANGED_SIGMAS: f64 = 4.0;
 /// A frame that knows the focal length less well than this does not say so: from nearly ahead a pattern of any other cause passes for a zoom of any size. A picture of red things under a blue
 /// gel, whose edges are then elsewhere than in its own grey, said -25 % with a sigma of 5 %, and soon after +175 % with one of 49 %. Raised, such light passes for a zoom; lowered, a zoom of a
 /// stage that does not fit is noticed from fewer views.
-const MOST_CHANGED_SIGMA: f64 = 0.02;
+const MAX_CHANGED_SIGMA: f64 = 0.02;
 /// A frame that knows the focal length less well than this says nothing of whether it is the usual one again. Chosen: a few times what a stage that does not fit tells
 /// from the side. Raised, views from ahead bring poses back.
-const MOST_SIGMA: f64 = 0.01;
+const MAX_SIGMA: f64 = 0.01;
 /// Sigmas within which a focal length is the calibration's again. Raised, poses are withheld for longer.
 pub const RIGHT_SIGMAS: f64 = 3.0;
 
@@ -100,7 +100,7 @@ impl FocalClue {
 
     fn explains(&self, doubt: f64) -> bool {
         let size = self.change.abs();
-        size > LEAST_CHANGE && size > LEAST_SIGMAS * self.sigma && size > DOUBT_SIGMAS * doubt && self.share > LEAST_SHARE
+        size > MIN_CHANGE && size > MIN_SIGMAS * self.sigma && size > DOUBT_SIGMAS * doubt && self.share > MIN_SHARE
     }
 
     /// By how much the logarithm of the focal length is another one than the frames before said, where it clearly is. They said `usual` and knew it by `usual_sigma`:
@@ -108,29 +108,29 @@ impl FocalClue {
     pub fn strays(&self, usual: f64, usual_sigma: f64) -> Option<f64> {
         let by = self.change - usual;
         // Without any share a motion while the rows were read explains the frame as well.
-        let is_clear = by.abs() > LEAST_CHANGE && by.abs() > STRAYED_SIGMAS * self.sigma.hypot(usual_sigma) && self.share > 0.0;
+        let is_clear = by.abs() > MIN_CHANGE && by.abs() > STRAYED_SIGMAS * self.sigma.hypot(usual_sigma) && self.share > 0.0;
         is_clear.then_some(by)
     }
 
     /// Whether it strays as far as only a lens that was moved does. `doubt`: as for [`is_off`](Self::is_off). `is_rough`: whether frames contradicted the calibration
     /// from the first.
     pub fn has_changed(&self, usual: f64, usual_sigma: f64, doubt: f64, is_rough: bool) -> bool {
-        let least = if is_rough { LEAST_SIGMAS } else { CHANGED_SIGMAS };
+        let least = if is_rough { MIN_SIGMAS } else { CHANGED_SIGMAS };
         let sigma = self.sigma.hypot(usual_sigma);
         let is_far =
-            |by: f64| sigma < MOST_CHANGED_SIGMA && by.abs() < MAX_CHANGE && by.abs() > least * sigma && by.abs() > DOUBT_SIGMAS * doubt;
+            |by: f64| sigma < MAX_CHANGED_SIGMA && by.abs() < MAX_CHANGE && by.abs() > least * sigma && by.abs() > DOUBT_SIGMAS * doubt;
         self.strays(usual, usual_sigma).is_some_and(is_far)
     }
 
     /// Whether the frame says what those before the lens was moved did.
     pub fn is_usual(&self, usual: f64, usual_sigma: f64) -> bool {
         let sigma = self.sigma.hypot(usual_sigma);
-        (self.change - usual).abs() < LEAST_CHANGE.max(RIGHT_SIGMAS * sigma) && sigma < MOST_SIGMA
+        (self.change - usual).abs() < MIN_CHANGE.max(RIGHT_SIGMAS * sigma) && sigma < MAX_SIGMA
     }
 
     /// Whether the frame is clearly taken with the calibrated focal length.
     pub fn is_right(&self, doubt: f64) -> bool {
-        self.change.abs() + RIGHT_SIGMAS * self.sigma < LEAST_CHANGE + DOUBT_SIGMAS * doubt
+        self.change.abs() + RIGHT_SIGMAS * self.sigma < MIN_CHANGE + DOUBT_SIGMAS * doubt
     }
 }
 
@@ -179,7 +179,7 @@ impl RowDisplacement {
         let usual = Matrix6::from_diagonal(&Vector6::new(moving, moving, moving, turning, turning, turning));
         let moved = rows.twist_and_change(pose).filter(|_| !is_described);
         let covariance = moved.map_or(usual, |(twist, change)| {
-            twist * twist.transpose() + Matrix6::from_diagonal(&change.component_mul(&change).add_scalar(LEAST_MOTION.powi(2)))
+            twist * twist.transpose() + Matrix6::from_diagonal(&change.component_mul(&change).add_scalar(MIN_MOTION.powi(2)))
         });
         let motion_information = covariance.cholesky().map_or(still(), |factor| factor.inverse());
         let readout_s = if is_described { rows.shutter.readout_s } else { USUAL_READOUT_S };
@@ -209,7 +209,7 @@ impl RowDisplacement {
 
 /// Inverse covariance of a motion that is none.
 fn still() -> Matrix6<f64> {
-    Matrix6::identity() * LEAST_MOTION.powi(-2)
+    Matrix6::identity() * MIN_MOTION.powi(-2)
 }
 
 /// What the frame says of the focal length, all else being free as far as it may be off. `pose`: `T_camera_body`.

@@ -10,10 +10,10 @@ use crate::motion::MAX_ACCELERATION;
 use crate::track::patches::row_motion::RowMotion;
 
 /// A jump is larger than this share of the distance, and so many times the usual error of the prediction. Raised, small zooms from ahead go unnoticed; lowered, jolts put the lens in doubt.
-const LEAST_STEP: f64 = 0.01;
+const MIN_STEP: f64 = 0.01;
 const USUAL_TIMES: f64 = 5.0;
 /// Share of the jump that the step must explain: a jolt turns the camera as well. Raised, zooms while the camera turns go unnoticed; lowered, jolts put the lens in doubt.
-const LEAST_SHARE: f64 = 0.9;
+const MIN_SHARE: f64 = 0.9;
 /// The usual error is forgotten to this share with each frame. Raised, a camera that has come to rest is taken for a shaken one for longer.
 const REMEMBERED: f64 = 0.9;
 
@@ -40,7 +40,7 @@ impl Jump {
         let share = (step * by_focal.norm() / size.max(f64::MIN_POSITIVE)).abs();
         // A camera that starts or stops moves off its prediction by no more than this.
         let reach_m = 0.5 * MAX_ACCELERATION * dt_s * dt_s;
-        let is_step = step.abs() > LEAST_STEP && step.abs() * distance_m > reach_m && size > USUAL_TIMES * usual && share > LEAST_SHARE;
+        let is_step = step.abs() > MIN_STEP && step.abs() * distance_m > reach_m && size > USUAL_TIMES * usual && share > MIN_SHARE;
         self.usual = REMEMBERED * usual + (1.0 - REMEMBERED) * if is_step { usual } else { size };
         is_step.then_some(step)
     }

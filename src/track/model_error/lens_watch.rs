@@ -41,12 +41,12 @@ const STRAYED_WEIGHT: f64 = 0.1;
 /// off. Raised, a guessed lens passes for a moved one; lowered, a zoom before cloth is noticed later.
 const ROUGH_SIGMAS: f64 = 5.0;
 /// Frames before there is a habit. Chosen. Raised, a zoom soon after the start is noticed later; lowered, a single frame makes one.
-const LEAST_FRAMES: u32 = 5;
+const MIN_FRAMES: u32 = 5;
 /// How well a frame that leaves nothing but noise knows that the focal length is the calibration's, one sigma of the logarithm: from ahead it does not. Chosen.
 /// Raised, the first frames of a misfit weigh more; lowered, a stage that fitted must stay so.
 const FITTING_SIGMA: f64 = 0.01;
 /// And no frame better than this, so that none outweighs all others.
-const LEAST_SIGMA: f64 = 1e-4;
+const MIN_SIGMA: f64 = 1e-4;
 
 /// What frames usually say of the logarithm of the focal length over the calibration's.
 #[derive(Debug, Default, Clone, Copy)]
@@ -61,7 +61,7 @@ struct Habit {
 impl Habit {
     /// `share`: how much it counts.
     fn add(&mut self, change: f64, sigma: f64, share: f64) {
-        let weight = share * sigma.max(LEAST_SIGMA).powi(-2);
+        let weight = share * sigma.max(MIN_SIGMA).powi(-2);
         self.weights = REMEMBERED * self.weights + weight;
         self.sum = REMEMBERED * self.sum + weight * change;
         self.count = REMEMBERED * self.count + share;
@@ -75,7 +75,7 @@ impl Habit {
 
     /// The value and one sigma of it, once there are frames enough.
     fn usual(&self) -> Option<(f64, f64)> {
-        (self.frames >= LEAST_FRAMES).then(|| (self.sum / self.weights, self.weights.powf(-0.5)))
+        (self.frames >= MIN_FRAMES).then(|| (self.sum / self.weights, self.weights.powf(-0.5)))
     }
 }
 

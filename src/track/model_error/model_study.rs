@@ -13,7 +13,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix2xX, OMatrix, SMatrix, SVe
 use super::focal_clue::RowDisplacement;
 use super::misfit::{Misfit, Part};
 use super::model_unknowns::{ModelUnknowns, moved_by_corners};
-use super::tile_residuals::{LEAST_MISFIT, TileResidual, TileResiduals};
+use super::tile_residuals::{MIN_MISFIT, TileResidual, TileResiduals};
 use crate::camera::CameraModel;
 use crate::geometry::robust_kernel::tukey_weight;
 use crate::geometry::{Body, Camera, Pose};
@@ -34,19 +34,19 @@ const FRAMES_THAT_DIFFER: f64 = 16.0;
 /// By how much the criterion must fall for a part to be named (each number costs the logarithm of the count of tiles), and which share of all squared
 /// displacements it must explain, the first part and each later one. Chosen, not tuned. Raised, fewer parts are named; lowered, parts that only
 /// resemble the true one.
-const LEAST_GAIN: f64 = 30.0;
-const LEAST_SHARE: [f64; 2] = [0.4, 0.1];
+const MIN_GAIN: f64 = 30.0;
+const MIN_SHARE: [f64; 2] = [0.4, 0.1];
 /// And what is left must fall to this share by each later part. Raised, parts are named that only resemble what the first one leaves.
 const LATER_LEAVES: f64 = 0.5;
 /// A place is named as another surface's only where that leaves this share less: of two surfaces, either may have moved. Lowered, the first surface, which
 /// is the stage's frame, is more often said to stand elsewhere.
 const FIRST_LEAVES: f64 = 0.8;
 /// Parts that are named at most. Chosen: more are hardly mended one by one.
-const MOST_PARTS: usize = 3;
+const MAX_PARTS: usize = 3;
 /// What a part must cost to be named: how far poses are off for it, as a share of the camera's distance, and for a place how far the surface is from where it should be. A
 /// pixel is a thousandth at a focal length of 1000 pixels, so that this is half of one in what follows the camera. Chosen: nobody sees less, and nobody should walk the stage for it.
 /// Raised, faults go unnamed; lowered, stages that are as told to the millimetre are to be surveyed.
-pub const LEAST_COST: f64 = 0.0005;
+pub const MIN_COST: f64 = 0.0005;
 /// Points along each side at which a shape's heights are asked. Any dozen would do.
 const ASKED: u32 = 24;
 
@@ -226,17 +226,17 @@ impl ModelStudy {
     /// The parts that frames speak against, the likeliest first; none where all fits, or where two parts explain them alike.
     pub fn misfits(&self, body: &PreparedBody, camera: &CameraModel) -> Vec<Misfit> {
         let mut named: Vec<(Candidate, Solved)> = Vec::new();
-        if self.frames < 1.0 || self.misfit() < LEAST_MISFIT {
+        if self.frames < 1.0 || self.misfit() < MIN_MISFIT {
             return Vec::new();
         }
         let mut before = Solved { columns: Vec::new(), numbers: DVector::zeros(0), left: self.squared, freedom: 0.0 };
         let all = self.candidates(body);
-        while named.len() < MOST_PARTS {
+        while named.len() < MAX_PARTS {
             let rest = all.iter().filter(|c| named.iter().all(|(n, _)| !n.is_alike(c)));
             let Some((candidate, solved)) = self.likeliest(rest, &before) else { break };
             let rivals = all.iter().filter(|c| named.is_empty() && !c.is_alike(&candidate));
             if let Some((_, rival)) = self.likeliest(rivals, &before)
-                && self.criterion(&rival) - self.criterion(&solved) < LEAST_GAIN
+                && self.criterion(&rival) - self.criterion(&solved) < MIN_GAIN
             {
                 break;
             }
@@ -245,7 +245,7 @@ impl ModelStudy {
             let is_later = usize::from(!named.is_empty());
             tracing::debug!(?candidate, gain, share, left = solved.left / self.squared, "likeliest");
             let leaves = if named.is_empty() { 1.0 } else { LATER_LEAVES };
-            if gain < LEAST_GAIN || share < LEAST_SHARE[is_later] || solved.left > leaves * before.left {
+            if gain < MIN_GAIN || share < MIN_SHARE[is_later] || solved.left > leaves * before.left {
                 break;
             }
             before = Solved { columns: solved.columns.clone(), numbers: solved.numbers.clone(), ..solved };
@@ -262,7 +262,7 @@ impl ModelStudy {
             let part = candidate.part(numbers, &self.unknowns, body, camera);
             let cost = self.cost(&last.columns[range], numbers);
             tracing::debug!(?part, share, cost, "does not fit");
-            let is_worth_a_word = cost.max(part.size_m(body) / self.distance_m()) >= LEAST_COST;
+            let is_worth_a_word = cost.max(part.size_m(body) / self.distance_m()) >= MIN_COST;
             is_worth_a_word.then(|| Misfit { part, share, cost_mm: 1e3 * cost * self.distance_m() })
         };
         named.iter().filter_map(misfit).collect()

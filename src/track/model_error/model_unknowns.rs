@@ -24,11 +24,11 @@ pub const CORNERS: usize = RATIO + ASKEW;
 const PLACE: usize = 6;
 /// Half waves of the heights together, across and up, at most and at least, and numbers that all surfaces' heights have together. Raised, finer folds are
 /// told from other causes, in more time.
-pub const MOST_WAVES: usize = 14;
-const LEAST_WAVES: usize = 3;
-const MOST_HEIGHTS: usize = 240;
+pub const MAX_WAVES: usize = 14;
+const MIN_WAVES: usize = 3;
+const MAX_HEIGHTS: usize = 240;
 /// Half waves of the shapes that are tried, coarse to fine: a few numbers, where they do, are the likelier cause. Chosen, not tuned.
-const COARSE_TO_FINE: [usize; 3] = [4, 8, MOST_WAVES];
+const COARSE_TO_FINE: [usize; 3] = [4, 8, MAX_WAVES];
 /// How far each may be off, one sigma: logarithm of the focal length, centre (px), radial coefficient, logarithm of the ratio, shear and keystones, place (m), direction (rad), and
 /// heights (m) of the slowest wave, finer ones in proportion less. Chosen wide: they only keep the equations regular. Lowered, large faults are passed over.
 const FOCAL_SIGMA: f64 = 0.2;
@@ -53,8 +53,8 @@ impl ModelUnknowns {
     pub fn new(surfaces: usize, most_waves: usize) -> Self {
         let waves_up_to =
             |most: usize| -> Vec<[usize; 2]> { (2..=most).flat_map(|sum| (0..=sum).map(move |across| [across, sum - across])).collect() };
-        let most = (LEAST_WAVES..=most_waves.max(LEAST_WAVES)).rev().find(|most| waves_up_to(*most).len() * surfaces <= MOST_HEIGHTS);
-        Self { surfaces, waves: waves_up_to(most.unwrap_or(LEAST_WAVES)) }
+        let most = (MIN_WAVES..=most_waves.max(MIN_WAVES)).rev().find(|most| waves_up_to(*most).len() * surfaces <= MAX_HEIGHTS);
+        Self { surfaces, waves: waves_up_to(most.unwrap_or(MIN_WAVES)) }
     }
 
     /// Numbers of one surface.

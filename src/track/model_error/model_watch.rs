@@ -8,8 +8,8 @@ use nalgebra::Vector3;
 
 use super::misfit::{Misfit, ModelReport};
 use super::model_study::{ModelStudy, StudiedFrame};
-use super::model_unknowns::MOST_WAVES;
-use super::tile_residuals::LEAST_MISFIT;
+use super::model_unknowns::MAX_WAVES;
+use super::tile_residuals::MIN_MISFIT;
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Camera, Pose};
 use crate::track::scene::reference::PreparedBody;
@@ -31,7 +31,7 @@ const WAVES: usize = 8;
 /// Views differ where the camera's places do by this share of its distance, five degrees around the stage or a step towards it; so many are counted at most. Chosen, not
 /// tuned: from nearer by, a fold and a lens look alike. Raised, only long walks are said to show that no part explains them.
 const VIEWS_DIFFER: f64 = 0.09;
-const MOST_VIEWS: usize = 16;
+const MAX_VIEWS: usize = 16;
 
 /// What a part is, whatever its numbers: its word and its surface.
 type Key = (&'static str, Option<usize>);
@@ -63,7 +63,7 @@ impl ModelWatch {
 
     /// Of a body with so many surfaces, for what a whole clip says.
     pub fn thorough(surfaces: usize) -> Self {
-        Self::of(ModelStudy::new(surfaces, MOST_WAVES), true)
+        Self::of(ModelStudy::new(surfaces, MAX_WAVES), true)
     }
 
     fn of(study: ModelStudy, is_thorough: bool) -> Self {
@@ -98,7 +98,7 @@ impl ModelWatch {
         let doubt_m = doubt_m2.sqrt();
         self.doubts.push([doubt_m / distance_m, doubt_m]);
         let place = t_body_camera.translation;
-        if self.views.len() < MOST_VIEWS && self.views.iter().all(|view| (view - place).norm() > VIEWS_DIFFER * distance_m) {
+        if self.views.len() < MAX_VIEWS && self.views.iter().all(|view| (view - place).norm() > VIEWS_DIFFER * distance_m) {
             self.views.push(place);
         }
     }
@@ -129,7 +129,7 @@ impl ModelWatch {
 
     /// What the frames say beside the parts.
     pub fn report(&self) -> ModelReport {
-        let is_misfit = self.study.misfit() >= LEAST_MISFIT;
+        let is_misfit = self.study.misfit() >= MIN_MISFIT;
         let share = if is_misfit { self.study.share_left().sqrt() } else { 0.0 };
         // What most frames show: a person who passes by is no error of the stage.
         let mut sorted = self.doubts.clone();

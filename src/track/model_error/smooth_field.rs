@@ -15,12 +15,12 @@ use crate::simd::multiversion;
 
 /// Largest error of a correlation by the powers that are left out. Chosen far below what a covariance needs: only differences of correlations show in the residuals. Lowered,
 /// frames cost more.
-const LARGEST_ERROR: f64 = 1e-10;
+const MAX_ERROR: f64 = 1e-10;
 /// Powers that are kept of the nearest tiles too: what is left of a field over a small stage is the fourth power of its size and less. Chosen, not tuned. Lowered, small
 /// stages seem to fit.
-const LEAST_ORDER: usize = 8;
+const MIN_ORDER: usize = 8;
 /// Most powers. Chosen: a picture twice as high as it is wide has 26. Raised, buffers grow.
-const MOST_ORDER: usize = 32;
+const MAX_ORDER: usize = 32;
 
 /// The covariance that a field of one pixel, root mean square, gives a pose, and the pose's with the field; keeps its buffers.
 #[derive(Debug, Default)]
@@ -34,7 +34,7 @@ pub struct SmoothField {
 impl SmoothField {
     /// Buffers that hold this many tiles without growing.
     pub fn with_capacity(tiles: usize) -> Self {
-        let pose_by_feature = Vec::with_capacity(MOST_ORDER * (MOST_ORDER + 1) / 2);
+        let pose_by_feature = Vec::with_capacity(MAX_ORDER * (MAX_ORDER + 1) / 2);
         Self { pose_with_shift: Vec::with_capacity(tiles), pose_by_feature, of_pose: Matrix6::zeros() }
     }
 
@@ -72,7 +72,7 @@ struct Expansion {
     /// Powers of a coordinate, from 0 on; both coordinates' together are below it, too.
     order: usize,
     /// The root of 1 / n, for each power n.
-    scales: [f64; MOST_ORDER],
+    scales: [f64; MAX_ORDER],
 }
 
 impl Expansion {
@@ -85,7 +85,7 @@ impl Expansion {
         let reach = places().map(|p| (p - centre_px).norm_squared()).fold(0.0, f64::max) / length_px.powi(2);
         // What the power n adds to a correlation is no more than exp(-reach) reachⁿ / n!.
         let (mut order, mut left_out) = (0, (-reach).exp());
-        while order < LEAST_ORDER || (left_out > LARGEST_ERROR && order < MOST_ORDER) {
+        while order < MIN_ORDER || (left_out > MAX_ERROR && order < MAX_ORDER) {
             order += 1;
             left_out *= reach / order as f64;
         }
@@ -93,10 +93,10 @@ impl Expansion {
     }
 
     /// exp(-x² / 2) xⁿ / sqrt(n!) of both coordinates of a place, in units of the correlation length.
-    fn powers(&self, place_px: &Vector2<f64>) -> [[f64; MOST_ORDER]; 2] {
+    fn powers(&self, place_px: &Vector2<f64>) -> [[f64; MAX_ORDER]; 2] {
         let place = (place_px - self.centre_px) / self.length_px;
         [place.x, place.y].map(|x| {
-            let mut powers = [0.0; MOST_ORDER];
+            let mut powers = [0.0; MAX_ORDER];
             powers[0] = (-0.5 * x * x).exp();
             for n in 1..self.order {
                 powers[n] = powers[n - 1] * x * self.scales[n];
@@ -111,13 +111,13 @@ multiversion! {
     fn add_features(
         sums: &mut [Matrix6x2<f64>],
         pose_by_shift: &Matrix6x2<f64>,
-        powers: &[[f64; MOST_ORDER]; 2],
+        powers: &[[f64; MAX_ORDER]; 2],
         order: usize
     ); ["avx2"] => add_features_plain, else add_features_plain
 }
 
 #[inline(always)]
-fn add_features_plain(sums: &mut [Matrix6x2<f64>], pose_by_shift: &Matrix6x2<f64>, [across, down]: &[[f64; MOST_ORDER]; 2], order: usize) {
+fn add_features_plain(sums: &mut [Matrix6x2<f64>], pose_by_shift: &Matrix6x2<f64>, [across, down]: &[[f64; MAX_ORDER]; 2], order: usize) {
     let mut rest = sums;
     for (n, x) in across[..order].iter().enumerate() {
         let (of_power, others) = rest.split_at_mut(order - n);
@@ -133,13 +133,13 @@ multiversion! {
     /// The sum over all features of what belongs to each.
     fn sum_of_features(
         by_feature: &[Matrix6x2<f64>],
-        powers: &[[f64; MOST_ORDER]; 2],
+        powers: &[[f64; MAX_ORDER]; 2],
         order: usize
     ) -> Matrix6x2<f64>; ["avx2"] => sum_of_features_plain, else sum_of_features_plain
 }
 
 #[inline(always)]
-fn sum_of_features_plain(by_feature: &[Matrix6x2<f64>], [across, down]: &[[f64; MOST_ORDER]; 2], order: usize) -> Matrix6x2<f64> {
+fn sum_of_features_plain(by_feature: &[Matrix6x2<f64>], [across, down]: &[[f64; MAX_ORDER]; 2], order: usize) -> Matrix6x2<f64> {
     let (mut sum, mut rest) = (Matrix6x2::zeros(), by_feature);
     for (n, x) in across[..order].iter().enumerate() {
         let (of_power, others) = rest.split_at(order - n);

@@ -17,20 +17,20 @@ use crate::track::patches::fitted_anchor::FittedAnchor;
 
 /// Fewest tiles, by weight, that say anything of the model: 24 numbers for seven unknowns. Chosen, not tuned. Raised, small stages are not
 /// asked; lowered, single tiles pass for a pattern.
-const LEAST_TILES: f64 = 12.0;
+const MIN_TILES: f64 = 12.0;
 /// Solutions that find the weights, the first with all tiles. Chosen: the third hardly differs from the second. Raised, frames cost more;
 /// lowered to 1, outliers count.
 const ROUNDS: usize = 3;
 /// What is left must be so many times the noise, squared, to count as a misfit of the model. On stages as modelled it is 0.5 to 1.5. Raised, small faults go
 /// unnamed; lowered, noise is searched for causes, in time.
-pub const LEAST_MISFIT: f64 = 3.0;
+pub const MIN_MISFIT: f64 = 3.0;
 /// Squared displacement of a tile, sigmas of noise, beyond which it counts no more. Raised, a single tile passes for a misfit; lowered, a small flat that was moved
 /// does not.
 const LARGEST: f64 = 400.0;
 /// Median of the length of a plane vector of unit normal noise: sqrt(2 ln 2).
 const MEDIAN_LENGTH: f64 = 1.177_410_022_515_474_6;
 /// Least scale of what is left, sigmas of noise: exact data have weights too. Lowered to 0, they have none.
-const LEAST_SCALE: f64 = 1e-6;
+const MIN_SCALE: f64 = 1e-6;
 /// Share of itself by which the focal length's information is raised where it is solved for: straight from ahead, another focal length is no
 /// other than another distance, and the equations would be singular. Raised, it counts as known.
 const RIDGE: f64 = 1e-9;
@@ -166,7 +166,7 @@ impl TileResiduals {
     /// Whether clearly more than noise is left of the tiles' shifts, each counting up to [`LARGEST`].
     pub fn is_misfit(&self) -> bool {
         let left: f64 = self.tiles.iter().map(|t| self.squared_left(t).min(LARGEST)).sum();
-        left > LEAST_MISFIT * 2.0 * self.tiles.len() as f64
+        left > MIN_MISFIT * 2.0 * self.tiles.len() as f64
     }
 
     /// Root mean square of the shifts, each counting by its information; pixels.
@@ -197,7 +197,7 @@ impl TileResiduals {
             return None;
         }
         let median = *squares.select_nth_unstable_by(middle, f64::total_cmp).1;
-        let scale = (median.sqrt() / MEDIAN_LENGTH).max(LEAST_SCALE);
+        let scale = (median.sqrt() / MEDIAN_LENGTH).max(MIN_SCALE);
         for tile in tiles {
             tile.weight = tukey_weight(tile.squared_left(change), scale);
             tile.information = tile.noise_information * tile.weight;
@@ -208,7 +208,7 @@ impl TileResiduals {
     /// The change of pose and focal length that explains the shifts best; `None` where too few tiles count.
     fn solved(&mut self) -> Option<SVector<f64, 7>> {
         self.weight = self.tiles.iter().map(|t| t.weight).sum();
-        if self.weight < LEAST_TILES {
+        if self.weight < MIN_TILES {
             return None;
         }
         let mut normal = SMatrix::<f64, 7, 7>::zeros();

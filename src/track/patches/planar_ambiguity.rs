@@ -14,12 +14,12 @@ use crate::track::scene::reference::PreparedBody;
 
 /// By how much (chi-squared) the twin of a pose that is given must be worse: five sigmas. A followed pose is given up only where the twin
 /// is better by as much. Raised, pictures seen small or from straight ahead are refused more often; lowered, wrong twins pass.
-pub const LEAST_MARGIN: f64 = 25.0;
-/// Poses nearer to each other are one, radians: half a degree. Chosen: as far as a pose that is given may be uncertain (`LARGEST_TURN` in
+pub const MIN_MARGIN: f64 = 25.0;
+/// Poses nearer to each other are one, radians: half a degree. Chosen: as far as a pose that is given may be uncertain (`MAX_TURN` in
 /// `verify`). Raised, twins of a nearly frontal view are not told apart; lowered, the same minimum counts as a rival.
 const SAME_TURN: f64 = 0.0087;
 /// Largest squared residual that counts, squared scales: the square of Tukey's limit, 4.7. Raised, what is no part of the surface decides.
-const LARGEST_SQUARED: f64 = 22.0;
+const MAX_SQUARED: f64 = 22.0;
 /// Steps of the twin's refinement at most. As many as other poses get; they stop earlier where they converge. Lowered, a twin that is not
 /// at its minimum looks worse than it is.
 const ITERATIONS: usize = 15;
@@ -43,7 +43,7 @@ pub fn ambiguity_margin(
     let Some(scale) = residual_scale(pose, camera, observations, squared) else { return f64::INFINITY };
     let cost = |pose: &Pose<Camera, Body>| -> f64 {
         let sigmas = |o: &Observation| squared_residual(pose, camera, o).unwrap_or(f64::INFINITY) / scale.powi(2);
-        observations.iter().map(|o| sigmas(o).min(LARGEST_SQUARED)).sum()
+        observations.iter().map(|o| sigmas(o).min(MAX_SQUARED)).sum()
     };
     cost(&other.pose) - cost(pose)
 }

@@ -19,7 +19,7 @@ use crate::track::scene::reference::{Octave, PreparedBody, PreparedSurface};
 
 /// Surfaces are not registered where they are seen flatter than this (cosine of the tilt: 88.9 degrees). Chosen, not tuned: beyond, artwork
 /// by pixels is nearly singular. Raised, starts at a steep view are refused.
-const LEAST_COSINE: f64 = 0.02;
+const MIN_COSINE: f64 = 0.02;
 /// Half side of a patch in pixels of the picture searched; its side and area follow. Chosen, not tuned: a search goes at most 5 pixels from
 /// the start. Raised, patches cost more by the square, and are cut off at borders and people; lowered, they fit in wrong places.
 const HALF: i32 = 6;
@@ -31,16 +31,16 @@ const WIDE: usize = SIDE + 2;
 const LANES: usize = 16;
 /// Least standard deviation of a drawn patch, grey levels, for it to be asked at all: a few times the noise. Chosen, not tuned. Raised,
 /// faint artwork has too few anchors; lowered, noise decides where plain patches fit.
-const LEAST_CONTRAST: f32 = 4.0;
+const MIN_CONTRAST: f32 = 4.0;
 /// Least correlation of a fitting patch. Chosen, not tuned: below the 0.9 of alignment's tiles, as the start is rougher. Raised, noisy or
 /// blurred frames have too few anchors; lowered, more of them fit elsewhere.
-const LEAST_CORRELATION: f32 = 0.75;
+const MIN_CORRELATION: f32 = 0.75;
 /// Error of the model of a patch that more light does not average away, pixels of the picture searched, one sigma. Assumed. Raised,
 /// covariances grow and strong patches count no more than others; lowered, they are believed too much.
 const MODEL_ERROR_PX: f64 = 0.04;
 /// Grey noise never assumed below this, grey levels: a usual camera's read noise. Raised, covariances grow; lowered, patches that fit well
 /// by chance outweigh the others.
-const LEAST_NOISE: f32 = 1.5;
+const MIN_NOISE: f32 = 1.5;
 
 /// What became of an anchor.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -128,8 +128,7 @@ fn thin(targets: &mut Vec<Target>, count: usize) {
 /// The octave one of whose pixels is nearest in size to a pixel of the searched picture, at the part of the surface seen best.
 fn best_octave(surface: &PreparedSurface, t_body_camera: &Pose<Body, Camera>, camera: &CameraModel, scale: f64) -> Option<usize> {
     let size = [f64::from(camera.width()), f64::from(camera.height())];
-    let log2 =
-        surface.rectangle.texels_log2(size, |point| surface.rectangle.see(t_body_camera, camera, point, LEAST_COSINE))? + scale.log2();
+    let log2 = surface.rectangle.texels_log2(size, |point| surface.rectangle.see(t_body_camera, camera, point, MIN_COSINE))? + scale.log2();
     Some((log2.round().max(0.0) as usize).min(surface.octaves.len() - 1))
 }
 
@@ -141,7 +140,7 @@ fn project_anchor(
     picture: &SearchPicture,
 ) -> Option<Target> {
     let metres = surface.spec.to_metres(artwork);
-    let SeenPoint { pixel: predicted, by_metres } = surface.rectangle.see(t_body_camera, camera, [metres.x, metres.y], LEAST_COSINE)?;
+    let SeenPoint { pixel: predicted, by_metres } = surface.rectangle.see(t_body_camera, camera, [metres.x, metres.y], MIN_COSINE)?;
     let margin = (f64::from(HALF) + 4.0) * picture.scale;
     let (w, h) = (f64::from(camera.width()), f64::from(camera.height()));
     if predicted.x < margin || predicted.y < margin || predicted.x > w - 1.0 - margin || predicted.y > h - 1.0 - margin {
@@ -253,7 +252,7 @@ fn template(wide: &[f32; WIDE * WIDE]) -> Option<Template> {
     }
     let n = normal.map(f64::from);
     let full = Matrix4::new(n[0], n[1], n[2], n[3], n[1], n[4], n[5], n[6], n[2], n[5], n[7], n[8], n[3], n[6], n[8], n[9]);
-    if (n[0] / AREA as f64).sqrt() < f64::from(LEAST_CONTRAST) {
+    if (n[0] / AREA as f64).sqrt() < f64::from(MIN_CONTRAST) {
         return None;
     }
     t.inverse = full.try_inverse()?;
@@ -340,9 +339,9 @@ fn search(target: &Target, octaves: &[Octave], picture: &SearchPicture) -> Optio
             break;
         }
     }
-    let fits = converged && correlation > LEAST_CORRELATION && gain > 0.02;
+    let fits = converged && correlation > MIN_CORRELATION && gain > 0.02;
     let observation = fits.then(|| {
-        let noise = f64::from(variance.max(LEAST_NOISE * LEAST_NOISE));
+        let noise = f64::from(variance.max(MIN_NOISE * MIN_NOISE));
         let covariance =
             t.structure.try_inverse().unwrap_or_default() * (noise / (gain * gain)) + Matrix2::identity() * MODEL_ERROR_PX.powi(2);
         let information = covariance.try_inverse().unwrap_or_default() / (scale * scale);

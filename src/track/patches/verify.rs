@@ -8,7 +8,7 @@
 use nalgebra::Matrix6;
 
 use super::fitted_anchor::FittedAnchor;
-use super::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surface};
+use super::planar_ambiguity::{MIN_MARGIN, ambiguity_margin, most_frequent_surface};
 use super::registration::{Registered, SearchPicture, Target, register, visible_targets};
 use super::row_motion::RowMotion;
 use crate::camera::CameraModel;
@@ -31,30 +31,30 @@ const COARSE_ANCHORS: usize = 120;
 const FINE_ANCHORS: usize = 300;
 /// Fewest anchors that a pose is computed from. Chosen: 16 numbers for six unknowns, so that a wrong one shows. Raised, small stages are
 /// given up before they are judged.
-const LEAST_RESECTED: usize = 8;
+const MIN_RESECTED: usize = 8;
 /// Fewest anchors that must fit at half size for its pose to be taken over: a small stage shows too few there, and the start is better.
 /// Chosen, not tuned. Raised, rough starts are searched at full size, where they are out of reach; lowered, a few wrong anchors spoil a
 /// good start.
-const LEAST_COARSE_FITTING: usize = 24;
+const MIN_COARSE_FITTING: usize = 24;
 /// Fewest anchors that must fit. Chosen, not tuned. Raised, small or covered stages are refused; lowered, chance passes more easily.
-const LEAST_FITTING: usize = 16;
+const MIN_FITTING: usize = 16;
 /// Fewest tiles that they must lie in, of 48. Chosen, not tuned. Raised, stages that are seen small are refused; lowered, a patch of
 /// repeated detail can carry a wrong pose.
-const LEAST_TILES: usize = 4;
+const MIN_TILES: usize = 4;
 /// Least share of the anchors asked that must fit, for a pose without history, and for one that continues a track. Chosen, not tuned.
 /// Raised, stages that are partly covered are refused; lowered, wrong poses pass more easily.
-const LEAST_SHARE_NEW: f64 = 0.35;
-const LEAST_SHARE_CONTINUED: f64 = 0.2;
+const MIN_SHARE_NEW: f64 = 0.35;
+const MIN_SHARE_CONTINUED: f64 = 0.2;
 /// Anchors found elsewhere than the pose says, for each that fits. What is hidden is not found at all, so even a few speak against it.
 /// Raised, torn frames and wrong poses pass; lowered, repeated detail refuses right ones.
-const LARGEST_CONTRADICTION: f64 = 0.5;
+const MAX_CONTRADICTION: f64 = 0.5;
 /// Largest residual, in pixels of a 1280-pixel-wide frame, of an anchor that counts as fitting. Chosen, not tuned: wide enough for a lens
 /// that is known roughly. Raised, poses beside the right one pass; lowered, guessed lenses are never verified.
-const LARGEST_RESIDUAL_PX: f64 = 1.5;
+const MAX_RESIDUAL_PX: f64 = 1.5;
 /// Largest standard deviation of a pose that is given: of the direction in radians (half a degree), and of the position as a share of the
 /// distance. Chosen, not tuned. Raised, poses are given that tell little; lowered, distant or small stages are refused.
-const LARGEST_TURN: f64 = 0.5 * std::f64::consts::PI / 180.0;
-const LARGEST_SHIFT: f64 = 0.012;
+const MAX_TURN: f64 = 0.5 * std::f64::consts::PI / 180.0;
+const MAX_SHIFT: f64 = 0.012;
 
 /// A pose that passed.
 #[derive(Debug, Clone, Copy)]
@@ -144,7 +144,7 @@ pub struct VerifyBuffers {
 /// and there by chance. Raised, surfaces with few details are searched in vain, in time; lowered, a flat that was moved by little is not searched for.
 const SILENT_SHARE: f64 = 0.6;
 /// Anchors in view that a surface must have to be missed. Chosen, not tuned. Raised, small flats are never searched for; lowered, specks are.
-const LEAST_MISSED: usize = 10;
+const MIN_MISSED: usize = 10;
 
 /// Searches for the anchors of surfaces that should be in view but of which alignment shows little, around where the pose puts them. `aligned`: what it shows. The anchors
 /// are in `buffers.searched` then.
@@ -160,7 +160,7 @@ pub fn search_silent(body: &PreparedBody, pose: &Pose<Camera, Body>, view: &View
     targets.iter().for_each(|t| per_surface[t.surface as usize][0] += 1);
     aligned.iter().for_each(|a| per_surface[a.surface as usize][1] += 1);
     let usual = aligned.len() as f64 / targets.len().max(1) as f64;
-    let is_silent = |[wanted, shown]: [usize; 2]| wanted >= LEAST_MISSED && (shown as f64) < SILENT_SHARE * usual * wanted as f64;
+    let is_silent = |[wanted, shown]: [usize; 2]| wanted >= MIN_MISSED && (shown as f64) < SILENT_SHARE * usual * wanted as f64;
     targets.retain(|t| is_silent(per_surface[t.surface as usize]));
     if targets.is_empty() {
         return;
@@ -187,7 +187,7 @@ pub fn verify(
     // A small stage has too little to hold on to at half size: then the start must do.
     let coarse = registered_pose(body, start, view, &view.half, COARSE_ANCHORS, buffers)
         .ok()
-        .filter(|_| buffers.observations.len() >= LEAST_COARSE_FITTING);
+        .filter(|_| buffers.observations.len() >= MIN_COARSE_FITTING);
     let start = coarse.map_or(*start, |c| c.pose);
     let fine = registered_pose(body, &start, view, &view.full, FINE_ANCHORS, buffers)?;
     judge(body, &fine, view, continued, buffers)
@@ -211,7 +211,7 @@ fn registered_pose(
         buffers.observations.push(Observation { group: tile(camera, &o), delay_s: shutter.delay_s(o.pixel.y + 0.5, camera.height()), ..o });
     }
     let n = buffers.observations.len();
-    if n < LEAST_RESECTED {
+    if n < MIN_RESECTED {
         return Err(Refusal::TooFew(n));
     }
     let mut found = resect(start, &MovingCamera { lens: camera, twist: row_motion.twist(start) }, &buffers.observations, 15);
@@ -235,28 +235,28 @@ fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, bu
     let asked = buffers.registered.iter().flatten().count();
     collect_anchors(fine, &moving, buffers);
     let anchors = &buffers.anchors;
-    if anchors.len() < LEAST_FITTING {
+    if anchors.len() < MIN_FITTING {
         return Err(Refusal::TooFew(anchors.len()));
     }
     let mut tiles: Vec<u32> = anchors.iter().map(|a| a.observation.group).collect();
     tiles.sort_unstable();
     tiles.dedup();
-    if tiles.len() < LEAST_TILES {
+    if tiles.len() < MIN_TILES {
         return Err(Refusal::Clustered(tiles.len()));
     }
     let share = anchors.len() as f64 / asked.max(1) as f64;
-    if share < if continued { LEAST_SHARE_CONTINUED } else { LEAST_SHARE_NEW } {
+    if share < if continued { MIN_SHARE_CONTINUED } else { MIN_SHARE_NEW } {
         return Err(Refusal::Share(share));
     }
     let contradicting = contradicting_anchors(fine, &moving, &buffers.observations);
     tracing::trace!(fitting = anchors.len(), contradicting, asked);
-    if contradicting as f64 > LARGEST_CONTRADICTION * anchors.len() as f64 {
+    if contradicting as f64 > MAX_CONTRADICTION * anchors.len() as f64 {
         return Err(Refusal::Contradicted(contradicting));
     }
     let covariance = judged_covariance(body, fine, &moving, view, &buffers.observations)?;
     let surface = most_frequent_surface(anchors, body.surfaces.len());
     let margin = ambiguity_margin(body, surface, &fine.pose, &moving, &buffers.observations, &mut buffers.squared);
-    if margin < LEAST_MARGIN {
+    if margin < MIN_MARGIN {
         return Err(Refusal::Ambiguous(margin));
     }
     let squared_px = |a: &FittedAnchor| {
@@ -300,9 +300,9 @@ fn contradicting_anchors(fine: &Resection, moving: &MovingCamera<CameraModel>, o
     observations.iter().filter(is_far).count()
 }
 
-/// [`LARGEST_RESIDUAL_PX`] at the size of this camera's frames.
+/// [`MAX_RESIDUAL_PX`] at the size of this camera's frames.
 fn residual_limit_px(lens: &CameraModel) -> f64 {
-    LARGEST_RESIDUAL_PX * (f64::from(lens.width().max(lens.height())) / 1280.0).max(0.5)
+    MAX_RESIDUAL_PX * (f64::from(lens.width().max(lens.height())) / 1280.0).max(0.5)
 }
 
 /// The covariance, refused where noise alone leaves too much open; what the motion leaves open is added after.
@@ -328,7 +328,7 @@ fn judged_covariance(
 /// the nearest surface.
 pub fn judged_noise(covariance: &Matrix6<f64>, distance_m: f64) -> Result<(), Refusal> {
     let sigma = |first: usize| covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
-    let is_known = sigma(0) <= LARGEST_SHIFT * distance_m && sigma(3) <= LARGEST_TURN;
+    let is_known = sigma(0) <= MAX_SHIFT * distance_m && sigma(3) <= MAX_TURN;
     is_known.then_some(()).ok_or(Refusal::Uncertain)
 }
 

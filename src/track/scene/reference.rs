@@ -57,9 +57,9 @@ pub struct PreparedBody {
 pub const ANCHORS: usize = 500;
 /// Octaves end when a side falls below this many pixels: a patch with its border takes 15 of them. Raised, surfaces seen small have no
 /// octave of their size; lowered, nothing is gained.
-const LEAST_SIDE: u32 = 24;
+const MIN_SIDE: u32 = 24;
 /// Octaves at most: pictures of a hundred thousand pixels have as many. Raised, nothing is gained.
-const MOST_OCTAVES: usize = 13;
+const MAX_OCTAVES: usize = 13;
 /// Pixels at an octave's border that have no anchors: a patch around one would lie half outside.
 pub const ANCHOR_BORDER: u32 = 5;
 
@@ -108,7 +108,7 @@ fn octaves(artwork: &GrayImage) -> Vec<Octave> {
 
 /// Octaves of a picture of this size, one at least.
 pub fn octave_count((width, height): (u32, u32)) -> usize {
-    (1..MOST_OCTAVES).find(|k| width.min(height) >> k < LEAST_SIDE).unwrap_or(MOST_OCTAVES)
+    (1..MAX_OCTAVES).find(|k| width.min(height) >> k < MIN_SIDE).unwrap_or(MAX_OCTAVES)
 }
 
 fn anchors_of(image: &GrayImage, octave: usize, buffers: &mut CornerBuffers) -> Vec<Anchor> {
@@ -148,7 +148,7 @@ mod tests {
         let octaves = octaves(&art);
         assert_eq!(octaves[1].image.dimensions(), (200, 150));
         assert_eq!(octaves.len(), octave_count(art.dimensions()));
-        assert!(octaves.len() >= 4 && octaves.last().is_some_and(|last| (LEAST_SIDE..2 * LEAST_SIDE).contains(&last.image.height())));
+        assert!(octaves.len() >= 4 && octaves.last().is_some_and(|last| (MIN_SIDE..2 * MIN_SIDE).contains(&last.image.height())));
         assert_eq!(Anchor::at([7, 9], 3).pixel(3), [7, 9]);
         // A checker's crossings are its anchors, on the octave where the detector sees them.
         let mean: u32 = octaves[1].image.iter().map(|v| u32::from(*v)).sum::<u32>() / 30_000;

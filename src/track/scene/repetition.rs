@@ -9,18 +9,18 @@ use nalgebra::Vector2;
 
 /// Most pixels of the copy that is compared with itself. Chosen: pictures with up to 20 periods each way show them. Raised, the start takes longer, by the square; lowered, narrow
 /// stripes pass.
-const MOST_PIXELS: u32 = 12_000;
+const MAX_PIXELS: u32 = 12_000;
 /// Half width of the window whose mean is taken off each pixel, as a share of the picture's side. Chosen, not tuned: what is left has detail of all sizes that a period may
 /// have. Raised, bright and dark halves of any picture count as detail; lowered, wide periods vanish.
 const MEAN_SHARE: usize = 8;
 /// Least correlation of a picture with itself, shifted, for the shift to be a period. Of 70 photographs and paintings none had above 0.63 at a maximum, of windows, tiles, stripes and
 /// chessboards, with marks and grain and a picture amidst, all above 0.9. Raised, periods that much stands in front of pass; lowered, poses on ordinary pictures take longer.
-const LEAST_CORRELATION: f32 = 0.75;
+const MIN_CORRELATION: f32 = 0.75;
 /// By so much the correlation must be less somewhere on the way to a period. Along a stripe it never is: there a picture is the same everywhere, and its border tells. Raised, short
 /// periods of soft pictures pass; lowered, ramps have periods.
-const LEAST_DIP: f32 = 0.2;
+const MIN_DIP: f32 = 0.2;
 /// Shortest period, pixels of the copy. Below, neighbours correlate in any picture.
-const LEAST_PERIOD_PX: i64 = 3;
+const MIN_PERIOD_PX: i64 = 3;
 /// Two periods at least so far apart in direction, as the sine of the angle, are independent: 10 degrees. Chosen. Lowered, a period and twice itself are two.
 const INDEPENDENT: f64 = 0.17;
 /// Periods kept of a picture: one each way. Raised, a comparison takes longer.
@@ -29,7 +29,7 @@ const MOST: usize = 2;
 /// The shortest independent shifts by which a picture is nearly the same, artwork pixels; none for most pictures. `octaves`: the picture, and copies of
 /// which each is half as large as the one before.
 pub fn periods<'a>(octaves: impl Iterator<Item = &'a GrayImage>) -> Vec<Vector2<f64>> {
-    let is_small = |image: &GrayImage| image.width() * image.height() <= MOST_PIXELS;
+    let is_small = |image: &GrayImage| image.width() * image.height() <= MAX_PIXELS;
     let Some((k, octave)) = octaves.enumerate().find(|(_, image)| is_small(image)) else { return Vec::new() };
     let detail = Detail::of(octave);
     let mut found = detail.maxima();
@@ -115,13 +115,13 @@ impl Detail {
             for dx in -most_x..=most_x {
                 let here = at(dx, dy);
                 let is_one = dy > 0 || dx > 0;
-                if !is_one || here < LEAST_CORRELATION || dx * dx + dy * dy < LEAST_PERIOD_PX.pow(2) {
+                if !is_one || here < MIN_CORRELATION || dx * dx + dy * dy < MIN_PERIOD_PX.pow(2) {
                     continue;
                 }
                 let around = (-2..=2).flat_map(|v| (-2..=2).map(move |u| (u, v))).filter(|offset| *offset != (0, 0));
                 let steps = dx.abs().max(dy);
                 let on_the_way = (1..steps).map(|k| at((dx * k) / steps, (dy * k) / steps));
-                let has_dip = on_the_way.fold(here, f32::min) < here - LEAST_DIP;
+                let has_dip = on_the_way.fold(here, f32::min) < here - MIN_DIP;
                 if has_dip && around.into_iter().all(|(u, v)| at(dx + u, dy + v) <= here) {
                     let peak = |before: f32, after: f32| f64::from(peak_of(before, here, after));
                     let x = dx as f64 + peak(at(dx - 1, dy), at(dx + 1, dy));

@@ -149,16 +149,16 @@ pub enum SurfaceError {
 
 /// Least side of a picture, pixels: as little as features can find (`failure`). Raised, small props are refused; lowered, pictures are
 /// taken that are never found.
-const LEAST_SIDE_PX: u32 = 64;
+const MIN_SIDE_PX: u32 = 64;
 /// Fewest corners of a picture that can be found again, over all octaves. Chosen, not tuned: verification wants 16 anchors that fit.
 /// Raised, plain artwork is refused that may do; lowered, it is taken and not found.
-const LEAST_CORNERS: usize = 40;
+const MIN_CORNERS: usize = 40;
 /// Least strength of such a corner (smaller eigenvalue of the structure tensor), (grey/px)². Chosen, not tuned. Raised, faint artwork
 /// counts as plain; lowered, the grain of a photograph counts as corners.
-const LEAST_STRENGTH: f32 = 12.0;
+const MIN_STRENGTH: f32 = 12.0;
 /// Longest side that a photograph is laid flat to, pixels: as long as a 4K camera's frame. Raised, large photographs take more memory and a
 /// longer start; lowered, they lose detail.
-const LONGEST_FLAT_SIDE_PX: f64 = 4096.0;
+const MAX_FLAT_SIDE_PX: f64 = 4096.0;
 /// How far a corner that was read off a photograph is off along each axis, one sigma, pixels. Raised, poses by photographs are less sure; lowered, corners as people read them pass for another lens.
 const CORNER_SIGMA_PX: f64 = 1.0;
 
@@ -220,7 +220,7 @@ impl SurfaceSpec {
         }
         let length = |a: usize, b: usize| (seen[a] - seen[b]).norm();
         let sides = [length(0, 1).max(length(3, 2)), length(0, 3).max(length(1, 2))];
-        let shrink = (LONGEST_FLAT_SIDE_PX / sides[0].max(sides[1])).min(1.0);
+        let shrink = (MAX_FLAT_SIDE_PX / sides[0].max(sides[1])).min(1.0);
         let [w, h] = sides.map(|s| ((s * shrink).round() as u32).max(1));
         let (wf, hf) = (f64::from(w), f64::from(h));
         let outer = [(-0.5, -0.5), (wf - 0.5, -0.5), (wf - 0.5, hf - 0.5), (-0.5, hf - 0.5)].map(|(x, y)| Vector2::new(x, y));
@@ -242,14 +242,14 @@ impl SurfaceSpec {
     /// Refuses a picture that no camera could find again.
     pub fn check_texture(&self) -> Result<(), SurfaceError> {
         let found = corners_to_find(&self.artwork);
-        if found < LEAST_CORNERS { Err(SurfaceError::Textureless { found, least: LEAST_CORNERS }) } else { Ok(()) }
+        if found < MIN_CORNERS { Err(SurfaceError::Textureless { found, least: MIN_CORNERS }) } else { Ok(()) }
     }
 
     /// That there is a picture, and a size to place it with.
     pub(crate) fn check(&self) -> Result<(), SurfaceError> {
         let (width, height) = self.artwork.dimensions();
         if width == 0 || height == 0 {
-            return Err(SurfaceError::TooSmall { width, height, least: LEAST_SIDE_PX });
+            return Err(SurfaceError::TooSmall { width, height, least: MIN_SIDE_PX });
         }
         check_size(self.size_m)
     }
@@ -302,20 +302,20 @@ fn check_size(size_m: [f64; 2]) -> Result<(), SurfaceError> {
 
 fn check_sides(picture: &GrayImage) -> Result<(), SurfaceError> {
     let (width, height) = picture.dimensions();
-    let is_small = width < LEAST_SIDE_PX || height < LEAST_SIDE_PX;
-    if is_small { Err(SurfaceError::TooSmall { width, height, least: LEAST_SIDE_PX }) } else { Ok(()) }
+    let is_small = width < MIN_SIDE_PX || height < MIN_SIDE_PX;
+    if is_small { Err(SurfaceError::TooSmall { width, height, least: MIN_SIDE_PX }) } else { Ok(()) }
 }
 
 /// Corners of a picture that a camera could find again. Detail may be of any size: every octave is looked at.
 fn corners_to_find(picture: &GrayImage) -> usize {
     let cell_px = (picture.width().max(picture.height()) / 8).max(8);
-    let options = CornerOptions { count: 4 * LEAST_CORNERS, threshold: 15, least_threshold: 8, border: 5, cell_px };
+    let options = CornerOptions { count: 4 * MIN_CORNERS, threshold: 15, least_threshold: 8, border: 5, cell_px };
     let mut corners = Vec::new();
     let mut found = 0;
     let mut octave = picture.clone();
-    while octave.width() >= LEAST_SIDE_PX / 2 && octave.height() >= LEAST_SIDE_PX / 2 {
+    while octave.width() >= MIN_SIDE_PX / 2 && octave.height() >= MIN_SIDE_PX / 2 {
         detect_corners(&octave, &options, &mut CornerBuffers::default(), &mut corners);
-        found += corners.iter().filter(|c| c.strength >= LEAST_STRENGTH).count();
+        found += corners.iter().filter(|c| c.strength >= MIN_STRENGTH).count();
         octave = crate::features::halved(&octave);
     }
     found

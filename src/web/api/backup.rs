@@ -14,7 +14,7 @@ use super::config::{keep_former, reply, unwritable};
 use super::failed;
 use super::findings::judged_to_run;
 use super::gltf;
-use super::sets::{LARGEST_MODEL, is_model, models};
+use super::sets::{MAX_MODEL, is_model, models};
 use crate::daemon::Supervisor;
 use crate::safe_file;
 use crate::web::call::{Call, is_name};
@@ -23,10 +23,10 @@ use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
 /// Larger than a backup, bytes, packed and unpacked. Chosen: pictures of many surfaces. Raised, restoring takes more memory and disk.
-const LARGEST_PACKED: u64 = 64 << 20;
-const LARGEST_UNPACKED: u64 = 256 << 20;
+const MAX_PACKED: u64 = 64 << 20;
+const MAX_UNPACKED: u64 = 256 << 20;
 /// Files in a backup at most: more than a stage has surfaces and models. Raised, a wrong zip takes longer to refuse.
-const MOST_FILES: usize = 500;
+const MAX_FILES: usize = 500;
 /// The config's name in a backup.
 const CONFIG: &str = "stage.toml";
 /// The virtual set's.
@@ -53,9 +53,9 @@ fn backup(supervisor: &Supervisor) -> Result<Reply, Reply> {
             zip.start_file(name, options).map_err(io::Error::other)?;
             zip.write_all(bytes)?;
         }
-        let set = safe_file::read_below(&folder, Path::new(SET), LARGEST_MODEL).ok().map(|bytes| (SET.to_owned(), bytes));
+        let set = safe_file::read_below(&folder, Path::new(SET), MAX_MODEL).ok().map(|bytes| (SET.to_owned(), bytes));
         let of_sets = models(&folder).into_iter().filter_map(|(name, _)| {
-            let bytes = safe_file::read_below(&folder, &Path::new("sets").join(&name), LARGEST_MODEL).ok()?;
+            let bytes = safe_file::read_below(&folder, &Path::new("sets").join(&name), MAX_MODEL).ok()?;
             Some((format!("sets/{name}"), bytes))
         });
         for (name, bytes) in set.into_iter().chain(of_sets) {
@@ -80,7 +80,7 @@ impl Drop for Aside {
 
 fn restore(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     let only_tries = call.queried("try", 0, 0..=1)? == 1;
-    let packed = call.content(LARGEST_PACKED)?;
+    let packed = call.content(MAX_PACKED)?;
     let _alone = supervisor.alone();
     let file = supervisor.file();
     let folder = file.parent().unwrap_or(Path::new("")).to_owned();
@@ -89,7 +89,7 @@ fn restore(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     let _ = std::fs::remove_dir_all(&aside.0);
     std::fs::create_dir_all(aside.0.join("sets")).map_err(|e| unwritable(file, &e))?;
     let names = unpack(&packed, &aside.0)?;
-    let text = safe_file::read(&aside.0.join(CONFIG), LARGEST_PACKED).ok().and_then(|bytes| String::from_utf8(bytes).ok());
+    let text = safe_file::read(&aside.0.join(CONFIG), MAX_PACKED).ok().and_then(|bytes| String::from_utf8(bytes).ok());
     let text = text.ok_or_else(|| Reply::text(422, "the zip has no stage.toml, so it is no backup; give one of GET /api/v1/backup\n"))?;
     let (settings, findings) = judged_to_run(&text, &aside.0.join(CONFIG), supervisor);
     let Some(settings) = settings else { return Ok(reply(422, &findings, false)) };
@@ -153,10 +153,10 @@ fn undo(done: Vec<(&Path, Option<PathBuf>)>) {
 fn unpack(packed: &[u8], folder: &Path) -> Result<BTreeSet<String>, Reply> {
     let bad = |why: &str| Reply::text(422, format!("{why}; give a zip of GET /api/v1/backup\n"));
     let mut zip = ZipArchive::new(Cursor::new(packed)).map_err(|_| bad("this is no whole zip"))?;
-    if zip.len() > MOST_FILES {
+    if zip.len() > MAX_FILES {
         return Err(bad("the zip has too many files"));
     }
-    let (mut left, mut names) = (LARGEST_UNPACKED, BTreeSet::new());
+    let (mut left, mut names) = (MAX_UNPACKED, BTreeSet::new());
     for k in 0..zip.len() {
         let mut entry = zip.by_index(k).map_err(|_| bad("a file in the zip cannot be read"))?;
         let name = entry.name().to_owned();
@@ -235,7 +235,7 @@ mod tests {
         let picture = std::fs::read(folder.path().join("backdrop.png")).unwrap();
         std::fs::write(folder.path().join("show.toml"), "kept").unwrap();
         let bombs = vec![0; 1 << 20];
-        let many: Vec<(String, &[u8])> = (0..MOST_FILES + 1).map(|k| (format!("a{k}"), &b""[..])).collect();
+        let many: Vec<(String, &[u8])> = (0..MAX_FILES + 1).map(|k| (format!("a{k}"), &b""[..])).collect();
         let many: Vec<(&str, &[u8])> = many.iter().map(|(name, bytes)| (name.as_str(), *bytes)).collect();
         for (what, zip) in [
             ("not a zip", b"PK".to_vec()),

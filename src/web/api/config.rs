@@ -10,7 +10,7 @@ use axum::http::Method;
 use serde_json::json;
 use sha2::{Digest, Sha256};
 
-use super::findings::{Finding, LARGEST_CONFIG, judged_to_run};
+use super::findings::{Finding, MAX_CONFIG, judged_to_run};
 use crate::daemon::Supervisor;
 use crate::safe_file;
 use crate::utc;
@@ -18,7 +18,7 @@ use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
 /// Former configs that are kept at most; the oldest go. Chosen: an evening of changes. Raised, only room on the disk.
-const MOST_FORMER: usize = 100;
+const MAX_FORMER: usize = 100;
 /// Configs that may be put at once, and the time after which each further one may: each begins tracking anew. Chosen: faster than people
 /// edit. Raised, a program that puts on and on keeps the stage from being tracked.
 const AT_ONCE: u32 = 20;
@@ -28,7 +28,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     let (for_get, for_put) = (supervisor.clone(), supervisor.clone());
     vec![
         Route::aside(Method::GET, "/api/v1/config", Access::Paired, move |_| {
-            let read = safe_file::read(&for_get.keeping().current(), LARGEST_CONFIG);
+            let read = safe_file::read(&for_get.keeping().current(), MAX_CONFIG);
             if read.as_ref().is_err_and(|e| e.kind() == io::ErrorKind::NotFound) {
                 let sentence = format!("{}: there is no config yet; put one here, with this ETag\n", for_get.file().display());
                 return Err(Reply::text(404, sentence).with("etag", &tag(b"")));
@@ -38,13 +38,13 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             Ok(Reply::new(200, "text/plain; charset=utf-8", bytes).with("etag", &tag))
         }),
         Route::aside(Method::PUT, "/api/v1/config", Access::Change, move |call| {
-            let text = String::from_utf8(call.content(LARGEST_CONFIG)?).map_err(|_| Reply::text(400, "a config is text in UTF-8\n"))?;
+            let text = String::from_utf8(call.content(MAX_CONFIG)?).map_err(|_| Reply::text(400, "a config is text in UTF-8\n"))?;
             let wanted = call.header("if-match").ok_or_else(|| {
                 Reply::text(428, "say which config this one replaces: If-Match with the ETag of GET /api/v1/config, or * for any\n")
             })?;
             let _alone = for_put.alone();
             // One that is not there yet has the tag of nothing.
-            let before = match safe_file::read(&for_put.keeping().current(), LARGEST_CONFIG) {
+            let before = match safe_file::read(&for_put.keeping().current(), MAX_CONFIG) {
                 Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(unreadable(for_put.file(), &e)),
                 read => read.unwrap_or_default(),
             };
@@ -61,7 +61,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             for_put.reload();
             Ok(reply(200, &findings, true).with("etag", &tag(text.as_bytes())))
         })
-        .takes(LARGEST_CONFIG)
+        .takes(MAX_CONFIG)
         .paced(AT_ONCE, ONE_EACH),
     ]
 }
@@ -110,7 +110,7 @@ pub(super) fn keep_former(files: &[PathBuf]) -> io::Result<Option<PathBuf>> {
     }
     let mut kept: Vec<PathBuf> = std::fs::read_dir(&folder)?.filter_map(|entry| Some(entry.ok()?.path())).collect();
     kept.sort();
-    for oldest in kept.iter().take(kept.len().saturating_sub(MOST_FORMER)) {
+    for oldest in kept.iter().take(kept.len().saturating_sub(MAX_FORMER)) {
         std::fs::remove_dir_all(oldest)?;
     }
     Ok(Some(to))

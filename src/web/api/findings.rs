@@ -11,7 +11,7 @@ use crate::diagnose::{Finding as Diagnosed, Grade, of_corners, of_layout, of_len
 use crate::safe_file;
 
 /// Longer than any config, bytes. A round figure, as for the file itself.
-pub(super) const LARGEST_CONFIG: u64 = 4 << 20;
+pub(super) const MAX_CONFIG: u64 = 4 << 20;
 
 /// One thing.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -58,7 +58,7 @@ pub(super) fn of_refused(supervisor: &Supervisor) -> Vec<Finding> {
         vec![Finding { level: "error", key: None, line: None, sentence, mend }]
     };
     let file = supervisor.file();
-    let read = safe_file::read(&supervisor.keeping().current(), LARGEST_CONFIG).map(String::from_utf8);
+    let read = safe_file::read(&supervisor.keeping().current(), MAX_CONFIG).map(String::from_utf8);
     match read {
         Err(e) if e.kind() == ErrorKind::NotFound => error(&format!("{}: there is no config yet; put one", file.display())),
         Err(e) => error(&format!("{}: the config cannot be read ({e}); let the daemon's user read it", file.display())),

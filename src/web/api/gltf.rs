@@ -15,7 +15,7 @@ use crate::safe_file;
 const MAGIC: u32 = 0x4654_6C67;
 const JSON: u32 = 0x4E4F_534A;
 /// Larger than the description in a model, bytes; meshes and pictures are behind it. Raised, judging one takes longer.
-const LARGEST_DESCRIPTION: u32 = 16 << 20;
+const MAX_DESCRIPTION: u32 = 16 << 20;
 /// Extensions that need a decoder in WebAssembly, which the page's policy does not let in.
 const NEED_A_DECODER: [&str; 4] =
     ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_texture_basisu"];
@@ -37,7 +37,7 @@ pub fn judge(file: &Path) -> Result<(), String> {
     if word(4) != 2 {
         return Err(format!("this is glTF {}; export the model as glTF 2.0", word(4)));
     }
-    if word(12) > LARGEST_DESCRIPTION {
+    if word(12) > MAX_DESCRIPTION {
         return Err("the model's description is larger than 16 MB; export it with fewer parts".to_owned());
     }
     let _alone = JUDGING.lock().unwrap_or_else(PoisonError::into_inner);

@@ -25,7 +25,7 @@ use crate::web::routes::{Access, Route};
 const LITTLE_ROOM: f64 = 20e9;
 const NO_ROOM: f64 = 1e9;
 /// Lines of the log in one answer at most: all that are kept.
-const MOST_LINES: u64 = 1000;
+const MAX_LINES: u64 = 1000;
 /// Bytes of a packet that are shown as hexadecimal digits. Raised, wider answers.
 const SHOWN_BYTES: usize = 256;
 
@@ -57,7 +57,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             Ok(Reply::json(200, json!({"outputs": outputs}).to_string()))
         }),
         Route::aside(Method::GET, "/api/v1/log", Access::Paired, |call| {
-            let lines = call.queried("lines", 200, 1..=MOST_LINES)?;
+            let lines = call.queried("lines", 200, 1..=MAX_LINES)?;
             Ok(Reply::text(200, log_tail(lines as usize).concat()))
         }),
         Route::aside(Method::GET, "/api/v1/diagnostics", Access::Paired, move |_| Ok(Reply::text(200, diagnostics(&for_text)))),
@@ -288,7 +288,7 @@ pub(super) fn diagnostics(supervisor: &Supervisor) -> String {
     text += "\n";
     text += &metrics(&supervisor.link.statistics, &FrameClock::new(Stamps::Live)).body;
     text += "\n";
-    text += &log_tail(MOST_LINES as usize).concat();
+    text += &log_tail(MAX_LINES as usize).concat();
     crate::printable::printable_lines(&text).into_owned()
 }
 

@@ -14,7 +14,7 @@ use crate::safe_file;
 /// lowered, an hour takes more memory than its 13 kB.
 const EACH: u64 = 64;
 /// Files that are remembered; a folder of a season's recordings has fewer. Raised, only memory.
-const MOST_FILES: usize = 1000;
+const MAX_FILES: usize = 1000;
 /// Bytes before the end of what was read that tell whether it is still the same file. Chosen: a record's last numbers. Raised, nothing is gained.
 const TAIL: usize = 64;
 /// The index of a clip.
@@ -130,7 +130,7 @@ impl LineIndex {
         let path = clip.join(name);
         let ((place, mut between), header) = {
             let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-            if all.len() >= MOST_FILES && !all.contains_key(&path) {
+            if all.len() >= MAX_FILES && !all.contains_key(&path) {
                 all.clear();
             }
             let known = all.entry(path).or_default();

@@ -27,15 +27,15 @@ use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
 /// Larger than any picture of a camera, bytes.
-const LARGEST_PICTURE: u64 = 64 << 20;
+const MAX_PICTURE: u64 = 64 << 20;
 /// Records in one answer at most: some 3 MB. Raised, an answer takes more memory.
-const MOST_RECORDS: u64 = 5000;
+const MAX_RECORDS: u64 = 5000;
 /// Columns of a timeline at most: more than a screen has pixels. Raised, larger answers.
-pub(super) const MOST_POINTS: u64 = 4000;
+pub(super) const MAX_POINTS: u64 = 4000;
 /// Downloads at a time, for all: each keeps the disk busy. Raised, the recorder has less of it.
-const MOST_DOWNLOADS: usize = 2;
+const MAX_DOWNLOADS: usize = 2;
 /// Seconds of pictures in a report at most, as the command has it. Raised, reports grow too large for mail.
-const MOST_PICTURE_SECONDS: u64 = 600;
+const MAX_PICTURE_SECONDS: u64 = 600;
 /// Folders within a recording's folder at most: frames/0000/picture. Deeper ones are not a recording's.
 const DEEPEST: usize = 4;
 
@@ -111,7 +111,7 @@ impl Folder {
 
     fn timeline(&self, call: &mut Call) -> Result<Reply, Reply> {
         let clip = self.clip(call)?;
-        let points = call.queried("points", 1000, 1..=MOST_POINTS)?;
+        let points = call.queried("points", 1000, 1..=MAX_POINTS)?;
         let told = timeline(&clip.path, "poses.jsonl", points as usize);
         let mut told = told.map_err(|e| failed("the recording cannot be read", &e))?;
         told["retracked"] = clip.path.join("retracked/compared.json").is_file().into();
@@ -128,7 +128,7 @@ impl Folder {
         if row.file.is_empty() || !picture.components().all(|c| matches!(c, Component::Normal(_))) {
             return Err(Reply::text(404, "this row has no picture\n"));
         }
-        let bytes = safe_file::read_below(&clip.path, &picture, LARGEST_PICTURE);
+        let bytes = safe_file::read_below(&clip.path, &picture, MAX_PICTURE);
         let bytes = bytes.map_err(|e| failed("the picture cannot be read", &e))?;
         let record = self.record(&clip.path, number).unwrap_or_else(|| "null".to_owned());
         Ok(Reply::new(200, "image/jpeg", jpeg(bytes)?).with("x-stagepose-record", &escaped(&record)))
@@ -141,7 +141,7 @@ impl Folder {
 
     /// So many lines of a clip's file from there on, as JSON lines.
     pub fn records(&self, clip: &Path, name: &str, call: &Call) -> Result<Reply, Reply> {
-        let (from, count) = (call.queried("from", 0, 0..=u64::from(u32::MAX))?, call.queried("count", 500, 1..=MOST_RECORDS)?);
+        let (from, count) = (call.queried("from", 0, 0..=u64::from(u32::MAX))?, call.queried("count", 500, 1..=MAX_RECORDS)?);
         let text = self.lines.records(clip, name, from, count).map_err(|e| failed("the records cannot be read", &e))?;
         Ok(Reply::new(200, "application/x-ndjson", text))
     }
@@ -206,7 +206,7 @@ impl Drop for Running {
 }
 
 fn download(clip: &Clip, running: &Arc<AtomicUsize>) -> Result<Reply, Reply> {
-    if running.fetch_add(1, Ordering::Relaxed) >= MOST_DOWNLOADS {
+    if running.fetch_add(1, Ordering::Relaxed) >= MAX_DOWNLOADS {
         running.fetch_sub(1, Ordering::Relaxed);
         return Err(Reply::text(429, "two downloads are under way; wait for one of them\n").with("retry-after", "10"));
     }
@@ -223,7 +223,7 @@ fn download(clip: &Clip, running: &Arc<AtomicUsize>) -> Result<Reply, Reply> {
 
 /// As `stagepose report` makes it, with pictures where they are asked for.
 fn report(supervisor: &Supervisor, clip: &Clip, call: &Call) -> Result<Reply, Reply> {
-    let seconds = call.queried("pictures", 0, 0..=MOST_PICTURE_SECONDS)?;
+    let seconds = call.queried("pictures", 0, 0..=MAX_PICTURE_SECONDS)?;
     let (config, path) = (supervisor.file().to_owned(), clip.path.clone());
     let text = config_text(&config).map_err(|e| failed("the config cannot be read", &e))?;
     let said = vec![("daemon/diagnostics.txt", super::health::diagnostics(supervisor))];

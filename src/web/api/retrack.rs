@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use super::failed;
 use super::line_index::LineIndex;
-use super::recordings::{Folder, MOST_POINTS};
+use super::recordings::{Folder, MAX_POINTS};
 use super::timeline::timeline;
 use crate::daemon::{Supervisor, retrack};
 use crate::safe_file;
@@ -81,7 +81,7 @@ fn start(supervisor: &Arc<Supervisor>, folder: &Folder, call: &Call) -> Result<R
 
 /// The timeline of the new records, and how they compare with those that were recorded.
 fn told(_: &Folder, clip: &Path, call: &mut Call) -> Result<Reply, Reply> {
-    let points = call.queried("points", 1000, 1..=MOST_POINTS)?;
+    let points = call.queried("points", 1000, 1..=MAX_POINTS)?;
     let told = timeline(clip, "retracked/poses.jsonl", points as usize);
     let mut told = told.map_err(|e| failed("what was tracked again cannot be read", &e))?;
     let compared = safe_file::read_below(clip, Path::new("retracked/compared.json"), LARGEST);

@@ -18,11 +18,11 @@ use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
 /// Larger than the description of a set, bytes: thousands of objects. A round figure.
-const LARGEST_SET: u64 = 1 << 20;
+const MAX_SET: u64 = 1 << 20;
 /// Larger than a model that a browser draws at a camera's rate, bytes.
-pub(super) const LARGEST_MODEL: u64 = 64 << 20;
-/// Models at most. Raised, they may take more of the disk: each has up to [`LARGEST_MODEL`].
-const MOST_MODELS: usize = 64;
+pub(super) const MAX_MODEL: u64 = 64 << 20;
+/// Models at most. Raised, they may take more of the disk: each has up to [`MAX_MODEL`].
+const MAX_MODELS: usize = 64;
 /// A set before anything was placed in it.
 const EMPTY: &str = r#"{"objects":[]}"#;
 
@@ -38,7 +38,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             let tag = tag(&text);
             Ok(Reply::new(200, "application/json", text).with("etag", &tag))
         }),
-        Route::aside(Method::PUT, "/api/v1/set", Access::Change, move |call| put_set(&for_put, call)).takes(LARGEST_SET),
+        Route::aside(Method::PUT, "/api/v1/set", Access::Change, move |call| put_set(&for_put, call)).takes(MAX_SET),
         route(Method::GET, "/api/v1/sets", Access::Anyone, |folder, _| {
             let models: Vec<Value> = models(folder).into_iter().map(|(name, bytes)| json!({"name": name, "bytes": bytes})).collect();
             Ok(Reply::json(200, json!({"sets": models}).to_string()))
@@ -46,7 +46,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
         route(Method::GET, "/api/v1/sets/{name}", Access::Anyone, |folder, call| {
             model(folder, call)?;
             let name = Path::new("sets").join(call.name("name")?);
-            let bytes = safe_file::read_below(folder, &name, LARGEST_MODEL).map_err(|_| none())?;
+            let bytes = safe_file::read_below(folder, &name, MAX_MODEL).map_err(|_| none())?;
             Ok(Reply::new(200, "model/gltf-binary", bytes))
         }),
         route(Method::PUT, "/api/v1/sets/{name}", Access::Change, put_model).takes_a_file(),
@@ -66,7 +66,7 @@ fn folder(supervisor: &Supervisor) -> PathBuf {
 }
 
 fn read_set(folder: &Path) -> Result<Vec<u8>, Reply> {
-    match safe_file::read_below(folder, Path::new("set.json"), LARGEST_SET) {
+    match safe_file::read_below(folder, Path::new("set.json"), MAX_SET) {
         Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(EMPTY.into()),
         read => read.map_err(|e| failed("set.json cannot be read", &e)),
     }
@@ -74,7 +74,7 @@ fn read_set(folder: &Path) -> Result<Vec<u8>, Reply> {
 
 fn put_set(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     let folder = &folder(supervisor);
-    let bytes = call.content(LARGEST_SET)?;
+    let bytes = call.content(MAX_SET)?;
     let set: Value = serde_json::from_slice(&bytes).map_err(|e| Reply::text(400, format!("a set is JSON: {e}\n")))?;
     if !set["objects"].is_array() {
         return Err(Reply::text(422, "a set is an object with the list \"objects\"\n"));
@@ -122,8 +122,8 @@ fn model(folder: &Path, call: &Call) -> Result<PathBuf, Reply> {
 
 fn put_model(folder: &Path, call: &mut Call) -> Result<Reply, Reply> {
     let target = model(folder, call)?;
-    if !target.exists() && models(folder).len() >= MOST_MODELS {
-        return Err(Reply::text(409, format!("there are {MOST_MODELS} models already; delete one\n")));
+    if !target.exists() && models(folder).len() >= MAX_MODELS {
+        return Err(Reply::text(409, format!("there are {MAX_MODELS} models already; delete one\n")));
     }
     let unwritten = |e: io::Error| failed(&format!("{}: the model cannot be written", target.display()), &e);
     std::fs::create_dir_all(folder.join("sets")).map_err(unwritten)?;
@@ -137,8 +137,8 @@ fn put_model(folder: &Path, call: &mut Call) -> Result<Reply, Reply> {
             break;
         }
         bytes += n as u64;
-        if bytes > LARGEST_MODEL {
-            return Err(too_large(LARGEST_MODEL));
+        if bytes > MAX_MODEL {
+            return Err(too_large(MAX_MODEL));
         }
         beside.file.write_all(&buffer[..n]).map_err(unwritten)?;
     }

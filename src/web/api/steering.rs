@@ -16,7 +16,7 @@ use crate::web::routes::{Access, Route};
 /// Larger than any request here, bytes.
 const LARGEST: u64 = 4096;
 /// Longest text of a mark, characters: a line in a list. Raised, lists grow wide.
-const LONGEST_MARK: usize = 200;
+const MAX_MARK: usize = 200;
 
 /// Marks that may come at once, and the time after which each further one may: faster than any hand. Raised, a program that marks on and on
 /// fills the list and the disk sooner.
@@ -82,8 +82,8 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
         record(for_stop, "/api/v1/recordings/stop", RecordingWish::Stop, "the recording ends\n"),
         Route::aside(Method::POST, "/api/v1/recordings/mark", Access::Change, move |call| {
             let mark: Mark = call.json(LARGEST)?;
-            if mark.text.chars().count() > LONGEST_MARK {
-                return Err(Reply::text(422, format!("a mark has at most {LONGEST_MARK} characters\n")));
+            if mark.text.chars().count() > MAX_MARK {
+                return Err(Reply::text(422, format!("a mark has at most {MAX_MARK} characters\n")));
             }
             for_mark.link.events.publish(Event::Marked { text: printable(&mark.text).into_owned() });
             Ok(Reply::text(202, "marked\n"))

@@ -13,7 +13,7 @@ use crate::safe_file;
 use crate::web::events::said;
 
 /// Events at most, the first ones: a list that a person reads. Raised, larger answers.
-const MOST_EVENTS: usize = 2000;
+const MAX_EVENTS: usize = 2000;
 
 /// What a timeline has of a record.
 #[derive(Debug, PartialEq, Deserialize)]
@@ -130,7 +130,7 @@ fn with_rows(clip: &Path, stamps: &[i64]) -> Vec<Value> {
     let Ok(file) = safe_file::open_below(clip, Path::new("events.jsonl")) else { return Vec::new() };
     let lines = BufReader::new(file).lines().map_while(Result::ok);
     let told = lines.filter_map(|line| serde_json::from_str::<Value>(&line).ok()).filter(Value::is_object);
-    told.take(MOST_EVENTS)
+    told.take(MAX_EVENTS)
         .map(|mut event| {
             let at = event["timestamp_ns"].as_i64().unwrap_or_default();
             let (level, says) = match serde_json::from_value::<Event>(event.clone()) {

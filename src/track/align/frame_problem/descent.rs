@@ -123,7 +123,7 @@ mod tests {
 
     use super::super::super::learned::slow_estimates::SlowEstimates;
     use super::super::super::{AlignSurface, CameraRays};
-    use super::super::{Buffers, FINE_STEP_PX, LARGEST_LAST_STEP_PX};
+    use super::super::{Buffers, FINE_STEP_PX, MAX_LAST_STEP_PX};
     use super::*;
     use crate::camera::Shutter;
     use crate::geometry::resection::perturbed;
@@ -203,7 +203,7 @@ mod tests {
                 problem.follows(false, true);
                 let found = problem.coarse_to_fine().expect("the picture agrees in a third");
                 let left_px = problem.last_moved_px;
-                assert!(found.scale < CLOSE_SCALE && (FINE_STEP_PX..LARGEST_LAST_STEP_PX).contains(&left_px), "{left_px} px");
+                assert!(found.scale < CLOSE_SCALE && (FINE_STEP_PX..MAX_LAST_STEP_PX).contains(&left_px), "{left_px} px");
                 assert_eq!(problem.settle_uncovered(), Some(true));
                 assert!(problem.last_moved_px < FINE_STEP_PX, "{} px", problem.last_moved_px);
                 assert_eq!(problem.settle_uncovered(), Some(false));

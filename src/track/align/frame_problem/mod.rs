@@ -45,11 +45,11 @@ const COARSE_STEP_PX: f64 = 0.1;
 const FINE_STEP_PX: f64 = 0.045;
 /// A pose that still moves by more than this at the end is none, pixels of the level. Chosen well above `FINE_STEP_PX`. Raised, solutions
 /// that creep along outside of their basin are given; lowered, good ones that settle slowly are not.
-const LARGEST_LAST_STEP_PX: f64 = 0.15;
+const MAX_LAST_STEP_PX: f64 = 0.15;
 /// A level's steps are no longer than this once it had its first rounds, pixels of the level, or the pose wanders about and is none: of 1936 alignments that
 /// succeeded two had a longer one there, of 475 that failed half. Raised, frames in which a start leads nowhere cost more; lowered, ones that settle slowly are
 /// given up.
-const LARGEST_SETTLED_STEP_PX: f64 = 1.0;
+const MAX_SETTLED_STEP_PX: f64 = 1.0;
 /// The same where the residuals are beyond `WANDERING_SCALE`, sigmas of noise: the picture shows something else there. Of 1118 alignments that succeeded none had
 /// such a step, of 31 that failed 18. The same at the finest where little more than the half of a body fits that always takes part: 2 of 683 candidates had such a step there, neither led to a pose, and
 /// one of them cost 10 ms. Raised, a start that leads nowhere costs two or three followed frames; lowered, see above.
@@ -247,7 +247,7 @@ impl<'a> FrameProblem<'a> {
 
     /// The finest level is left when a step moved no tile by more, pixels of the level. Where its blur is asked next, the pose settles after that.
     fn fine_step_px(&self) -> f64 {
-        if self.may_ask_blur() { LARGEST_LAST_STEP_PX } else { FINE_STEP_PX }
+        if self.may_ask_blur() { MAX_LAST_STEP_PX } else { FINE_STEP_PX }
     }
 
     /// Predicts and solves a level's pixels until a step is small. The finest level's are selected anew where the pose moved much.
@@ -291,7 +291,7 @@ impl<'a> FrameProblem<'a> {
             tracing::trace!(level = spec.level, moved, pixels = problem.pixels().len(), scale = solved.scale, open_share);
             (self.last_step, self.last_moved_px) = (motion.pose_error_to(&solved.motion), moved);
             motion = solved.motion;
-            converged = Some(solved).filter(|_| moved < LARGEST_LAST_STEP_PX);
+            converged = Some(solved).filter(|_| moved < MAX_LAST_STEP_PX);
             let is_half_open = is_finest && open_share < HOPELESS_SHARE;
             // Where little more than the half fits that always takes part, and not well, it need not come to rest: tiles enter and leave by turns.
             let is_poor = is_half_open && !self.is_followed && round >= SETTLING_ROUNDS && solved.scale > CLOSE_SCALE;
@@ -299,10 +299,10 @@ impl<'a> FrameProblem<'a> {
             let is_covered = is_half_open && self.is_found_again() && solved.scale < CLOSE_SCALE;
             let is_hopeless = is_half_open && round + 1 >= HOPELESS_ROUNDS && solved.scale > HOPELESS_SCALE;
             let is_blurred = is_hopeless && solved.scale < WANDERING_SCALE && self.is_clearly_blurred(solved.scale);
-            if moved < if is_poor || is_covered || is_blurred { LARGEST_LAST_STEP_PX } else { small_px } {
+            if moved < if is_poor || is_covered || is_blurred { MAX_LAST_STEP_PX } else { small_px } {
                 break;
             }
-            let longest_px = if is_poor || solved.scale > WANDERING_SCALE { WANDERING_STEP_PX } else { LARGEST_SETTLED_STEP_PX };
+            let longest_px = if is_poor || solved.scale > WANDERING_SCALE { WANDERING_STEP_PX } else { MAX_SETTLED_STEP_PX };
             if round >= settles_from && moved > longest_px || is_poor && round + 1 >= POOR_ROUNDS {
                 self.wanders = is_poor;
                 return None;
@@ -417,7 +417,7 @@ impl<'a> FrameProblem<'a> {
     pub fn settle_by_what_fits(&mut self) -> Option<Corrected> {
         self.known.is_sure = true;
         self.settle_found()?;
-        self.buffers.fine.solution().map(|solution| solution.found).filter(|_| self.last_moved_px < LARGEST_LAST_STEP_PX)
+        self.buffers.fine.solution().map(|solution| solution.found).filter(|_| self.last_moved_px < MAX_LAST_STEP_PX)
     }
 
     /// Settles what [`Self::solve`] left unsettled of a body that seemed to be covered and is not; whether there was anything. `None` where there is no solution any more.

@@ -22,14 +22,14 @@ use crate::track::align::solve::level_problem::blur::{KnownVelocity, along_frame
 const ROUNDS: usize = 5;
 /// A step that changes the blur by less is the last, and one that changes it by more at the end shows that there is none, pixels of the level.
 const SMALL_PX: f64 = 0.03;
-const LARGEST_LAST_PX: f64 = 0.3;
+const MAX_LAST_PX: f64 = 0.3;
 /// Length of the trial blur that the missing blur is measured with, pixels of the level. Chosen near the usual length, not tuned. Raised, fine detail is gone where blur is short; lowered,
 /// long blur is found too short.
 const FIRST_BLUR_PX: f64 = 1.5;
 /// Sigmas that the squared blur must differ from none by. Raised, slow bodies are taken to stand still; lowered, noise passes for blur.
-const LEAST_SIGMAS: f64 = 5.0;
-/// The variance of the missing blur must be at least this many times `BLUR_ERROR_PX2`. Raised and lowered as `LEAST_SIGMAS`.
-const LEAST_BLUR_ERRORS: f64 = 1.5;
+const MIN_SIGMAS: f64 = 5.0;
+/// The variance of the missing blur must be at least this many times `BLUR_ERROR_PX2`. Raised and lowered as `MIN_SIGMAS`.
+const MIN_BLUR_ERRORS: f64 = 1.5;
 /// Squared sigmas by which rows must prefer a direction to the opposite one. Raised, more frames wait for a second; lowered, a velocity is
 /// taken for its opposite.
 const SURE_DIRECTION: f64 = 20.0;
@@ -45,13 +45,13 @@ const BLUR_ERROR_PX2: f64 = 0.08;
 const BLUR_PATCHES: f64 = 6.0;
 /// Largest squared Mahalanobis distance, of six degrees of freedom, of a velocity from what rows and the unseen motion say of it. Chosen: ten sigmas, as rows know it
 /// less well than they say. Raised, pictures that are out of focus, or sharpened, pass for moving ones; lowered, what is thrown has no velocity.
-const LARGEST_SQUARED: f64 = 100.0;
+const MAX_SQUARED: f64 = 100.0;
 /// Largest relative sigma of the exposure with which blur is asked under a rolling shutter: beyond it, the rows were aligned with the wrong blur. Raised, the very first
 /// pose may be further off than its covariance says; lowered, the first frames wait for a second one.
-const LARGEST_EXPOSURE_SIGMA: f64 = 0.3;
+const MAX_EXPOSURE_SIGMA: f64 = 0.3;
 /// Depth of a point over its distance, at least, where its way through the picture is computed: 78 degrees aside. Chosen beyond what lenses show. Lowered, the middle of a stage that
 /// begins behind the camera moves without bounds.
-const LEAST_DEPTH: f64 = 0.2;
+const MIN_DEPTH: f64 = 0.2;
 
 /// A velocity by blur.
 pub struct VelocityByBlur {
@@ -142,7 +142,7 @@ impl BlurSearch<'_, '_> {
 
     /// Where rows are read one after another they tell most of the velocity, and in which direction; blur tells the rest. Both together tell the exposure.
     fn velocity(&self, problem: &mut LevelProblem) -> Option<VelocityByBlur> {
-        if self.known.exposure_sigma > LARGEST_EXPOSURE_SIGMA {
+        if self.known.exposure_sigma > MAX_EXPOSURE_SIGMA {
             return None;
         }
         let found = self.found;
@@ -188,7 +188,7 @@ impl BlurSearch<'_, '_> {
             let share = spec.blur_px / moved_px.max(spec.blur_px);
             exposure += longer.dot(&velocity) / velocity.norm_squared().max(f64::MIN_POSITIVE) * share;
             velocity += faster * share;
-            fit = Some(BlurFit { velocity, shown, information }).filter(|_| moved_px < LARGEST_LAST_PX);
+            fit = Some(BlurFit { velocity, shown, information }).filter(|_| moved_px < MAX_LAST_PX);
             if moved_px < SMALL_PX {
                 break;
             }
@@ -201,7 +201,7 @@ impl BlurSearch<'_, '_> {
         let off = velocity - self.found.motion.twist();
         let covariance = self.found.covariance.fixed_view::<6, 6>(6, 6).into_owned();
         // False of what is no number.
-        covariance.cholesky().is_some_and(|c| off.dot(&c.solve(&off)) < LARGEST_SQUARED)
+        covariance.cholesky().is_some_and(|c| off.dot(&c.solve(&off)) < MAX_SQUARED)
     }
 
     /// The step that blur, what else is known of the velocity, and what is known of the exposure agree on: of the velocity; and of the exposure, as the velocity that
@@ -251,14 +251,14 @@ impl BlurSearch<'_, '_> {
         let (squared, covariance) = problem.missing_blur(&spec, &self.found.motion, turn_rate, &known)?;
         let missing = Matrix2::new(squared.x, squared.z, squared.z, squared.y);
         // In units of the first blur's variance.
-        let systematic = LEAST_BLUR_ERRORS * BLUR_ERROR_PX2 / (FIRST_BLUR_PX * FIRST_BLUR_PX / 12.0);
+        let systematic = MIN_BLUR_ERRORS * BLUR_ERROR_PX2 / (FIRST_BLUR_PX * FIRST_BLUR_PX / 12.0);
         // Whether squared blur along its longest axis is beyond doubt.
         let telling = |moments: &Matrix2<f64>| {
             let (length, along) = longest_axis(moments);
             let by = Vector3::new(along.x * along.x, along.y * along.y, 2.0 * along.x * along.y);
             let sigma = by.dot(&(covariance * by)).max(0.0).sqrt();
             tracing::trace!(blur_px = FIRST_BLUR_PX * length.max(0.0).sqrt(), sigmas = length / sigma, along = ?along.as_slice(), "missing blur");
-            length > systematic.max(LEAST_SIGMAS * sigma)
+            length > systematic.max(MIN_SIGMAS * sigma)
         };
         // The known velocity blurs the prediction already: second moments of all of the blur are its own and what is missing. A body that moves along with the camera has less.
         let known_way = Vector2::new(-known_turn.y, known_turn.x) / turn_rate;
@@ -291,7 +291,7 @@ fn longest_axis(moments: &Matrix2<f64>) -> (f64, Vector2<f64>) {
 /// camera axes, metres. A point far aside is taken for one before the camera.
 fn turn_by_velocity(rotation: &Matrix3<f64>, point: &Vector3<f64>) -> Option<Matrix2x6<f64>> {
     let distance_m = point.norm();
-    let point = if point.z > LEAST_DEPTH * distance_m { *point } else { Vector3::z() * distance_m };
+    let point = if point.z > MIN_DEPTH * distance_m { *point } else { Vector3::z() * distance_m };
     let in_frame = Matrix2x3::new(1.0, 0.0, -point.x / point.z, 0.0, 1.0, -point.y / point.z) / point.z;
     let mut by_velocity = Matrix2x6::zeros();
     by_velocity.fixed_view_mut::<2, 3>(0, 0).copy_from(&(-in_frame * rotation.transpose()));

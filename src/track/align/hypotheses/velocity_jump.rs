@@ -27,7 +27,7 @@ const OFF_SHARE: f64 = 0.22;
 const LINE_SHARE: f64 = 0.4;
 /// A jump of this many sigmas at the middle of the exposure is the largest that such an error comes from: it is an eighth of the jump times
 /// the exposure. Raised, poses that are far off for other reasons get a wider covariance than any start could need.
-const LARGEST_JUMP: f64 = 3.0;
+const MAX_JUMP: f64 = 3.0;
 /// Of a velocity that changed within a frame, times how long the frame was exposed and read, this share is an error of the pose: at most an
 /// eighth of it where all rows are exposed together, and 0.05 where rows follow each other. Raised, covariances of shaken cameras are
 /// wider.
@@ -82,7 +82,7 @@ pub fn by_bend(
     let covariance = left.map_or(Matrix6::zeros(), |line| line.expected.covariance.fixed_view::<6, 6>(0, 0).into_owned());
     // How long a usual jump takes to get there.
     let takes_s = (off.fixed_rows::<3>(0).norm() / speed).hypot(off.fixed_rows::<3>(3).norm() / turn_rate);
-    let most = (LARGEST_JUMP / 8.0 * frame_s / takes_s.max(f64::MIN_POSITIVE)).min(1.0);
+    let most = (MAX_JUMP / 8.0 * frame_s / takes_s.max(f64::MIN_POSITIVE)).min(1.0);
     let bend: Vector6<f64> = error.fixed_rows::<6>(6) * (BEND_SHARE * frame_s);
     (off * off.transpose() + covariance) * (share * most).powi(2) + bend * bend.transpose()
 }
@@ -144,7 +144,7 @@ mod tests {
                 let sigma = by_bend(&rest(1e-8), &found, None, &GLOBAL, DISTANCE_M)[(0, 0)].sqrt();
                 assert!((seen - truth).abs() < 4.8 * sigma, "{s} {jump}: {} {sigma}", seen - truth);
                 // Nor is it absurdly more than the largest error of such a jump.
-                assert!(sigma < OFF_SHARE * LARGEST_JUMP / 8.0 * speed * exposure_s * 1.001);
+                assert!(sigma < OFF_SHARE * MAX_JUMP / 8.0 * speed * exposure_s * 1.001);
             }
         }
     }

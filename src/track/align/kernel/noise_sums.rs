@@ -8,8 +8,8 @@ use crate::track::align::lanes::{LANES, Lanes, dispatch, load_at, total};
 use crate::track::align::learned::noise::NoiseSums;
 
 /// Largest squared residual that counts as noise, squared scales: three sigmas. Raised, pixels that show something else count as noise.
-pub const LARGEST_SQUARED: f32 = 9.0;
-/// Variance of a standard normal distribution that is cut at three sigmas. It follows from [`LARGEST_SQUARED`].
+pub const MAX_SQUARED: f32 = 9.0;
+/// Variance of a standard normal distribution that is cut at three sigmas. It follows from [`MAX_SQUARED`].
 pub const KEPT_VARIANCE: f64 = 0.9733;
 
 impl NoiseSums {
@@ -32,7 +32,7 @@ dispatch! {
 pub fn noise_sums_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) -> [f32; 9] {
     let RunView { pixels, run, appearance, light, residuals } = *view;
     let (zero, one) = (L::splat(0.0), L::splat(1.0));
-    let largest = L::splat(LARGEST_SQUARED * (weighting.scale * weighting.scale) as f32);
+    let largest = L::splat(MAX_SQUARED * (weighting.scale * weighting.scale) as f32);
     let mut sums = [zero; 9];
     for k in run.range().step_by(LANES * weighting.stride) {
         let (columns, g) = columns::<L>(pixels, appearance, light, k);

@@ -8,22 +8,22 @@ use crate::camera::Shutter;
 pub const USUAL_EXPOSURE_S: f64 = 0.004;
 /// Shortest exposure that is learnt, seconds. Chosen: at 300 pixels a second it blurs by 0.15. Never 0, from which an exposure that changes
 /// by shares of itself could not rise again. Raised, cameras with short exposures are predicted too blurred.
-const SHORTEST_EXPOSURE_S: f64 = 5e-4;
+const MIN_EXPOSURE_S: f64 = 5e-4;
 /// Longest exposure that is learnt, seconds: the time from frame to frame at 25 a second. Raised, frames that mislead can lead further
 /// astray.
-const LONGEST_EXPOSURE_S: f64 = 0.04;
+const MAX_EXPOSURE_S: f64 = 0.04;
 /// Frames with this much blur or less, pixels of the frame, say nothing of the exposure; with less than `TELLING_BLUR_PX` they count by the
-/// fourth power of it, as their information falls. With 1.5 for both, d-handheld was 0.106 mm off instead of 0.095. `LEAST_BLUR_PX`
+/// fourth power of it, as their information falls. With 1.5 for both, d-handheld was 0.106 mm off instead of 0.095. `MIN_BLUR_PX`
 /// lowered, the point spread passes for motion; `TELLING_BLUR_PX` raised, a slow camera learns its exposure later.
-const LEAST_BLUR_PX: f64 = 0.8;
+const MIN_BLUR_PX: f64 = 0.8;
 pub const TELLING_BLUR_PX: f64 = 1.5;
 /// Share of what a frame says that is taken over: a memory of some ten frames, once the first ones, which count more, are in. Raised, the
 /// exposure follows the noise of single frames.
 const LEARNT_SHARE: f64 = 0.2;
 /// Shares by which the exposure's square falls and rises in one frame at most: to a half, to twice. Chosen, not tuned: so far off the blur
 /// is not linear in it any more. Raised, one frame that misleads does more harm; lowered, a wrong start is left later.
-const LARGEST_FALL: f64 = 0.5;
-const LARGEST_RISE: f64 = 1.0;
+const MAX_FALL: f64 = 0.5;
+const MAX_RISE: f64 = 1.0;
 
 /// One sigma of an exposure that is not known, as a share of it: before any frame told of it, and after many. Chosen, not tuned: cameras expose for 1 to 20 ms.
 /// Raised, the speed of a body that was just found is less sure.
@@ -69,15 +69,15 @@ impl UnknownExposure {
         self.told += weight;
         let share = weight * LEARNT_SHARE.max(2.0 / (self.told + 1.0)).min(1.0);
         // Blur is linear in the square of the exposure.
-        let change = (2.0 * share * clue.score / clue.information).clamp(-LARGEST_FALL, LARGEST_RISE);
-        shutter.exposure_s = (shutter.exposure_s * (1.0 + change).sqrt()).clamp(SHORTEST_EXPOSURE_S, LONGEST_EXPOSURE_S);
+        let change = (2.0 * share * clue.score / clue.information).clamp(-MAX_FALL, MAX_RISE);
+        shutter.exposure_s = (shutter.exposure_s * (1.0 + change).sqrt()).clamp(MIN_EXPOSURE_S, MAX_EXPOSURE_S);
     }
 }
 
 /// What the residuals of a frame with so much blur say of the exposure, beside the point spread, as a share of it; `None` where the frame
 /// is too sharp to tell. `blur`: sums of the tiles' evidence.
 pub fn exposure_clue(blur: &[f64; 5], psf_variance: KnownPsfVariance, blur_px: f64) -> Option<Clue> {
-    if blur_px <= LEAST_BLUR_PX {
+    if blur_px <= MIN_BLUR_PX {
         return None;
     }
     let mut s = *blur;

@@ -18,7 +18,7 @@ const MOST: f64 = 1.1;
 const FOLLOWS: f64 = 0.2;
 /// Least mean squared change of a step that is learnt from, grey levels²: a tenth of a level. Chosen: of smaller changes the rounding of
 /// texels to whole levels is a large part. Raised, slow cameras never learn the share.
-const LEAST_CHANGE: f64 = 0.01;
+const MIN_CHANGE: f64 = 0.01;
 
 /// The share of the slopes over samples that is the pixels' own, as learnt so far.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,7 +38,7 @@ impl GradientGain {
 
     /// Learns from a step whose change was predicted with the gain as it is.
     pub fn learn(&mut self, sums: &ChangeSums) {
-        if sums.predicted_squared > LEAST_CHANGE * sums.count {
+        if sums.predicted_squared > MIN_CHANGE * sums.count {
             let found = sums.product / sums.predicted_squared;
             tracing::trace!(share = self.0, found, "slopes");
             self.0 = (self.0 * (1.0 + FOLLOWS * (found - 1.0).clamp(-0.5, 0.5))).clamp(LEAST, MOST);

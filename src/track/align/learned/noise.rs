@@ -14,10 +14,10 @@ const USUAL_DARK: f64 = 2.25 + 1.0 / 12.0;
 const USUAL_SHOT: f64 = 0.03;
 const USUAL_MODEL_PX: f64 = 0.02;
 /// Least variance at black, grey levels²: that of rounding to whole levels. Raised, quiet cameras are believed less than they deserve.
-const LEAST_DARK: f64 = 1.0 / 12.0;
+const MIN_DARK: f64 = 1.0 / 12.0;
 /// Least error of the prediction, pixels of the level: below the 0.005 to 0.012 that rendered clips show. Raised, a still camera scatters
 /// more.
-const LEAST_MODEL_PX: f64 = 0.003;
+const MIN_MODEL_PX: f64 = 0.003;
 /// Least error of the prediction while the camera moves, pixels of the finest level, and of those above. What is wrong at an edge is wrong
 /// all along it and in the next frames too: weights by the bare scatter made d-steep and d-handheld worse by a tenth. Raised, edges count
 /// less beside flat texture, and covariances are wider. The second is chosen, twice the first.
@@ -106,7 +106,7 @@ impl CameraNoise {
         self.sums.by_each_other = self.sums.by_each_other * (1.0 - FADES) + frame.by_each_other;
         self.sums.by_squared = self.sums.by_squared * (1.0 - FADES) + frame.by_squared;
         let usual = Self::usual(self.level).variance;
-        let [least_dark, least_model] = [LEAST_DARK / f64::from(1u32 << (2 * self.level)), LEAST_MODEL_PX.powi(2)];
+        let [least_dark, least_model] = [MIN_DARK / f64::from(1u32 << (2 * self.level)), MIN_MODEL_PX.powi(2)];
         // As much as that number of pixels of the usual grey and slope would tell of each part alone.
         let weight = USUAL_PIXELS * Vector3::from(usual.map(|v| (v * v).recip())).component_mul(&self.share_of(&usual));
         let mut a = self.sums.by_each_other;
@@ -159,7 +159,7 @@ mod tests {
     use rand_pcg::Pcg64Mcg;
 
     use super::*;
-    use crate::track::align::kernel::noise_sums::{KEPT_VARIANCE, LARGEST_SQUARED};
+    use crate::track::align::kernel::noise_sums::{KEPT_VARIANCE, MAX_SQUARED};
 
     /// Sums over pixels of random grey and slope whose variance is known.
     fn sums(truth: &Vector3<f64>, weights: &CameraNoise, random: &mut Pcg64Mcg) -> NoiseSums {
@@ -170,7 +170,7 @@ mod tests {
             let squared = truth.dot(&regressors) * normal * normal;
             let expected = weights.variance.dot(&regressors);
             let scale2 = truth.dot(&regressors) / expected;
-            if squared < f64::from(LARGEST_SQUARED) * scale2 * expected {
+            if squared < f64::from(MAX_SQUARED) * scale2 * expected {
                 let w = expected.powi(-2);
                 sums.by_each_other += regressors * regressors.transpose() * w;
                 sums.by_squared += regressors * (w * squared / KEPT_VARIANCE);

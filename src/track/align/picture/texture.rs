@@ -21,13 +21,13 @@ pub const BLOCK: usize = 16;
 const KEPT: usize = 160;
 /// Pictures of more pixels are not enlarged: the copy takes nearly six bytes for each of theirs, and few cameras show such a picture larger
 /// than it is. Raised, large pictures take more memory and a longer start; lowered, linear interpolation loses detail of more of them.
-const LARGEST_ENLARGED: u32 = 6_000_000;
+const MAX_ENLARGED: u32 = 6_000_000;
 /// Least grey difference per texel of a candidate. Chosen: the read noise of a usual camera, below which a pixel tells nearly nothing.
 /// Raised, soft pictures are left with too few pixels; lowered, lists hold texels that are never taken.
-const LEAST_GRADIENT: f32 = 1.5;
+const MIN_GRADIENT: f32 = 1.5;
 /// The chain ends when a side falls below this, texels. Chosen, not tuned: less shows no detail to align by. Raised, pictures seen from
 /// afar are sampled too finely, and alias.
-const LEAST_SIDE: usize = 8;
+const MIN_SIDE: usize = 8;
 
 /// All levels of a picture.
 #[derive(Debug, Clone)]
@@ -89,7 +89,7 @@ impl Texture {
             candidates: Vec::new(),
         };
         let own = [picture.width() as usize, picture.height() as usize];
-        let is_enlarged = picture.width() * picture.height() <= LARGEST_ENLARGED;
+        let is_enlarged = picture.width() * picture.height() <= MAX_ENLARGED;
         let sizes = is_enlarged.then_some(own.map(|n| 2 * n)).into_iter().chain(halved_sizes(own)).take(LANES);
         texture.tiles.reserve_exact(sizes.map(|size| tiles_of(size).iter().product::<usize>()).sum());
         if is_enlarged {
@@ -133,7 +133,7 @@ impl Texture {
 fn halved_sizes(own: [usize; 2]) -> impl Iterator<Item = [usize; 2]> {
     std::iter::successors(Some(own), |size| {
         let half = size.map(|n| n / 2);
-        half.iter().all(|n| *n >= LEAST_SIDE).then_some(half)
+        half.iter().all(|n| *n >= MIN_SIDE).then_some(half)
     })
 }
 
@@ -239,7 +239,7 @@ impl Ranking {
     /// whose texels are kept.
     fn append_steepest(&mut self, block: [&[u32]; BLOCK], offsets: &mut Vec<[u8; 2]>) {
         // As the keys count it.
-        const LEAST: u32 = (4.0 * LEAST_GRADIENT * LEAST_GRADIENT) as u32;
+        const LEAST: u32 = (4.0 * MIN_GRADIENT * MIN_GRADIENT) as u32;
         let Self { keys, sorted, ends } = self;
         let mut count = 0;
         ends.fill(0);
@@ -335,7 +335,7 @@ mod tests {
                     }
                     let at = |x: u32, y: u32| i32::from(picture.get_pixel(x, y)[0]);
                     let squared = (at(x + 1, y) - at(x - 1, y)).pow(2) + (at(x, y + 1) - at(x, y - 1)).pow(2);
-                    if squared as f32 >= 4.0 * LEAST_GRADIENT.powi(2) {
+                    if squared as f32 >= 4.0 * MIN_GRADIENT.powi(2) {
                         expected.push((squared, [dx as u8, dy as u8]));
                     }
                 }

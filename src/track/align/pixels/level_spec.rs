@@ -48,11 +48,11 @@ const USUAL_WIDTH_PX: f64 = 1280.0;
 /// of 0.083, for a fifth more time. Raised, the cost grows by the square.
 const COARSE_SIDE: usize = 3;
 const SIDE: usize = 5;
-/// Samples along a blur path: (length below which they do, pixels of the level; their number, odd). [`MOST_PLACES`] for longer ones.
+/// Samples along a blur path: (length below which they do, pixels of the level; their number, odd). [`MAX_PLACES`] for longer ones.
 /// Chosen, from a prototype: a place to half a pixel or so. Lengths raised, the blur is predicted as ghosts; lowered, blurred frames cost
 /// more.
 const PLACES: [(f64, usize); 4] = [(0.4, 1), (1.5, 3), (3.0, 5), (5.5, 9)];
-const MOST_PLACES: usize = 15;
+const MAX_PLACES: usize = 15;
 /// Blur with as many places or fewer is no hindrance to a level above the finest. Raised, such a level does not come to rest under longer blur; lowered, it costs more without need.
 const SHORT_BLUR_PLACES: usize = 3;
 
@@ -123,7 +123,7 @@ impl<'a> LevelSpec<'a> {
     /// With as many samples along the blur as its length asks for.
     pub fn with_places(mut self) -> Self {
         let at_blur = PLACES.iter().find(|(longest_px, _)| self.blur_px < *longest_px);
-        self.places = at_blur.map_or(MOST_PLACES, |(_, places)| *places);
+        self.places = at_blur.map_or(MAX_PLACES, |(_, places)| *places);
         self
     }
 

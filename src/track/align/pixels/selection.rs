@@ -21,7 +21,7 @@ use crate::track::scene::rectangle::SeenPoint;
 const BORDER_PX: f64 = 3.0;
 /// Surfaces are not read where they are seen flatter than this (cosine of the tilt: 86.6 degrees). Chosen, not tuned: a pixel is then as
 /// long as 17 on the surface, and samples step over texels. Raised, steep views lose their pixels; lowered, their predictions are wrong.
-const LEAST_COSINE: f64 = 0.06;
+const MIN_COSINE: f64 = 0.06;
 
 /// Chooses pixels; keeps its buffers.
 #[derive(Debug, Default)]
@@ -207,7 +207,7 @@ fn see(surface: &AlignSurface, motion: &Motion, spec: &LevelSpec, point: [f64; 2
     let scale = spec.frame_px();
     let place = surface.at(point);
     let from = |pose: &Pose<Body, Camera>| {
-        let seen = surface.rectangle.see_place(pose, spec.rays.camera(), &place, LEAST_COSINE)?;
+        let seen = surface.rectangle.see_place(pose, spec.rays.camera(), &place, MIN_COSINE)?;
         Some((seen.in_smaller(scale), pose.translation))
     };
     let at_rest = from(&motion.pose)?;

@@ -17,11 +17,11 @@ use crate::track::frame::frame_levels::Level;
 
 /// Where this share of the tiles agrees, what stands in front of the others does not hide all that tells of one direction. Chosen: poses that slid have above 0.59. Raised,
 /// poses slide along stripes behind people; lowered, what is in front may by chance look like the opposite of what it hides.
-const LEAST_SHARE: f64 = 0.4;
+const MIN_SHARE: f64 = 0.4;
 /// The direction that is borne out least must be by this share of the one that is borne out best. Chosen: right poses have above 0.42, behind people too (lines a pixel
 /// wide are as steep as differences of neighbours can tell); poses that slid have less than 0.1, strongly blurred ones up to 0.3. Raised, stages of fine level lines
 /// are lost; lowered, poses slide along stripes.
-const LEAST_BORNE_OUT: f64 = 0.3;
+const MIN_BORNE_OUT: f64 = 0.3;
 /// Where a direction is not borne out, that must be known so well, standard deviations: of plain stripes nothing is expected along them, and chance says anything.
 /// Chosen, not tuned. Raised, poses slide along stripes with faint grain; lowered, plain stripes are lost by chance.
 const SURE_SIGMAS: f64 = 3.0;
@@ -76,9 +76,9 @@ impl GradientAgreement {
 
     /// Whether a pose may have slid along stripes, of whose tiles this share agrees.
     pub fn may_have_slid(&self, share: f64) -> bool {
-        let is_refuted = |[worst, best]: [BorneOut; 2]| worst.share + SURE_SIGMAS * worst.sigma < LEAST_BORNE_OUT * best.share;
-        let is_borne_out = |[worst, best]: [BorneOut; 2]| worst.share - SURE_SIGMAS * worst.sigma > LEAST_BORNE_OUT * best.share;
-        let is_in_doubt = share > LEAST_SHARE && self.everywhere.borne_out().is_some_and(is_refuted);
+        let is_refuted = |[worst, best]: [BorneOut; 2]| worst.share + SURE_SIGMAS * worst.sigma < MIN_BORNE_OUT * best.share;
+        let is_borne_out = |[worst, best]: [BorneOut; 2]| worst.share - SURE_SIGMAS * worst.sigma > MIN_BORNE_OUT * best.share;
+        let is_in_doubt = share > MIN_SHARE && self.everywhere.borne_out().is_some_and(is_refuted);
         is_in_doubt && !self.where_agreeing.borne_out().is_some_and(is_borne_out)
     }
 }

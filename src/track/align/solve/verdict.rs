@@ -66,7 +66,7 @@ impl Alignment {
 
     /// Whether the pose was found so far from where it was expected that earlier frames say nothing of it.
     pub fn is_pushed(&self) -> bool {
-        self.squared_mahalanobis > LARGEST_SQUARED_MAHALANOBIS
+        self.squared_mahalanobis > MAX_SQUARED_MAHALANOBIS
     }
 
     /// Whether the pose may be given: it is credible, or bears itself out. What was followed and is found where nothing expected it must show itself as a whole: a
@@ -90,15 +90,15 @@ impl Alignment {
     pub fn is_credible(&self, is_expected: bool) -> bool {
         let continues = is_expected
             && self.share() >= CONTINUED_SHARE
-            && self.squared_mahalanobis < LARGEST_SQUARED_MAHALANOBIS
+            && self.squared_mahalanobis < MAX_SQUARED_MAHALANOBIS
             && self.scale < CONTINUED_SCALE;
-        self.agreeing >= LEAST_TILES && (self.share() >= NEW_SHARE || continues)
+        self.agreeing >= MIN_TILES && (self.share() >= NEW_SHARE || continues)
     }
 }
 
 /// Fewest agreeing tiles of a pose that is given. Chosen, not tuned. Raised, pictures seen small are lost; lowered, a few tiles that agree
 /// by chance are enough.
-const LEAST_TILES: usize = 8;
+const MIN_TILES: usize = 8;
 /// Least share of the tiles with detail that agree: of any pose, and of one that is where the motion filter expected it. Of 405 wrong poses
 /// below 10 % agree, of 638 right ones three quarters above 90 % (docs/alignment.md). Raised, partly covered stages are lost;
 /// `CONTINUED_SHARE` below 0.1 would let wrong poses pass.
@@ -111,8 +111,8 @@ const PART_SHARE: f64 = 0.4;
 const FITTING_PART_SCALE: f64 = 1.5;
 /// Largest squared Mahalanobis distance of a pose that is where it was expected: ten sigmas, as jerk is not white. Chosen, not tuned.
 /// Raised, a jump into a wrong minimum passes for motion; lowered, starts and stops must prove themselves like new poses.
-const LARGEST_SQUARED_MAHALANOBIS: f64 = 100.0;
-/// Largest residuals of such a pose, sigmas, of what takes part. It came with `LEVELS` and `LARGEST_LAST_STEP_PX`: with all three, none of
+const MAX_SQUARED_MAHALANOBIS: f64 = 100.0;
+/// Largest residuals of such a pose, sigmas, of what takes part. It came with `LEVELS` and `MAX_LAST_STEP_PX`: with all three, none of
 /// every third frame of d-steep is wrong, before 12.5 % were. Raised, such poses may come back; lowered, a stage that is partly covered is
 /// lost sooner.
 const CONTINUED_SCALE: f64 = 2.5;
@@ -128,10 +128,10 @@ const SURE_SHARE: f64 = 0.15;
 /// Least variance of a tile's prediction that tells anything, and least sum of it over the tile's pixels, in variances of a pixel's noise. A tile has some 55 pixels:
 /// the correlation of a right one, corrected for noise, scatters by 0.2 at the second. With 4 for the first, and no correction, hazy stages had no tile that told
 /// (d-haze: 0 to 2 of 160 in five of fifty frames; now 50 to 120, nearly all of which agree). Raised, hazy and dim stages are not found; lowered, noise is asked.
-const LEAST_DETAIL: f64 = 0.5;
-const LEAST_DETAIL_IN_ALL: f64 = 25.0;
+const MIN_DETAIL: f64 = 0.5;
+const MIN_DETAIL_IN_ALL: f64 = 25.0;
 /// Share of a tile's seen variance that cannot be noise: a usual camera's is assumed at first, and may be too large. Lowered, plain tiles agree by chance.
-const LEAST_CLEAN: f64 = 0.25;
+const MIN_CLEAN: f64 = 0.25;
 /// Least correlation of a tile that agrees. Raised, tiles behind gauze and in changing light do not; lowered, tiles of other pictures agree by chance.
 const AGREEING_CORRELATION: f64 = 0.9;
 /// Largest standard deviation of a pose that a single frame may give, of the distance and in radians: a third of what counts as wrong
@@ -167,11 +167,11 @@ pub fn agreement(e: &RunEvidence) -> Option<bool> {
     let [s, p, ss, pp, sp] = e.moments.map(|m| m / n);
     let (seen, predicted, both) = (ss - s * s, pp - p * p, sp - s * p);
     let noise = e.noise / n;
-    if predicted < LEAST_DETAIL * noise || n * predicted < LEAST_DETAIL_IN_ALL * noise {
+    if predicted < MIN_DETAIL * noise || n * predicted < MIN_DETAIL_IN_ALL * noise {
         return None;
     }
     // Noise is a part of what is seen, and lowers the correlation of a right tile; its size is not known exactly.
-    let clean = (seen - noise).max(LEAST_CLEAN * seen);
+    let clean = (seen - noise).max(MIN_CLEAN * seen);
     Some(both > 0.0 && both * both > AGREEING_CORRELATION.powi(2) * clean * predicted)
 }
 

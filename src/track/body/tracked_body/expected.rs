@@ -14,7 +14,7 @@ use crate::track::acquire::unexplained_cells::MARGIN_PX;
 /// Verified poses further apart tell nothing of the motion within a frame, seconds; those of two frames in a row do, however slow the
 /// camera. Chosen: two frames at 30 a second. Raised, a motion that has changed is taken for this frame's; lowered, a dropped frame leaves
 /// it unknown.
-const LONGEST_MOTION_GAP_S: f64 = 0.07;
+const MAX_MOTION_GAP_S: f64 = 0.07;
 /// For so long after a body was last seen, seconds, that place is searched first. Chosen: what was covered for a moment, or found just now, is still there. Raised,
 /// bodies that went away keep others waiting; lowered, one that was found in one frame may not be found in the next, which has to confirm it.
 const LAST_SEEN_FOR_S: f64 = 0.5;
@@ -87,6 +87,6 @@ impl TrackedBody {
     pub fn before_at(&self, timestamp: Timestamp) -> Option<(Pose<Camera, Body>, f64, Option<Twist>)> {
         let (pose, then, twist) = self.before?;
         let dt_s = timestamp.seconds_since(then);
-        (dt_s > 1e-4 && dt_s <= LONGEST_MOTION_GAP_S.max(self.to_next_s)).then_some((pose, dt_s, twist))
+        (dt_s > 1e-4 && dt_s <= MAX_MOTION_GAP_S.max(self.to_next_s)).then_some((pose, dt_s, twist))
     }
 }

@@ -28,7 +28,7 @@ use crate::track::model_error::shape_doubt::ShapeDoubt;
 use crate::track::model_error::surface_doubt::covariance_by_surfaces;
 use crate::track::model_error::tile_residuals::TileResiduals;
 use crate::track::patches::fitted_anchor::FittedAnchor;
-use crate::track::patches::planar_ambiguity::{LEAST_MARGIN, ambiguity_margin, most_frequent_surface};
+use crate::track::patches::planar_ambiguity::{MIN_MARGIN, ambiguity_margin, most_frequent_surface};
 use crate::track::patches::row_motion::RowMotion;
 use crate::track::patches::verify::{Refusal, Verified, VerifyBuffers, View, judged_noise, search_silent, verify};
 use crate::track::scene::reference::PreparedBody;
@@ -36,11 +36,11 @@ use crate::track::scene::surface::BodySpec;
 
 /// An aligned body is followed over gaps up to this, seconds, and always to the next frame. Chosen: three frames at 30 a second. Raised,
 /// alignment begins from starts beyond its basin, in vain; lowered, a dropped frame costs a search by features.
-const LONGEST_FOLLOWED_GAP_S: f64 = 0.1;
+const MAX_FOLLOWED_GAP_S: f64 = 0.1;
 /// Residuals of an alignment that fits, sigmas: those of noise are 1. Chosen, not tuned: of bodies that were seen in part they were 0.9 to 1.2, of those tilted the wrong way 1.9 to 6. Raised, the right
 /// one of two planar poses may not be tried; lowered, the wrong one costs several followed bodies.
 const FITTING_SCALE: f64 = 1.5;
-/// Share of fitting anchors beyond which no rival is asked. Chosen well above what a new pose needs (`LEAST_SHARE_NEW`). Raised, frames
+/// Share of fitting anchors beyond which no rival is asked. Chosen well above what a new pose needs (`MIN_SHARE_NEW`). Raised, frames
 /// cost more; lowered, the first candidate may be taken for a better one.
 const CLEAR_SHARE: f64 = 0.6;
 /// Frames between two tests of a followed pose against the one tilted the other way; a test takes about 1 ms. Chosen: twice a second at 30
@@ -67,7 +67,7 @@ const DOUBTED_PX: f64 = 0.1;
 const COPY_AWAY: f64 = 0.005;
 /// Anchors of a surface by which the pose explains it. Raised, copies beside a small or covered
 /// picture pass; lowered, chance decides.
-const LEAST_OF_SURFACE: usize = 8;
+const MIN_OF_SURFACE: usize = 8;
 
 /// Starts that differ by less, radians and of the distance, are one. Raised, a start that would succeed is left out; lowered, alignment fails
 /// twice from the same place.
@@ -268,7 +268,7 @@ impl TrackedBody {
         let (estimate, then) = self.motion.take()?;
         self.followed = Some((estimate, then));
         let dt_s = frame.timestamp.seconds_since(then);
-        if dt_s <= 0.0 || dt_s > LONGEST_FOLLOWED_GAP_S.max(self.to_next_s) {
+        if dt_s <= 0.0 || dt_s > MAX_FOLLOWED_GAP_S.max(self.to_next_s) {
             return None;
         }
         let has_opposite = std::mem::take(&mut self.has_opposite);
@@ -296,7 +296,7 @@ impl TrackedBody {
     /// Whether what the frame shows is not clearly better explained by the surface tilted the other way.
     fn is_audited(&mut self, pose: &Pose<Camera, Body>, camera: &CameraModel) -> bool {
         self.unaudited = 0;
-        self.twin_margin(pose, camera) > -LEAST_MARGIN
+        self.twin_margin(pose, camera) > -MIN_MARGIN
     }
 
     /// How much worse than the pose its tilted twin explains the anchors.
@@ -323,7 +323,7 @@ impl TrackedBody {
         let distance_m = self.aligner.distance_m(&verified.pose);
         // It resumes a track by itself, where a new one would wait for a second frame. Under a rolling shutter its tilt goes with its motion, and one of 48 flags was 0.37 degrees off.
         let is_doubtful = self.track.is_continued() && !self.aligner.is_global() && !is_sharp(&verified.covariance, distance_m);
-        let refusal = if margin < LEAST_MARGIN {
+        let refusal = if margin < MIN_MARGIN {
             Some(Refusal::Ambiguous(margin))
         } else {
             judged_noise(&verified.covariance, distance_m).err().or(is_doubtful.then_some(Refusal::Uncertain))
@@ -627,7 +627,7 @@ impl TrackedBody {
         let on_surface = |anchors: &[FittedAnchor]| anchors.iter().filter(|a| a.surface == surface).count();
         let away = copy.iter().filter(is_away).count();
         debug!(body = %self.body.name, away, of = copy.len(), own = on_surface(&self.anchors), "is elsewhere");
-        on_surface(&self.anchors) >= LEAST_OF_SURFACE && 4 * away > 3 * copy.len()
+        on_surface(&self.anchors) >= MIN_OF_SURFACE && 4 * away > 3 * copy.len()
     }
 
     /// Puts starts to the test, and takes the first clear success, or the best of what passes.

@@ -11,10 +11,10 @@ pub const DOWN: usize = 16;
 const INSIDE: usize = (ACROSS - 2) * (DOWN - 2);
 /// Least standard deviation of a cell that is asked, grey levels. Raised, faint pictures are not
 /// asked; lowered, noise is.
-const LEAST_CONTRAST: f32 = 4.0;
+const MIN_CONTRAST: f32 = 4.0;
 /// A cell counts where all that is tried leaves less than this share of its variance. Raised, people
 /// before the stage count; lowered, noisy cells do not.
-const LARGEST_LEFT: f64 = 0.3;
+const MAX_LEFT: f64 = 0.3;
 
 /// The greys of a cell.
 pub type Greys = [[f32; ACROSS]; DOWN];
@@ -93,7 +93,7 @@ impl Cell {
         for (told, middle) in told.iter_mut().zip(MIDDLES) {
             *told = self.evidence_about(middle).unwrap_or(*told);
         }
-        told.iter().any(|told| told.left < LARGEST_LEFT).then_some(told)
+        told.iter().any(|told| told.left < MAX_LEFT).then_some(told)
     }
 
     /// When the frame shows the cell, in times from frame to frame from its own moment: from the moment
@@ -110,7 +110,7 @@ impl Cell {
         let product = |a: &[f32; INSIDE], b: &[f32; INSIDE]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
         let (seen, drawn) = (inside(&self.seen), self.drawn.each_ref().map(inside));
         let variance = product(&seen, &seen);
-        if variance < LEAST_CONTRAST.powi(2) * INSIDE as f32 {
+        if variance < MIN_CONTRAST.powi(2) * INSIDE as f32 {
             return None;
         }
         let left = drawn.each_ref().map(|drawn| {
@@ -127,7 +127,7 @@ impl Cell {
         change.iter_mut().zip(own).for_each(|(change, own)| *change -= lit * own);
         let moved = product(&seen, &change) / (gain * product(&change, &change)).max(f32::MIN_POSITIVE);
         let explained = moved * product(&seen, &change) * gain;
-        let is_told = variance * left[best] - explained < LARGEST_LEFT as f32 * variance && moved.abs() <= 0.5;
+        let is_told = variance * left[best] - explained < MAX_LEFT as f32 * variance && moved.abs() <= 0.5;
         is_told.then(|| MOMENTS[best] + f64::from(moved) * (MOMENTS[to] - MOMENTS[from]))
     }
 
@@ -142,7 +142,7 @@ impl Cell {
             }
         }
         let variance = gram[(SEEN, SEEN)];
-        if variance < f64::from(LEAST_CONTRAST.powi(2)) * INSIDE as f64 {
+        if variance < f64::from(MIN_CONTRAST.powi(2)) * INSIDE as f64 {
             return None;
         }
         // The light's gain, and where the cell lies, are what one moment may choose.

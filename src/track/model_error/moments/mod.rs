@@ -30,16 +30,16 @@ const CELLS: usize = 40;
 /// Places of the pictures at which a tear is looked for, whatever is seen there.
 const PLACES: usize = 144;
 /// Fewest cells by which a frame is told. Raised, small stages are not asked.
-const LEAST_CELLS: usize = 8;
+const MIN_CELLS: usize = 8;
 /// Least way of the picture from frame to frame, pixels (rms), of a frame that is asked. Raised, slow
 /// mixtures are noticed later; lowered, the point spread passes for a second moment.
 const ASKED_PX: f64 = 1.2;
 /// Longest way, pixels of the copy of the frame that is asked: a smaller copy is taken for more.
-const LONGEST_PX: f64 = 6.0;
+const MAX_PX: f64 = 6.0;
 /// Two motions in a row may differ by this share for a frame to be asked: what a frame shows is the
 /// motion of its own time. Raised, a hand's jerks pass for a second moment; lowered, only smooth
 /// motion tells.
-const LARGEST_CHANGE: f64 = 0.3;
+const MAX_CHANGE: f64 = 0.3;
 /// A frame is blended from this share of both moments on: an exposure as long as the frame's time has
 /// a third, a mixture 1. Raised, mixtures pass; lowered, long exposures are refused.
 const BLENDED: f64 = 0.7;
@@ -169,7 +169,7 @@ impl MixtureWatch {
 
     fn ask(&mut self, found: &Found, way_px: f64, levels: &mut FrameLevels) {
         let mut level = 0;
-        while way_px / f64::from(1u32 << level) > LONGEST_PX && level + 1 < LEVELS {
+        while way_px / f64::from(1u32 << level) > MAX_PX && level + 1 < LEVELS {
             level += 1;
         }
         // Fields are not seen in smaller copies.
@@ -247,7 +247,7 @@ impl MixtureWatch {
             cells += 1;
         }
         let best = (0..MIDDLES.len()).min_by(|a, b| left[*a].total_cmp(&left[*b]))?;
-        (cells >= LEAST_CELLS).then_some(sums[best])
+        (cells >= MIN_CELLS).then_some(sums[best])
     }
 
     /// Finds when the frame shows places all over the pictures.
@@ -289,7 +289,7 @@ impl Found<'_> {
         let both = points.filter_map(|point| Some([self.way(&point, &self.motion)?, self.way(&point, before)?]));
         let (change, way) =
             both.fold((0.0, 0.0), |(change, way), [now, then]| (change + (now - then).norm_squared(), way + now.norm_squared()));
-        change <= LARGEST_CHANGE.powi(2) * way
+        change <= MAX_CHANGE.powi(2) * way
     }
 
     /// A place of a surface that is shown as it looked at a moment.

@@ -20,12 +20,12 @@ const LINES: usize = 12;
 /// A step counts from so many ways on: a torn frame's is one or more of the camera's, half of one
 /// where the pose is of either moment by turns. Raised, tears near the border
 /// are given; lowered, a jerk within a rolling shutter counts.
-const LEAST_WAYS: f64 = 0.4;
+const MIN_WAYS: f64 = 0.4;
 /// It leaves less than this share of what a smooth field leaves. Raised, noise counts as a tear;
 /// lowered, noisy tears are given.
 const LEFT: f64 = 0.4;
 /// Fewest cells on either side. Raised, tears near the border are given.
-const LEAST_CELLS: usize = 6;
+const MIN_CELLS: usize = 6;
 
 /// What may be smooth: the pose, and the motion by the row and its square.
 const SMOOTH: usize = 8;
@@ -61,7 +61,7 @@ pub fn torn_by(cells: &[Displaced]) -> Option<f64> {
     let steps = (1..LINES).filter_map(|k| {
         let line = k as f64 / LINES as f64;
         let above = cells.iter().filter(|cell| cell.row < line).count();
-        if above < LEAST_CELLS || cells.len() - above < LEAST_CELLS {
+        if above < MIN_CELLS || cells.len() - above < MIN_CELLS {
             return None;
         }
         let (mut with_smooth, mut own, mut with_off) = (SVector::<f64, SMOOTH>::zeros(), 0.0, 0.0);
@@ -77,7 +77,7 @@ pub fn torn_by(cells: &[Displaced]) -> Option<f64> {
     });
     let (explained, step) = steps.max_by(|a, b| a.0.total_cmp(&b.0))?;
     tracing::debug!(cells = cells.len(), left = 1.0 - explained / smooth_left, step, "tear");
-    (step.abs() >= LEAST_WAYS && smooth_left - explained < LEFT * smooth_left).then_some(step)
+    (step.abs() >= MIN_WAYS && smooth_left - explained < LEFT * smooth_left).then_some(step)
 }
 
 #[cfg(test)]

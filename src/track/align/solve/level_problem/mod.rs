@@ -30,24 +30,24 @@ use solution::LevelSolution;
 
 /// Fewest pixels that a level is solved with. Chosen, not tuned: three for each of a motion's 18 unknowns. Raised, pictures seen small are
 /// given up, or begun at finer levels; lowered, the expectation decides what is found.
-const LEAST_PIXELS: usize = 60;
+const MIN_PIXELS: usize = 60;
 /// Runs that correlate less with their prediction show something else; the better half takes part even so, unless others bear the pose out. The same limit as
 /// that of tiles that agree (`verdict`). Raised, tiles in haze or glare are left out; lowered, people in front of the stage pull the pose.
-const LEAST_CORRELATION: f32 = 0.9;
-/// Runs that correlate better tell of the bias in the first guess of the light, and of what is covered. Chosen, not tuned: below `LEAST_CORRELATION`, as nothing
+const MIN_CORRELATION: f32 = 0.9;
+/// Runs that correlate better tell of the bias in the first guess of the light, and of what is covered. Chosen, not tuned: below `MIN_CORRELATION`, as nothing
 /// correlates well from a start that is off, and as high as something else by chance. Raised, too few runs are left; lowered, runs of something else take part.
 const TELLING_CORRELATION: f32 = 0.8;
 /// Largest bias of that guess, grey levels: one sigma of the solution's (`BIAS_SIGMA` in `system`). Raised, a line through runs with little
 /// contrast can leave nearly no gain.
-const LARGEST_BIAS: f64 = 60.0;
+const MAX_BIAS: f64 = 60.0;
 /// Fewest residuals that their robust spread is taken from, where there are as many: it is then known to 3 %. Raised, the median costs
 /// more.
 const SCALE_SAMPLES: usize = 1500;
 /// Pixels that a rough step rests on, from which only the next one's weights are taken, and the estimate of the noise. Runs are stepped
-/// over by at most `LARGEST_STRIDE` groups of them, so that long ones keep some. `ROUGH_PIXELS` raised, frames cost more; lowered, the
+/// over by at most `MAX_STRIDE` groups of them, so that long ones keep some. `ROUGH_PIXELS` raised, frames cost more; lowered, the
 /// weights are worse. Chosen: a quarter of the usual pixels.
 const ROUGH_PIXELS: usize = 2500;
-const LARGEST_STRIDE: usize = 16;
+const MAX_STRIDE: usize = 16;
 
 /// Runs that correlate less show something else. Where half of those that do not tell do so, and enough others bear the pose out, the body is covered. Chosen: people before d-actors
 /// are below it, and what a lens that is a little off displaces (postcard-67) is above. Raised, the latter passes for covers, and the pose follows the runs that fit
@@ -153,7 +153,7 @@ impl LevelProblem {
         (self.at, self.solved) = (None, None);
         self.runs.clear();
         let chosen = selector.choose(spec, motion);
-        if chosen.len() < LEAST_PIXELS {
+        if chosen.len() < MIN_PIXELS {
             return false;
         }
         let Picture { pixels, appearance, residuals } = &mut self.picture;
@@ -313,7 +313,7 @@ impl LevelProblem {
 
     /// Stride over groups of pixels that is fine enough for weights and for the noise.
     fn rough_stride(&self) -> usize {
-        (self.pixels().len() / ROUGH_PIXELS).clamp(1, LARGEST_STRIDE)
+        (self.pixels().len() / ROUGH_PIXELS).clamp(1, MAX_STRIDE)
     }
 
     /// Squared whitened residuals that the last step left in the open runs, of one group of pixels in `stride`.
@@ -342,7 +342,7 @@ impl LevelProblem {
         }
         let is_covered = may_be_covered && is_covered(&self.sorted);
         // The better half. But where more than that is covered, what covers it pulls the pose, and the tiles beside it that show some of both do.
-        let least = median(&mut self.sorted).map_or(LEAST_CORRELATION, |middle| LEAST_CORRELATION.min(middle as f32));
+        let least = median(&mut self.sorted).map_or(MIN_CORRELATION, |middle| MIN_CORRELATION.min(middle as f32));
         let least = if is_covered { least.max(TELLING_CORRELATION) } else { least };
         for r in &mut self.runs {
             r.gate.is_open = r.gate.correlation >= least;
@@ -356,7 +356,7 @@ impl LevelProblem {
         let open = || runs.iter().filter(|r| r.gate.is_open);
         sorted.clear();
         sorted.extend(open().map(|r| &r.gate).filter(|g| g.correlation > TELLING_CORRELATION).map(|g| g.bias));
-        let bias = median(sorted).filter(|_| sorted.len() >= 6).map(|bias| bias.clamp(-LARGEST_BIAS, LARGEST_BIAS));
+        let bias = median(sorted).filter(|_| sorted.len() >= 6).map(|bias| bias.clamp(-MAX_BIAS, MAX_BIAS));
         let bias = bias.unwrap_or(picture.pixels.light().bias());
         let gain = |g: &TileCorrelation| ((f64::from(g.seen) - bias) / f64::from(g.predicted.max(1.0))).clamp(0.02, 20.0);
         sorted.clear();

@@ -20,7 +20,7 @@ const SMALL_CORRECTION_PX: f64 = 0.015;
 const PATCH_ROUNDS: usize = 3;
 /// Fewest fitting pixels of a patch: as many as a tile needs to agree (`verdict`). Raised, pictures seen small have fewer correspondences;
 /// lowered, some of them are chance.
-const LEAST_PATCH_PIXELS: f64 = 12.0;
+const MIN_PATCH_PIXELS: f64 = 12.0;
 
 /// A patch of the reference and where the frame shows it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -135,7 +135,7 @@ impl LevelProblem {
 /// detail runs one way only.
 fn patch_shift(e: &RunEvidence) -> Option<(Vector2<f64>, Matrix2<f64>)> {
     let [aa, ab, bb, ra, rb] = e.shift;
-    if e.inliers < LEAST_PATCH_PIXELS || 2.0 * e.inliers < e.count || aa * bb - ab * ab < 0.02 * (aa + bb).powi(2) {
+    if e.inliers < MIN_PATCH_PIXELS || 2.0 * e.inliers < e.count || aa * bb - ab * ab < 0.02 * (aa + bb).powi(2) {
         return None;
     }
     let structure = Matrix2::new(aa, ab, ab, bb);

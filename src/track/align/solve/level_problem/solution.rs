@@ -19,7 +19,7 @@ use crate::track::frame::frame_levels::Level;
 
 /// Largest squared residual that counts, sigmas²: beyond three sigmas a pixel shows something else, and its size says nothing of the fit.
 /// Raised, what stands in front of the stage has a say in how pictures were enlarged.
-const LARGEST_MISFIT: f32 = 9.0;
+const MAX_MISFIT: f32 = 9.0;
 
 /// A solved level.
 pub struct LevelSolution<'a> {
@@ -118,10 +118,10 @@ impl LevelSolution<'_> {
         Some(Conclusion { estimate, covariance, inliers, squared_px, tiles, agreeing, blur })
     }
 
-    /// Mean squared residual that the last step left, sigmas squared; each counts as [`LARGEST_MISFIT`] at most.
+    /// Mean squared residual that the last step left, sigmas squared; each counts as [`MAX_MISFIT`] at most.
     pub fn misfit(&mut self) -> f64 {
         let squares = self.problem.squares(1);
-        squares.iter().map(|s| f64::from(s.min(LARGEST_MISFIT))).sum::<f64>() / squares.len().max(1) as f64
+        squares.iter().map(|s| f64::from(s.min(MAX_MISFIT))).sum::<f64>() / squares.len().max(1) as f64
     }
 
     /// What the open runs say of the noise, as the last step leaves them.
