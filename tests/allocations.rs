@@ -1,5 +1,5 @@
-//! A followed frame takes nothing from the heap: all buffers are kept. (Rooms of a daemon that runs for weeks must not fragment
-//! memory, and an allocation may wait for another thread's lock.)
+//! A tracked frame allocates no heap memory, because all buffers are kept. A daemon that runs for
+//! weeks must not fragment memory, and an allocation may wait for another thread's lock.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -7,19 +7,20 @@ use std::cell::Cell;
 use stagepose::diagnostics::capture::VirtualCamera;
 use stagepose::{Dolly, EntryContent, FrameSource, State, Tracker, TrackerSetup, dolly};
 
-/// The system's allocator, which counts what each thread asks of it.
+/// The system allocator, with a count of the allocations of each thread.
 struct Counting;
 
 thread_local! {
     static ASKED: Cell<u64> = const { Cell::new(0) };
 }
 
-// SAFETY: all is passed on to the system's allocator as it came; counting touches nothing but a number of the thread's own.
+// SAFETY: every call goes to the system allocator unchanged; counting only touches a thread-local
+// number.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // A thread that ends has no counter any more.
+        // A thread that is ending has no counter any more.
         let _ = ASKED.try_with(|asked| asked.set(asked.get() + 1));
-        // SAFETY: the caller's promises are the system's.
+        // SAFETY: the caller upholds the system allocator's contract.
         unsafe { System.alloc(layout) }
     }
 
@@ -32,9 +33,10 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Frames until every list has grown to what this clip needs of it.
+/// Frames until every list has grown to the size that this clip needs.
 const WARM_UP: usize = 50;
-/// More than a period of everything that is done only now and then (the twin's audit, the trial of the enlargement).
+/// Counted frames: more than one period of everything that runs only now and then (the twin's
+/// audit, the trial of the enlargement).
 const COUNTED: usize = 40;
 
 #[test]
@@ -51,7 +53,7 @@ fn a_followed_frame_allocates_nothing() {
         counts.push((ASKED.get() - before, sample.state));
     }
     println!("allocations, frame by frame: {:?}", counts.iter().map(|(n, _)| *n).collect::<Vec<_>>());
-    // The counter works: features and first lists are made in the first frame.
+    // Proves that the counter works: the first frame allocates features and initial lists.
     assert!(counts[0].0 > 10);
     assert_eq!(counts.len(), WARM_UP + COUNTED);
     assert!(counts[WARM_UP..].iter().all(|(n, state)| *n == 0 && *state == State::Tracking));

@@ -1,5 +1,5 @@
-//! The program from outside - its commands, its files, its exit codes, what it makes of whole clips - and the tracker as a
-//! library, on rendered frames; live cameras that fail.
+//! Tests of the program from outside (commands, files, exit codes, results on whole clips), of the
+//! tracker as a library on rendered frames, and of live cameras that fail.
 
 mod calibrate;
 mod cli;

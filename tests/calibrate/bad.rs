@@ -1,11 +1,11 @@
-//! Bad input: a sentence, a code, and nothing overwritten.
+//! Bad input yields one sentence and an exit code, and overwrites nothing.
 
 use image::{GrayImage, Luma, imageops};
 
 use super::scene::{Scene, view};
 use crate::cli::scene::texture;
 
-/// An output that must survive.
+/// Writes output files that must survive.
 fn keep(scene: &Scene) {
     for name in ["camera.toml", "out.json", "report.html"] {
         std::fs::write(scene.path(name), "kept").unwrap();
@@ -43,7 +43,7 @@ fn the_wrong_board_is_told_the_right_one() {
     keep(&scene);
     let base = ["calibrate", "pictures", "--square-mm", "25", "--board", "9x6"];
     scene.run(&[&base[..], &OUTPUTS].concat()).assert_refused(1, &["show one of 7x5 inner corners", "give --board 7x5"]);
-    // Counting squares instead of inner corners is the usual slip.
+    // Counting squares instead of inner corners is a common slip.
     scene.run(&["calibrate", "pictures", "--square-mm", "25", "--board", "8x6"]).assert_refused(1, &["give --board 7x5"]);
     assert_kept(&scene);
 }
@@ -66,7 +66,7 @@ fn too_few_views() {
     std::fs::write(scene.path("pictures/02.png"), b"no picture").unwrap();
     keep(&scene);
     scene.calibrate(&OUTPUTS).assert_refused(1, &["only 2 of 3 pictures can be used", "pictures/02.png", "take at least 10"]);
-    // The same view ten times is one view.
+    // Copies of one view count as one view.
     for k in 0..6 {
         view(0, 0.4).save(scene.path(&format!("pictures/{k:02}.png"))).unwrap();
     }
@@ -81,7 +81,7 @@ fn views_from_one_direction_write_no_camera() {
     let run = scene.calibrate(&OUTPUTS);
     run.assert_refused(1, &["do not use, because", "one direction", "camera.toml is not written", "take next: "]);
     assert_eq!(scene.read("camera.toml"), "kept");
-    // What there is to know is there to be read.
+    // The JSON output is written all the same.
     assert_eq!(scene.json("out.json")["verdict"], "do not use");
     scene.calibrate(&["--output", "camera.toml", "--write-anyway"]).assert_success();
     assert!(scene.read("camera.toml").contains("fx = "));
@@ -94,7 +94,7 @@ fn unreadable_files() {
     std::fs::write(scene.path("pictures/b.jpg"), b"GIF89a").unwrap();
     scene.calibrate(&[]).assert_refused(1, &["none of the 2 pictures can be read", "pictures/a.png: the picture is empty"]);
     scene.run(&["calibrate", "gone.png", "--board", "7x5", "--square-mm", "25"]).assert_refused(1, &["gone.png: cannot be read"]);
-    // Among good ones they are told and passed over.
+    // Among good pictures, unreadable ones are reported and skipped.
     let scene = Scene::new(8, 0.5);
     let whole = std::fs::read(scene.path("pictures/03.png")).unwrap();
     std::fs::write(scene.path("pictures/03.png"), &whole[..whole.len() / 2]).unwrap();

@@ -1,4 +1,4 @@
-//! What comes out of good pictures.
+//! Results of `calibrate` and `board` on good pictures.
 
 use image::{DynamicImage, ImageBuffer, Luma, Rgb, Rgba};
 use stagepose::{CalibrationForm, read_calibration};
@@ -18,7 +18,7 @@ fn table_json_report_and_file_all_say_the_same() {
     let json = scene.json("out.json");
     let file = read_calibration(&scene.path("camera.toml")).expect("it reads back");
     let (i, u) = (file.model.intrinsics(), file.uncertainty.expect("it is written"));
-    // The JSON reader may be off by the last bit.
+    // The JSON reader may differ in the last bit.
     let same = |key: &str, value: f64| json[key].as_f64().is_some_and(|v| (v - value).abs() < 1e-12 * value.abs());
     assert!(same("fx", i.fx) && same("cy", i.cy) && same("rms_px", file.rms_px.expect("it is written")), "{json}");
     assert_eq!((json["width"].as_u64(), json["images"].as_u64()), (Some(320), Some(10)));
@@ -36,7 +36,7 @@ fn table_json_report_and_file_all_say_the_same() {
     assert!(html.starts_with("<!DOCTYPE html>") && html.trim_end().ends_with("</html>"));
     assert_eq!(html.matches("data:image/jpeg;base64,").count(), 10);
     assert_eq!(html.matches("<svg").count(), 15);
-    // One file that needs nothing else.
+    // The report is self-contained.
     for outside in ["http://", "https://", "<script", "<link"] {
         assert!(!html.contains(outside), "{outside}");
     }

@@ -1,8 +1,9 @@
-//! `--device`, with a clip that plays as the camera.
+//! `calibrate --device`, with a clip played as the camera.
 
 use super::scene::{Scene, view};
 
-/// A clip of `count` views, each held for a quarter of a second, with a frame without a board between.
+/// A clip of `count` views, each held for a quarter of a second and preceded by a frame without a
+/// board.
 fn clip(scene: &Scene, count: usize) {
     std::fs::create_dir(scene.path("clip")).expect("it is new");
     for k in 0..count {
@@ -26,7 +27,7 @@ fn views_are_taken_by_themselves_saved_and_calibrated_as_from_files() {
     assert!((6..=10).contains(&taken), "{taken}");
     assert_eq!(live["views"].as_array().map(Vec::len), Some(taken));
     assert_eq!(live["views"][0]["file"], "taken/picture-01.png");
-    // Each picture taken was told, with what is missing.
+    // Each picture taken was reported, together with what is still missing.
     let told = run.stderr.lines().filter(|line| line.starts_with("picture ") && line.contains("missing")).count();
     assert_eq!(told, taken, "{}", run.stderr);
     scene.run(&[&["calibrate", "taken", "--json", "files.json"], &BOARD[..]].concat()).assert_success();

@@ -1,7 +1,7 @@
-//! Chessboards rendered with exact truth: what the finder and the estimation are held to.
+//! Renders chessboards with exact ground truth, to test the finder and the estimation.
 //!
-//! Every pixel averages a grid of rays through the lens onto the board's plane; then come the light, the blur of the lens,
-//! the sensor's noise and its 8 bits.
+//! Each pixel averages a grid of rays through the lens onto the board's plane. Then come the light
+//! falloff, the lens blur, the sensor noise and the rounding to 8 bits.
 
 use image::GrayImage;
 use nalgebra::{Matrix2, Matrix3, Vector2};
@@ -20,15 +20,15 @@ pub struct Photograph {
     pub light: f32,
     /// Grey level of everything else.
     pub background: f32,
-    /// Width of the light margin, squares.
+    /// Width of the light margin around the board, squares.
     pub margin: f64,
-    /// Standard deviation of the lens' blur, pixels.
+    /// Standard deviation of the lens blur, pixels.
     pub blur_px: f64,
     /// Standard deviation of the noise, grey levels.
     pub noise: f32,
-    /// The light falls by this share from the left of the picture to the right.
+    /// Fraction of the light lost from the left edge of the picture to the right edge.
     pub falloff: f32,
-    /// Number of the noise.
+    /// Seed of the noise.
     pub seed: u64,
 }
 
@@ -39,21 +39,22 @@ impl Default for Photograph {
     }
 }
 
-/// Rays a pixel, along each axis.
+/// Rays per pixel along each axis.
 const RAYS: usize = 8;
 
-/// A camera with its rays looked up.
+/// A camera with a precomputed ray for every pixel.
 #[derive(Debug, Clone)]
 pub struct BoardPhotographer {
     model: CameraModel,
-    /// The ray through each pixel's centre and its derivative by the pixel; `None` where the lens has none.
+    /// The ray through each pixel's centre and its derivative with respect to the pixel; `None`
+    /// where the lens has no ray.
     rays: Vec<Option<(Vector2<f64>, Matrix2<f64>)>>,
 }
 
-// Every program that takes this file in leaves another part of it unused.
+// Each program that includes this file leaves a different part of it unused.
 #[allow(dead_code)]
 impl BoardPhotographer {
-    /// Looks up the rays of a camera.
+    /// Precomputes the rays of a camera.
     pub fn new(model: CameraModel) -> Self {
         let (w, h) = (model.width() as usize, model.height() as usize);
         let ray = |k: usize| {
@@ -63,12 +64,12 @@ impl BoardPhotographer {
         Self { model, rays: (0..w * h).map(ray).collect() }
     }
 
-    /// The camera.
+    /// Returns the camera.
     pub fn model(&self) -> &CameraModel {
         &self.model
     }
 
-    /// The exact pixels of the board's corners.
+    /// Returns the exact pixels of the board's corners.
     pub fn corners(&self, board: &Board, pose: &Pose<Camera, BoardFrame>) -> Vec<Vector2<f64>> {
         let seen = |k: usize| {
             let p = pose.rotation * board.corner(k).push(0.0) + pose.translation;
@@ -77,7 +78,7 @@ impl BoardPhotographer {
         (0..board.corner_count()).map(seen).collect()
     }
 
-    /// The picture of a board at a pose `T_camera_board`.
+    /// Renders a board at the pose `T_camera_board`.
     pub fn photograph(&self, board: &Board, pose: &Pose<Camera, BoardFrame>, how: &Photograph) -> GrayImage {
         let (w, h) = (self.model.width() as usize, self.model.height() as usize);
         let r = pose.rotation_matrix();
@@ -89,21 +90,21 @@ impl BoardPhotographer {
         }
         blur(&mut light, w, h, how.blur_px);
         let mut random = Pcg64Mcg::seed_from_u64(how.seed);
-        // The sum of twelve is normal enough for a sensor.
+        // The sum of twelve uniform numbers is close enough to normal for sensor noise.
         let mut noise = || (0..12).map(|_| random.random::<f32>()).sum::<f32>() - 6.0;
         let levels = light.iter().map(|level| (level + how.noise * noise() + 0.5) as u8).collect();
-        // The buffer has one level a pixel by construction.
+        // By construction, the buffer has one level per pixel.
         GrayImage::from_raw(w as u32, h as u32, levels).unwrap_or_default()
     }
 }
 
-/// The light on one pixel: the mean over its rays.
+/// Returns the mean light over the rays of one pixel.
 fn pixel((centre, per_px): (Vector2<f64>, Matrix2<f64>), to_board: &Matrix3<f64>, board: &Board, how: &Photograph) -> f32 {
     let at = |offset: Vector2<f64>| {
         let p = to_board * (centre + per_px * offset).push(1.0);
         (p.z > 0.0).then(|| p.xy() / (p.z * board.square_m()))
     };
-    // Where all four corners of the pixel show the same square, so does the pixel.
+    // If all four corners of the pixel have the same level, so does the whole pixel.
     let corners = [(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)].map(|(x, y)| at(Vector2::new(x, y)).map(|q| level(q, board, how)));
     if let [Some(a), Some(b), Some(c), Some(d)] = corners
         && a == b
@@ -117,12 +118,12 @@ fn pixel((centre, per_px): (Vector2<f64>, Matrix2<f64>), to_board: &Matrix3<f64>
     rays.map(|q| q.map_or(how.background, |q| level(q, board, how))).sum::<f32>() / (RAYS * RAYS) as f32
 }
 
-/// The grey level of a place on the board, in squares from the origin.
+/// Returns the grey level at a point of the board, in squares from the origin.
 fn level(q: Vector2<f64>, board: &Board, how: &Photograph) -> f32 {
     let (columns, rows) = (f64::from(board.columns()), f64::from(board.rows()));
     let within = |m: f64| q.x >= -1.0 - m && q.y >= -1.0 - m && q.x < columns + m && q.y < rows + m;
     if within(0.0) {
-        // The square beyond the origin is dark.
+        // The square just beyond the origin is dark.
         let dark = (q.x.floor() as i64 + q.y.floor() as i64).rem_euclid(2) == 0;
         if dark { how.dark } else { how.light }
     } else if within(how.margin) {
@@ -132,13 +133,13 @@ fn level(q: Vector2<f64>, board: &Board, how: &Photograph) -> f32 {
     }
 }
 
-/// Gaussian blur of a picture, separable, edges repeated.
+/// Applies a separable Gaussian blur with repeated edges.
 fn blur(light: &mut Vec<f32>, w: usize, h: usize, sigma: f64) {
     if sigma < 0.05 {
         return;
     }
     let reach = (4.0 * sigma).ceil() as isize;
-    // Each tap is the Gaussian's share of its pixel, so that narrow ones are right too.
+    // Each tap integrates the Gaussian over its pixel, which keeps narrow kernels accurate.
     let bell = |x: f64| (-0.5 * (x / sigma).powi(2)).exp();
     let taps: Vec<f32> =
         (-reach..=reach).map(|k| (0..9).map(|s| bell(k as f64 + (f64::from(s) - 4.0) / 9.0)).sum::<f64>() as f32).collect();

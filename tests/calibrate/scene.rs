@@ -1,4 +1,4 @@
-//! A folder with rendered pictures of a chessboard, and a way to run the program in it.
+//! A folder of rendered chessboard pictures, and a way to run the program in it.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -32,7 +32,7 @@ fn photographer() -> &'static BoardPhotographer {
     })
 }
 
-/// View number `k` of a 7x5 board, tilted by `tilt` rad to one side after the other.
+/// Renders view `k` of a 7x5 board, tilted by `tilt` rad in a direction that changes with `k`.
 pub fn view(k: usize, tilt: f64) -> GrayImage {
     let board = Board::new(7, 5, 0.025).expect("a possible board");
     let azimuth = 1.57 * k as f64 + 0.4;
@@ -43,7 +43,7 @@ pub fn view(k: usize, tilt: f64) -> GrayImage {
 }
 
 impl Scene {
-    /// A folder `pictures` with `count` views.
+    /// Creates a folder `pictures` with `count` views.
     pub fn new(count: usize, tilt: f64) -> Self {
         let scene = Self { folder: tempfile::tempdir().expect("a temporary folder") };
         std::fs::create_dir(scene.path("pictures")).expect("it is new");
@@ -73,7 +73,7 @@ impl Scene {
         Run { code: output.status.code().expect("it was not killed"), stdout: text(output.stdout), stderr: text(output.stderr) }
     }
 
-    /// `calibrate pictures --board 7x5 --square-mm 25` and more.
+    /// Runs `calibrate pictures --board 7x5 --square-mm 25` with further arguments.
     pub fn calibrate(&self, more: &[&str]) -> Run {
         self.run(&[&["calibrate", "pictures", "--board", "7x5", "--square-mm", "25"], more].concat())
     }
@@ -85,7 +85,8 @@ impl Run {
         assert_eq!(self.code, 0, "{}{}", self.stdout, self.stderr);
     }
 
-    /// The run failed with this code and one sentence that has all of these parts.
+    /// Asserts that the run failed with this code and one sentence that contains all of these
+    /// parts.
     #[track_caller]
     pub fn assert_refused(&self, code: i32, parts: &[&str]) {
         assert_eq!(self.code, code, "{}{}", self.stdout, self.stderr);

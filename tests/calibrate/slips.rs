@@ -1,4 +1,5 @@
-//! Usual slips with the pictures and the board: each is named with its mend. And the report, in the words of its readers.
+//! Common slips with the pictures and the board: each is reported together with its fix. Also
+//! checks the wording of the report for its readers.
 
 use std::io::Cursor;
 
@@ -7,7 +8,7 @@ use image::{DynamicImage, ImageFormat, imageops};
 
 use super::scene::{Scene, view};
 
-/// View `k` as a JPEG that says which camera took it, and at which focal length.
+/// Saves view `k` as a JPEG whose EXIF names the camera and the focal length.
 fn save_jpeg(scene: &Scene, name: &str, k: usize, camera: &str, focal_mm: u32) {
     let mut jpeg = Cursor::new(Vec::new());
     DynamicImage::from(view(k, 0.5)).write_to(&mut jpeg, ImageFormat::Jpeg).unwrap();
@@ -76,7 +77,7 @@ fn squares_in_metres_and_centimetres_are_named() {
     let centimetres = with("2.5", &["--json", "out.json"]);
     centimetres.assert_success();
     assert!(centimetres.stdout.contains("squares of 2.5 mm") && centimetres.stdout.contains("perhaps 25"), "{}", centimetres.stdout);
-    // It is no fault of the lens, whose verdict stays.
+    // The wrong unit is no fault of the lens, so the verdict stays the same.
     let right = with("25", &["--json", "right.json"]);
     assert!(!right.stdout.contains("note:"), "{}", right.stdout);
     assert_eq!(scene.json("out.json")["verdict"], scene.json("right.json")["verdict"]);
@@ -105,7 +106,7 @@ fn the_report_speaks_to_those_who_took_the_pictures() {
     for unsaid in ["omc", "Tc_", "(fig.", "alpha_c", "Bouguet", "NaN"] {
         assert!(!html.contains(unsaid), "{unsaid}");
     }
-    // view2 before view10, in the report and where a folder is read.
+    // view2 comes before view10, both in the report and when a folder is read.
     let at = |name: &str| html.find(name).unwrap_or_else(|| panic!("{name} is not there"));
     assert!(at("view1.png") < at("view2.png") && at("view2.png") < at("view10.png") && at("view9.png") < at("view10.png"));
     let json = scene.json("out.json");

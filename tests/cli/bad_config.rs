@@ -1,8 +1,9 @@
-//! Every bad config ends `check` and `replay` with 2 and a sentence that names the file, the line and the mend.
+//! `check` and `replay` refuse every bad config with exit code 2 and a sentence that names the
+//! file, the line and the fix.
 
 use super::scene::{CAMERA, CONFIG, Scene};
 
-/// Both commands refuse the scene's config in the same words.
+/// Asserts that both commands refuse the scene's config in the same words.
 fn assert_refused(scene: &Scene, parts: &[&str]) {
     let check = scene.run(&["check", "--config", "stage.toml"]);
     check.assert_refused(2, parts);

@@ -1,4 +1,5 @@
-//! One thing of a stage is a little off: tracking goes on, and `check --clip` says which thing it is, by how much, and what to do.
+//! One thing on a stage is slightly off: tracking continues, and `check --clip` reports which thing
+//! it is, by how much, and what to do.
 
 use std::process::Command;
 
@@ -15,7 +16,7 @@ const CONFIG: &str = "[camera]\ncalibration = \"camera.toml\"\nshutter = \"globa
     [[stage.surface]]\nimage = \"tree.png\"\nsize_m = [1.2, 1.7]\nposition_m = [0.95, -0.8, -0.4]\n\
     [[stage.surface]]\nimage = \"house.png\"\nsize_m = [1.3, 1.3]\nposition_m = [-1.0, -0.5, -0.5]\n";
 
-/// The stage as the config tells it, and a camera that is walked past it, near and far.
+/// The stage as configured, and a camera that moves past it, near and far.
 fn scene() -> VirtualStage {
     let surface = |name: &str, (w, h), seed, size_m, place: [f64; 3]| {
         artwork_surface(name, grey(&paint(w, h, seed)), size_m, upright(Vector3::from(place), 0.0))
@@ -39,7 +40,7 @@ fn scene() -> VirtualStage {
     scene
 }
 
-/// What `check` says of the config where the stage is as `change` makes it.
+/// Returns what `check` says about the unchanged config when `change` is applied to the real stage.
 fn said(change: impl FnOnce(&mut VirtualStage)) -> String {
     let told = scene();
     let mut real = scene();
@@ -48,7 +49,7 @@ fn said(change: impl FnOnce(&mut VirtualStage)) -> String {
     let path = |name: &str| folder.path().join(name);
     std::fs::create_dir_all(path("clip/frames")).unwrap();
     let mut config = CONFIG.to_owned();
-    // A stage of fewer surfaces has the first of them.
+    // A stage with fewer surfaces keeps the first ones.
     if let Some((end, _)) = config.match_indices("[[stage.surface]]").nth(real.stage.surfaces.len()) {
         config.truncate(end);
     }
@@ -72,10 +73,10 @@ fn said(change: impl FnOnce(&mut VirtualStage)) -> String {
     text
 }
 
-/// The beginnings of all that may be said of a part of the model.
+/// A phrase from each message that can blame a part of the model.
 const PARTS: [&str; 4] = ["the lens is not as calibrated", "is not of the shape", "stands elsewhere", "for its height than size_m says"];
 
-/// Only this part is named, with all of these words.
+/// Asserts that the text blames only this part, and contains all of these words.
 fn assert_names(text: &str, part: &str, words: &[&str]) {
     for other in PARTS {
         assert_eq!(text.contains(other), other == part, "{other}:\n{text}");
@@ -83,7 +84,7 @@ fn assert_names(text: &str, part: &str, words: &[&str]) {
     assert!(words.iter().all(|word| text.contains(word)), "{words:?}:\n{text}");
 }
 
-/// The number before a word.
+/// Returns the number before a word.
 fn number_before(text: &str, word: &str) -> f64 {
     let before = text.split(word).next().and_then(|t| t.split_whitespace().next_back()).expect("words before");
     before.parse().unwrap_or_else(|_| panic!("`{before}` before `{word}`:\n{text}"))
@@ -114,7 +115,7 @@ fn cloth_in_folds() {
         real.draughts = vec![Draught { surface: 0, waves: vec![wave(0.012, [4.0, 0.5], 0.4), wave(0.006, [-1.0, 5.0], 1.0)] }];
     });
     assert_names(&text, PARTS[1], &["backdrop.png is not of the shape", "stagepose survey"]);
-    // The root mean square of the waves is 9.5 mm.
+    // The waves have an rms height of 9.5 mm.
     let rms_mm = number_before(&text, " mm off (rms)");
     assert!((5.0..14.0).contains(&rms_mm), "{text}");
 }

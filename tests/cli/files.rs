@@ -1,4 +1,5 @@
-//! Files that are none, names that lead elsewhere, outputs over inputs: refused in a sentence, in time, with nothing lost.
+//! Special files, names that lead elsewhere, and outputs that would overwrite inputs: each is
+//! refused promptly in one sentence, and nothing is lost.
 
 use std::io::Write;
 use std::os::unix::fs::OpenOptionsExt;
@@ -12,14 +13,14 @@ use nix::unistd::Pid;
 
 use super::scene::{CAMERA, CONFIG, Run, Scene};
 
-/// Longer than anything here takes on a loaded machine; what is there after that hangs.
+/// Longer than any run here takes on a loaded machine; a run that exceeds it hangs.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 fn pipe(scene: &Scene, name: &str) {
     nix::unistd::mkfifo(&scene.path(name), nix::sys::stat::Mode::S_IRWXU).unwrap();
 }
 
-/// Runs a command that must end by itself, or after a signal where one is given.
+/// Runs a command that must end on its own, or after `signal` if there is one.
 fn ends(mut command: Command, signal: Option<Signal>) -> Run {
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     if let Some(signal) = signal {
@@ -63,7 +64,8 @@ fn a_pipe_with_a_reader_gets_every_line() {
     pipe(&scene, "pipe");
     let path = scene.path("pipe");
     let reader = std::thread::spawn(move || std::fs::read_to_string(path).unwrap());
-    // Where the program comes before its reader it says so; then it is started again.
+    // If the program opens the pipe before its reader does, it is refused; then it is started
+    // again.
     while ends(replay(&scene, &["--poses", "pipe", "--tum", "plain"]), None).code != 0 {}
     assert_eq!(reader.join().unwrap().lines().count(), 6);
 }
@@ -79,7 +81,7 @@ fn a_signal_ends_it_while_its_reader_sleeps_and_while_its_writer_sleeps() {
     while filler.write(&[0; 4096]).is_ok() {}
     let run = ends(replay(&scene, &["--poses", "full"]), Some(Signal::SIGTERM));
     run.assert_refused(1, &["full: cannot be written (interrupted while its reader took nothing)"]);
-    // The writer has sent a header and a half of a frame, and sleeps.
+    // The writer has sent only the stream header, and now sleeps.
     let mut silent = scene.command(&["replay", "-", "--config", "stage.toml", "--poses", "poses.jsonl"]);
     let (from, to) = std::io::pipe().unwrap();
     silent.stdin(from);
@@ -105,7 +107,7 @@ fn what_is_read_is_not_written_over() {
     for folder in ["clip", "clip/frames", "clip/../clip/frames"] {
         scene.replay(&["--overlay", folder]).assert_refused(2, &["--overlay", "would be written over"]);
     }
-    // What was good before a refusal stays.
+    // An earlier good file survives a refusal.
     scene.write("good.jsonl", "kept");
     scene.replay(&["--poses", "good.jsonl", "--tum", "hard"]).assert_refused(2, &["--tum hard"]);
     assert_eq!(scene.read("good.jsonl"), "kept");
@@ -170,7 +172,7 @@ fn check_calls_no_nonsense_good() {
     scene.run(&["check", "--config", "stage.toml"]).assert_refused(2, &["line 5", "from 0.001 to 1000 metres"]);
 }
 
-/// A JPEG that is to be shown turned by 90 degrees.
+/// Writes a JPEG whose EXIF says to show it turned by 90 degrees.
 fn turned(path: &Path, picture: &GrayImage) {
     let mut encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(std::fs::File::create(path).unwrap(), 95);
     encoder.set_exif_metadata(b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0".to_vec()).unwrap();

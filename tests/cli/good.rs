@@ -1,4 +1,4 @@
-//! What a replay and a check give when all is well.
+//! What `replay` and `check` produce when all is well.
 
 use std::io::Read;
 use std::process::Stdio;
@@ -137,7 +137,7 @@ fn check_says_what_it_found() {
 #[test]
 fn ctrl_c_ends_with_what_is_there() {
     let scene = Scene::new();
-    // Ten seconds between frames: it is certainly waiting when the signal comes.
+    // Frames are ten seconds apart, so the program is certainly waiting when the signal arrives.
     let stamps: String = (0..6_u64).map(|k| format!("{},{k:06}.png\n", k * 10_000_000_000)).collect();
     scene.write("clip/timestamps.csv", &format!("#timestamp [ns],filename\n{stamps}"));
     let arguments = ["replay", "clip", "--config", "stage.toml", "--realtime", "--poses", "poses.jsonl", "--summary", "summary.json"];

@@ -1,10 +1,11 @@
-//! What a start keeps for the next one: the same records with it and without, whatever became of it.
+//! The cache that one start leaves for the next: records are the same with it, without it, and with
+//! a damaged one.
 
 use std::path::{Path, PathBuf};
 
 use super::scene::Scene;
 
-/// The records of a replay with this cache folder.
+/// Returns the records of a replay with this cache folder.
 fn replayed(scene: &Scene, cache: &Path) -> String {
     let mut command = scene.command(&["replay", "clip", "--config", "stage.toml", "--poses", "poses.jsonl"]);
     let output = command.env_remove("CACHE_DIRECTORY").env("XDG_CACHE_HOME", cache).output().unwrap();
@@ -46,7 +47,7 @@ fn a_cache_folder_that_cannot_be_written_changes_nothing() {
     let scene = Scene::new();
     let cache = scene.path("cache");
     let alone = replayed(&scene, &cache);
-    // A file in the folder's place stops root as well.
+    // A file in place of the folder stops even root.
     scene.write("no-folder", "");
     for place in [scene.path("no-folder"), PathBuf::from("/proc")] {
         assert_eq!(replayed(&scene, &place), alone);

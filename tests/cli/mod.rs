@@ -1,4 +1,4 @@
-//! The built binary on good and bad input: exit code, message, files.
+//! The built binary on good and bad input: exit codes, messages and files.
 
 mod bad_clip;
 mod bad_config;

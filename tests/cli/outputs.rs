@@ -1,4 +1,5 @@
-//! Outputs from outside: a replay and a test pose are sent, `check` tries what the machine gives, `listen` prints what comes.
+//! Outputs from outside: `replay` and `send-test` send, `check` tries what the machine offers, and
+//! `listen` prints what arrives.
 
 use std::io::{BufRead, BufReader};
 use std::net::{TcpListener, UdpSocket};
@@ -88,7 +89,7 @@ fn a_test_pose_is_sent_and_listened_to() {
         let (_socket, port) = receiver();
         port
     };
-    // Outputs alone will do: there is no stage yet.
+    // A config with outputs alone is enough; there is no stage yet.
     scene.write("outputs.toml", &format!("[[output]]\nkind = \"freed\"\nto = [\"127.0.0.1:{port}\"]\n"));
     let mut sender = scene.command(&["send-test", "--config", "outputs.toml"]).stderr(Stdio::piped()).spawn().unwrap();
     let heard = scene.run(&["listen", "freed", &port.to_string(), "--count", "3"]);

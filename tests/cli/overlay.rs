@@ -1,4 +1,4 @@
-//! `replay --overlay`: pictures in colour, or a video through ffmpeg.
+//! `replay --overlay`: colour pictures, or a video through ffmpeg.
 
 use std::process::Command;
 
@@ -6,7 +6,7 @@ use image::{Rgb, RgbImage};
 
 use super::scene::Scene;
 
-/// Whether ffmpeg runs here; says so where it does not.
+/// Whether ffmpeg is installed; prints a message if it is not.
 fn has_ffmpeg() -> bool {
     let runs = Command::new("ffmpeg").arg("-version").output().is_ok_and(|output| output.status.success());
     if !runs {
@@ -15,7 +15,7 @@ fn has_ffmpeg() -> bool {
     runs
 }
 
-/// A scene whose frames are tinted, so that colour and grey differ.
+/// Returns a scene with tinted frames, so that colour and grey differ.
 fn tinted() -> Scene {
     let scene = Scene::new();
     for k in 0..6 {
@@ -27,7 +27,7 @@ fn tinted() -> Scene {
     scene
 }
 
-/// Pixels below the panel that are redder than they are blue, as a share.
+/// Returns the fraction of pixels below the panel that are redder than they are blue.
 fn tinted_share(picture: &RgbImage) -> f64 {
     let tinted = picture.enumerate_pixels().filter(|(_, y, p)| (60..200).contains(y) && p.0[0] > p.0[2].saturating_add(12)).count();
     tinted as f64 / f64::from(picture.width() * 140)
@@ -77,7 +77,7 @@ fn an_overlay_of_a_video_and_as_a_video() {
     scene.run(&["replay", "clip.mkv", "--config", "stage.toml", "--overlay", "seen"]).assert_success();
     let picture = image::open(scene.path("seen/000003.jpg")).unwrap().into_rgb8();
     assert!(tinted_share(&picture) > 0.5, "{}", tinted_share(&picture));
-    // The clip itself is not written over.
+    // The clip itself is not overwritten.
     scene.run(&["replay", "clip.mkv", "--config", "stage.toml", "--overlay", "clip.mkv"]).assert_refused(2, &["--overlay", "clip.mkv"]);
 }
 
@@ -100,7 +100,7 @@ fn a_video_that_cannot_be_written_is_named() {
     }
     let scene = Scene::new();
     scene.replay(&["--overlay", "gone/seen.mp4"]).assert_refused(1, &["gone/seen.mp4: cannot be written"]);
-    // Without a readable frame there is no video.
+    // Without a readable frame, no video is written.
     scene.write("clip/timestamps.csv", "#timestamp [ns],filename\n0,gone.png\n");
     scene.replay(&["--overlay", "seen.mp4"]).assert_refused(1, &["clip"]);
     assert!(!scene.path("seen.mp4").exists());

@@ -1,4 +1,5 @@
-//! A surface without detail is left out where others have some: the config is taken, the others are tracked, every place in the records stays.
+//! A surface without detail is left out if others have detail: the config is accepted, the others
+//! are tracked, and their places in the records stay the same.
 
 use serde_json::Value;
 
@@ -10,7 +11,8 @@ const PLAIN_PHOTO: &str = "[[stage.surface]]\nphoto = \"flat.png\"\ncorners_px =
     size_m = [2.0, 1.5]\nposition_m = [0.3, 1.0, 0.2]\n";
 const ART: &str = "[[stage.surface]]\nimage = \"art.png\"\nsize_m = [4.0, 3.0]\n";
 
-/// Replays the scene with a stage of these sections; gives its records, of which the first may wait for their confirmation.
+/// Replays the scene with a stage of these sections and returns its records. The first one may
+/// still await confirmation.
 fn replayed(scene: &Scene, sections: &[&str]) -> Vec<Value> {
     scene.write("stage.toml", &[&[CAMERA], sections].concat().concat());
     let run = scene.replay(&["--poses", "poses.jsonl"]);
@@ -34,7 +36,8 @@ fn a_plain_first_surface_keeps_its_place() {
         for (a, b) in alone.iter().zip(&beside).filter(|(_, b)| b["state"] == "tracking") {
             let apart = position(a).iter().zip(position(b)).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
             assert!(apart < 0.02, "{apart} m apart: {b}");
-            // The homography is the first surface's, which is not seen; the essential matrix speaks of its reference camera, which has a place.
+            // The homography belongs to the first surface, which is not seen. The essential matrix
+            // refers to that surface's reference camera, whose pose is known.
             assert!(b["homography"].is_null() && b["essential"]["rotation_xyzw"].is_array(), "{b}");
         }
     }

@@ -1,4 +1,4 @@
-//! `stagepose poster`: the page, the picture beside it, and lines that work in a config as printed.
+//! `stagepose poster`: the page, the picture beside it, and printed lines that work in a config.
 
 use super::scene::Scene;
 

@@ -2,7 +2,7 @@
 
 use super::scene::{CONFIG, Scene};
 
-/// The config with objects of these pictures, half a metre wide.
+/// Writes the config with one object per picture, each 1.2 m wide.
 fn with_objects(scene: &Scene, pictures: &[(&str, &str)]) {
     let object = |(name, image): &(&str, &str)| {
         format!("[[object]]\nname = \"{name}\"\n[[object.surface]]\nimage = \"{image}\"\nsize_m = [1.2, 0.9]\n")
@@ -10,7 +10,7 @@ fn with_objects(scene: &Scene, pictures: &[(&str, &str)]) {
     scene.write("stage.toml", &(CONFIG.to_owned() + &pictures.iter().map(object).collect::<String>()));
 }
 
-/// Another picture of the same kind: the scene's own upside down and in negative.
+/// Writes a different picture of the same kind: the scene's own, upside down and inverted.
 fn write_other(scene: &Scene, name: &str) {
     let mut other = image::imageops::rotate180(&image::open(scene.path("art.png")).unwrap().into_luma8());
     image::imageops::invert(&mut other);
@@ -55,7 +55,7 @@ fn a_sign_with_one_picture_on_both_sides_is_refused() {
     scene.write("stage.toml", &(std::fs::read_to_string(scene.path("stage.toml")).unwrap() + back));
     let parts = ["all surfaces of sign show the picture of another one", "other.png", "give each its own"];
     scene.run(&["check", "--config", "stage.toml"]).assert_refused(1, &parts);
-    // With another surface that tells its place it can be found.
+    // With a second surface that is unambiguous, the object can be found.
     image::imageops::flip_horizontal(&image::open(scene.path("other.png")).unwrap()).save(scene.path("edge.png")).unwrap();
     let edge = "[[object.surface]]\nimage = \"edge.png\"\nsize_m = [1.2, 0.9]\nposition_m = [2, 0, 0]\norientation_xyzw = [0, 0, 0, 1]\n";
     scene.write("stage.toml", &(std::fs::read_to_string(scene.path("stage.toml")).unwrap() + edge));
@@ -85,12 +85,12 @@ fn maps_are_never_written_into_a_clip() {
     for folder in ["clip", "clip/frames", "./clip/maps", "clip/frames/0000"] {
         check(folder, &[]).assert_refused(2, &["--ratings", folder, "within the clip", "give another folder"]);
     }
-    // A folder of pictures is a clip where it is called one.
+    // A folder of pictures counts as a clip once it is named as one.
     for folder in ["pictures", "pictures/more", "pictures/maps"] {
         check(folder, &["--clip", "pictures", "--fps", "30"]).assert_refused(2, &["within the clip", "give another folder"]);
     }
     assert!(!scene.path("clip/maps").exists() && !scene.path("pictures/maps").exists());
-    // Beside a clip is not within it.
+    // A folder next to a clip is not inside it.
     check(".", &[]).assert_success();
     assert!(scene.path("rating-stage-1.png").exists());
 }

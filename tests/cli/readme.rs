@@ -1,7 +1,7 @@
-//! The README's commands and the first ones of the shipped examples, run as they are written.
+//! Runs the README's commands, and the first commands of the shipped examples, as written.
 //!
-//! The README is read when the test runs, so a command that is broken there fails here without a build. What cannot run in a test is
-//! replaced in [`here`], and nowhere else.
+//! The test reads the README when it runs, so a broken command there fails here without a build.
+//! Only [`here`] replaces what cannot run in a test.
 
 use std::path::Path;
 use std::process::Command;
@@ -14,7 +14,7 @@ use crate::calibrate::rendered::{BoardPhotographer, Photograph};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
-/// What stands between ``` and ``` in a language, without the indentation of lists.
+/// Returns the code blocks of a language, without the indentation of lists.
 fn blocks(language: &str) -> Vec<String> {
     let readme = std::fs::read_to_string(format!("{ROOT}/README.md")).unwrap();
     let mut blocks = Vec::new();
@@ -29,8 +29,9 @@ fn blocks(language: &str) -> Vec<String> {
     blocks
 }
 
-/// A block as it can run in a test: without the setup and the build, which this test comes after, and with the clip for a camera, which
-/// is not there. `None` for the blocks that test and install: .ci/run has places of their own for those.
+/// Adapts a block so that it can run in a test: it drops the setup and the build, which are done by
+/// then, and plays the clip in place of a camera. Returns `None` for the blocks that test and
+/// install; .ci/run covers those separately.
 fn here(block: &str) -> Option<String> {
     if block.starts_with("cargo test") || block.starts_with("packaging/deb") {
         return None;
@@ -42,7 +43,7 @@ fn here(block: &str) -> Option<String> {
     Some(block.replace(".ci/setup && cargo build --release && ", "").lines().map(with_clip).collect())
 }
 
-/// Views of the printed board by the fixture's camera, tilted to all sides.
+/// Renders views of the printed board by the fixture's camera, tilted in all directions.
 fn take_pictures(folder: &Path) {
     let camera = read_calibration(Path::new(&format!("{ROOT}/fixtures/dolly/camera.toml"))).unwrap().model;
     let photographer = BoardPhotographer::new(camera);
@@ -59,7 +60,7 @@ fn take_pictures(folder: &Path) {
     }
 }
 
-/// Runs a block by a shell in the folder; gives what it printed.
+/// Runs a block in a shell in the folder, and returns what it printed.
 fn shell(folder: &Path, block: &str) -> String {
     let output = Command::new("bash").args(["-euc", block]).current_dir(folder).output().unwrap();
     let (out, said) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
@@ -67,7 +68,8 @@ fn shell(folder: &Path, block: &str) -> String {
     format!("{out}{said}")
 }
 
-/// A clone of the project after its build, and what a new user has: artwork, pictures of the board, a clip.
+/// Sets up what a new user has: a built clone of the project, artwork, pictures of the board, and a
+/// clip.
 fn clone_of_a_new_user() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let link = |from: &str, to: &str| {
@@ -78,13 +80,13 @@ fn clone_of_a_new_user() -> tempfile::TempDir {
     link(env!("CARGO_BIN_EXE_stagepose"), "target/release/stagepose");
     link(&format!("{ROOT}/fixtures"), "fixtures");
     link(&format!("{ROOT}/fixtures/dolly/backdrop.png"), "backdrop.png");
-    // A folder is a clip whatever it is called.
+    // A folder is a clip whatever its name is.
     link(&format!("{ROOT}/fixtures/dolly"), "clip.mp4");
     take_pictures(&folder.path().join("pictures"));
     folder
 }
 
-/// How far off the camera is in each tracked frame of step 5, metres, in order of size.
+/// Returns the camera's position errors in the tracked frames of step 5, metres, sorted.
 fn errors(poses: &str) -> Vec<f64> {
     let truth = std::fs::read_to_string(format!("{ROOT}/fixtures/dolly/groundtruth.txt")).unwrap();
     let numbers = |line: &str| line.split_whitespace().filter_map(|word| word.parse().ok()).collect::<Vec<f64>>();
@@ -122,11 +124,11 @@ fn the_steps_run_as_they_are_written() {
     for file in ["board.pdf", "camera.toml", "report.html", "overlay/000000.jpg", "take1/poses.jsonl"] {
         assert!(folder.join(file).is_file(), "{file}");
     }
-    // With the lens that step 3 measured and the config of step 4.
+    // Step 5 used the lens that step 3 measured and the config of step 4.
     let errors = errors(&std::fs::read_to_string(folder.join("poses.jsonl")).unwrap());
     assert!(errors.len() >= 36, "{} of 40 frames", errors.len());
     assert!(errors[errors.len() / 2] < 0.02, "median error {} m", errors[errors.len() / 2]);
-    // The outputs that "Feed the scenery" adds to the config.
+    // Checks the outputs that "Feed the scenery" adds to the config.
     let outputs = configs.iter().find(|block| block.contains("[[output]]")).expect("the README shows an output");
     std::fs::write(folder.join("stage.toml"), format!("{config}\n{outputs}")).unwrap();
     let said = shell(folder, "target/release/stagepose check --config stage.toml --no-device");
@@ -142,7 +144,7 @@ fn every_example_sends_before_there_is_a_camera() {
         if !text.lines().any(|line| line == "[[output]]") {
             continue;
         }
-        // Nothing leaves this machine. A receiver that runs here may hear it.
+        // Nothing leaves this machine, but a receiver that runs on it may hear the packets.
         let here: String = text.lines().map(|line| to_this_machine(line) + "\n").collect();
         let name = example.file_name().into_string().unwrap();
         std::fs::write(folder.path().join(&name), here).unwrap();
@@ -156,7 +158,7 @@ fn every_example_sends_before_there_is_a_camera() {
     assert!(examples >= 6, "{examples}");
 }
 
-/// A config's line with the addresses of other machines replaced by this one's.
+/// Replaces the address of another machine in a config line with this machine's.
 fn to_this_machine(line: &str) -> String {
     match line.split_once("192.168.").filter(|_| !line.starts_with('#')) {
         Some((before, after)) => {

@@ -1,10 +1,10 @@
-//! Frames that are not tracked have a reason: in the summary, and in a sentence at the end.
+//! Every frame that is not tracked has a reason, both in the summary and in a sentence at the end.
 
 use image::{GrayImage, Luma, imageops};
 
 use super::scene::{Scene, texture};
 
-/// Replays the scene with every frame changed; gives the summary and what was printed.
+/// Replays the scene with every frame changed, and returns the summary and the printed text.
 fn replay_changed(scene: &Scene, change: impl Fn(&GrayImage) -> GrayImage) -> (serde_json::Value, String) {
     scene.change_frames(change);
     let run = scene.replay(&["--summary", "summary.json", "--overlay", "seen"]);
@@ -16,7 +16,8 @@ fn levels(frame: &GrayImage, change: impl Fn(f32) -> f32) -> GrayImage {
     GrayImage::from_fn(frame.width(), frame.height(), |x, y| Luma([change(f32::from(frame.get_pixel(x, y)[0])).clamp(0.0, 255.0) as u8]))
 }
 
-/// All six frames have this reason, the sentence says so, and nothing was tracked.
+/// Asserts that all six frames have this reason, that the final sentence says so, and that nothing
+/// was tracked.
 #[track_caller]
 fn assert_reason(word: &str, says: &str, change: impl Fn(&GrayImage) -> GrayImage) {
     let (summary, printed) = replay_changed(&Scene::new(), change);
@@ -37,7 +38,7 @@ fn the_frame_itself_is_at_fault() {
 fn the_picture_is_not_there_or_far_too_small() {
     let other = imageops::flip_horizontal(&texture(320, 240));
     assert_reason("not_recognised", "recognised in none of 6 frames. In 6 frames the frame has detail", |_| other.clone());
-    // Too small for its features to be told from others.
+    // The picture is too small for its features to be distinguished.
     assert_reason("not_recognised", "point the camera at the stage, from near enough", |frame| {
         let small = imageops::resize(frame, 64, 48, imageops::FilterType::Triangle);
         let mut wide = GrayImage::from_pixel(320, 240, Luma([90]));
@@ -46,7 +47,8 @@ fn the_picture_is_not_there_or_far_too_small() {
     });
 }
 
-/// A poster's features are recognised when it is 50 pixels wide, but a pose from so few pixels would be too uncertain.
+/// The features of a poster 50 pixels wide are recognised, but a pose from so few pixels would be
+/// too uncertain.
 #[test]
 fn the_picture_is_there_but_too_small() {
     let scene = Scene::new();

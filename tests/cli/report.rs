@@ -1,4 +1,4 @@
-//! `report`: what goes into it, what does not, and what it never writes over.
+//! `report`: what it includes, what it leaves out, and what it never overwrites.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
@@ -6,7 +6,7 @@ use std::process::Stdio;
 
 use super::scene::{Run, Scene};
 
-/// The texts of a report by name; what is no text counts as empty.
+/// Returns the texts of a report by name; content that is not text counts as empty.
 fn contents(scene: &Scene, report: &str) -> BTreeMap<String, String> {
     let mut zip = zip::ZipArchive::new(std::fs::File::open(scene.path(report)).unwrap()).unwrap();
     let mut contents = BTreeMap::new();
@@ -18,7 +18,7 @@ fn contents(scene: &Scene, report: &str) -> BTreeMap<String, String> {
     contents
 }
 
-/// The scene with its clip as a recording: records and events beside the frames.
+/// Returns the scene with its clip as a recording: records and events beside the frames.
 fn recorded() -> Scene {
     let scene = Scene::new();
     let record = |state: &str| format!("{{\"state\":\"{state}\"}}\n");
@@ -87,7 +87,7 @@ fn nothing_that_is_broken_stops_it() {
     let scene = recorded();
     scene.write("stage.toml", "[camera]\ncalibration = \"gone.toml\"\n[[stage.surface]]\nimage = \"art.png\"\nsize_m = [0, 3]\n");
     std::fs::remove_file(scene.path("clip/poses.jsonl")).unwrap();
-    // Opening it would wait for a writer for ever.
+    // Opening a named pipe would wait for a writer forever.
     nix::unistd::mkfifo(&scene.path("clip/poses.jsonl"), nix::sys::stat::Mode::S_IRWXU).unwrap();
     scene.run(&REPORT).assert_success();
     let contents = contents(&scene, "report.zip");
@@ -120,7 +120,7 @@ fn completions_and_manual_pages_are_of_this_program() {
         assert!(run.stdout.contains("stagepose") && run.stdout.contains("send-test"), "{shell}");
     }
     assert_eq!(scene.run(&["completions", "dos"]).code, 2);
-    // The pages that were there give way to the new ones.
+    // New pages replace existing ones.
     std::fs::create_dir(scene.path("man1")).unwrap();
     scene.write("man1/stagepose.1", "old");
     let run = scene.run(&["man", "man1"]);

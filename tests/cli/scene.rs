@@ -13,7 +13,7 @@ pub struct Scene {
     folder: tempfile::TempDir,
 }
 
-/// What a run came to.
+/// The result of a run.
 pub struct Run {
     pub code: i32,
     pub stdout: String,
@@ -21,7 +21,8 @@ pub struct Run {
 }
 
 impl Scene {
-    /// Six frames that show the artwork, from slightly different places, as a folder with `frames/` and `timestamps.csv`.
+    /// Creates six frames that show the artwork from slightly different places, as a folder with
+    /// `frames/` and `timestamps.csv`.
     pub fn new() -> Self {
         let scene = Self { folder: tempfile::tempdir().unwrap() };
         scene.write("camera.toml", CAMERA);
@@ -54,13 +55,13 @@ impl Scene {
         std::fs::read_to_string(self.path(name)).unwrap()
     }
 
-    /// The config with one text replaced by another.
+    /// Writes the config with one text replaced by another.
     pub fn config_with(&self, from: &str, to: &str) {
         assert!(CONFIG.contains(from), "the config has no `{from}`");
         self.write("stage.toml", &CONFIG.replace(from, to));
     }
 
-    /// Changes every frame of the clip that can be read.
+    /// Changes every readable frame of the clip.
     pub fn change_frames(&self, change: impl Fn(&GrayImage) -> GrayImage) {
         for k in 0..6 {
             let file = self.path(&format!("clip/frames/{k:06}.png"));
@@ -69,7 +70,7 @@ impl Scene {
         }
     }
 
-    /// Cuts a file to its first `bytes`.
+    /// Truncates a file to its first `bytes`.
     pub fn truncate(&self, name: &str, bytes: usize) {
         let whole = std::fs::read(self.path(name)).unwrap();
         assert!(whole.len() > bytes);
@@ -87,7 +88,7 @@ impl Scene {
         command
     }
 
-    /// `replay clip --config stage.toml` and more.
+    /// Runs `replay clip --config stage.toml` with further arguments.
     pub fn replay(&self, more: &[&str]) -> Run {
         self.run(&[&["replay", "clip", "--config", "stage.toml"], more].concat())
     }
@@ -101,7 +102,8 @@ impl From<Output> for Run {
 }
 
 impl Run {
-    /// The run failed with this code and one sentence that has all of these parts.
+    /// Asserts that the run failed with this code and one sentence that contains all of these
+    /// parts.
     pub fn assert_refused(&self, code: i32, parts: &[&str]) {
         assert_eq!(self.code, code, "{}", self.stderr);
         let sentences: Vec<&str> = self.stderr.lines().filter(|line| line.starts_with("stagepose: ")).collect();
@@ -118,12 +120,12 @@ impl Run {
     }
 }
 
-/// The lines of `poses.jsonl`.
+/// Returns the records in `poses.jsonl`.
 pub fn records(scene: &Scene) -> Vec<serde_json::Value> {
     scene.read("poses.jsonl").lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
-/// Random blocks of two sizes: corners near and far.
+/// Returns random blocks of two sizes, which have corners from near and from far.
 pub fn texture(width: u32, height: u32) -> GrayImage {
     let mut state = 7_u32;
     let mut level = || {

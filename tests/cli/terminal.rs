@@ -1,14 +1,16 @@
-//! Names that a terminal would obey: every command writes them escaped, to stdout, to stderr and to the log.
+//! Names that contain terminal escape sequences: every command escapes them, on stdout, on stderr
+//! and in the log.
 
 use stagepose::diagnostics::printable::stands_for_itself;
 
 use super::scene::{CONFIG, Run, Scene};
 
-/// Sets the terminal's title, clears it (as C1), and turns the direction of writing.
+/// Sets the terminal's title, clears the screen (with a C1 control), and reverses the writing
+/// direction.
 const NAME: &str = "clip\x1b]0;x\x07\u{9b}2J\u{202e}";
 const ESCAPED: &str = "clip\\u001b]0;x\\u0007\\u009b2J\\u202e";
 
-/// Nothing raw came out, and the name stands escaped in what was said.
+/// Asserts that no control character came out raw, and that the output has the escaped name.
 fn assert_escaped(run: &Run, what: &str) {
     for text in [&run.stdout, &run.stderr] {
         assert!(text.chars().all(|c| c == '\n' || stands_for_itself(c)), "{what}: {text:?}");
@@ -39,7 +41,7 @@ fn every_command_escapes_names() {
             assert!(text.chars().all(|c| c == '\n' || stands_for_itself(c)), "{what}: {text:?}");
         }
         let said = run.stdout + &run.stderr;
-        // What is wrong with the arguments is written by a library that leaves such sequences out by itself.
+        // The argument parser writes usage errors and removes such sequences itself.
         let is_usage = ["an argument", "a command"].contains(&what);
         assert!(!said.is_empty() && (is_usage || said.contains("\\u001b]0;x\\u0007")), "{what}: {said}");
     }
@@ -54,7 +56,7 @@ fn the_log_and_the_events_escape_names() {
         let run = scene.run(&["run", "--config", "stage.toml", "--play", NAME, "--events", "-", "--log", "info"]);
         run.assert_success();
         assert!(run.stdout.contains("camera_opened") && run.stdout.contains(ESCAPED), "{}", run.stdout);
-        // The log's own library has escaped some in its own way.
+        // The logging library has already escaped some of them in its own way.
         assert!(run.stderr.contains("clip\\"), "{}", run.stderr);
         assert_escaped(&run, format);
         let json = if format == "json" { run.stdout + &run.stderr } else { run.stdout };

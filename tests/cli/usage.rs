@@ -1,4 +1,4 @@
-//! Arguments: help with an example, and bad usage with 2.
+//! Arguments: every command has help with an example, and bad usage ends with code 2.
 
 use super::scene::Scene;
 

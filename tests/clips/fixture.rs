@@ -1,4 +1,5 @@
-//! The fixture: exact truth, and the same bytes on any number of threads.
+//! The fixture: poses match the exact ground truth, and the bytes are the same for any number of
+//! threads.
 
 use std::path::{Path, PathBuf};
 
@@ -6,14 +7,14 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::replayed::{Record, median, records, replay};
 
-/// A pose that is further off than this counts as wrong: share of the camera's distance, degrees.
+/// Errors above which a pose is wrong: fraction of the camera's distance, and degrees.
 const WRONG: (f64, f64) = (0.01, 0.3);
 
 fn fixture() -> PathBuf {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/dolly")).to_owned()
 }
 
-/// Position and orientation of the camera in the stage, a row a frame.
+/// Returns the camera's position and orientation in the stage, one row per frame.
 fn truth() -> Vec<(Vector3<f64>, UnitQuaternion<f64>)> {
     let text = std::fs::read_to_string(fixture().join("groundtruth.txt")).unwrap();
     let row = |line: &str| {

@@ -1,23 +1,29 @@
-//! A panel with a city map in the street, filmed by hand: a card covers up to two thirds of it, then the camera rolls.
+//! A street panel with a city map, filmed by hand. A card occludes up to two thirds of it, then the
+//! camera rolls.
 //!
-//! No truth comes with the clip. The table below was measured in the frames themselves: straight lines fitted to the
-//! panel's rim, where the print meets the metal, and met in its corners; good to a pixel.
+//! The clip has no ground truth. The table below was measured in the frames: straight lines were
+//! fitted to the panel's rim, where the print meets the metal, and intersected at the corners. It
+//! is accurate to a pixel.
 
 use nalgebra::Point2;
 
 use super::replayed::{Record, records, replay};
 use super::shared::{PhotographedStage, data_set};
 
-/// The panel in the first frame, clockwise from the top left; the lower side is a line across the map, inside of the picture.
+/// The panel in the first frame, clockwise from the top left. The lower side is a line across the
+/// map, inside the picture.
 const CORNERS_PX: [[f64; 2]; 4] = [[516.9, 211.7], [799.9, 182.2], [829.8, 701.8], [545.3, 692.0]];
-/// Height over width, fitted to the panel's corners in a dozen frames at a focal length of 1.1 widths.
+/// Height over width, fitted to the panel's corners in a dozen frames for a focal length of 1.1
+/// picture widths.
 const SIZE_RATIO: f64 = 1.68;
-/// The panel is a seventh of a picture full of leaves and bricks: it takes more corners than the default to have enough on it.
+/// The panel covers a seventh of a picture full of leaves and bricks, so it needs more features
+/// than the default to get enough of them.
 const MORE_CORNERS: &str = "[tracker]\nfeatures = 6000\n";
-/// The rows in which the card is in the picture.
+/// Rows in which the card is visible.
 const CARD: std::ops::RangeInclusive<usize> = 30..=48;
 
-/// Row, top left corner where it is not covered, top right corner, and where the right side crosses the picture's row 600.
+/// Row, top left corner if visible, top right corner, and the x at which the right side crosses
+/// image row 600.
 type Rim = (usize, Option<[f64; 2]>, [f64; 2], f64);
 
 const RIMS: [Rim; 19] = [
@@ -41,14 +47,15 @@ const RIMS: [Rim; 19] = [
     (60, Some([327.6, 185.1]), [636.8, 96.6], 777.4),
     (64, Some([311.0, 206.6]), [602.4, 78.8], 817.5),
 ];
-/// The photograph is blurred, the panel sits behind its rim, and the shutter rolls: a few pixels are not an error of tracking.
-const MAX_ERROR_PX: f64 = 4.0;
+/// Maximum distance from the rim, pixels. The photograph is blurred, the panel sits behind its rim,
+/// and the shutter is rolling, so a few pixels are no tracking error.
+const LARGEST_ERROR_PX: f64 = 4.0;
 
 fn placed(record: &Record, corner: usize) -> Point2<f64> {
     record.place(CORNERS_PX[corner].into()).unwrap()
 }
 
-/// The largest distance of a record's panel from the rim, pixels.
+/// Returns the largest distance of a record's panel from the rim, pixels.
 fn rim_error_px(record: &Record, (_, top_left, top_right, right_at_600): &Rim) -> f64 {
     let (upper, lower) = (placed(record, 1), placed(record, 2));
     let crossing = upper.x + (lower.x - upper.x) * (600.0 - upper.y) / (lower.y - upper.y);

@@ -1,4 +1,5 @@
-//! Clips from the fixture and from real cameras, tracked by the built binary and held to what is known of them.
+//! Clips of the fixture and of real cameras, tracked by the built binary and compared with what is
+//! known about them.
 
 mod fixture;
 mod kiosk;

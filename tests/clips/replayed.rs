@@ -27,7 +27,7 @@ impl Record {
         self.state == "tracking"
     }
 
-    /// Where the homography puts a point of the reference, in undistorted frame pixels.
+    /// Maps a point of the reference through the homography, to undistorted frame pixels.
     pub fn place(&self, reference: Point2<f64>) -> Option<Point2<f64>> {
         let homography = Matrix3::from_row_slice(self.homography.as_ref()?);
         Point2::from_homogeneous(homography * reference.to_homogeneous())
@@ -45,7 +45,7 @@ impl MeasuredPose {
     }
 }
 
-/// Replays a clip and gives the bytes of `--poses`, one record a line; `folder` takes the outputs.
+/// Replays a clip and returns the text of `--poses`, one record per line. Outputs go to `folder`.
 pub fn replay(clip: &Path, config: &Path, folder: &Path, more: &[&str]) -> String {
     let poses = folder.join("poses.jsonl");
     let mut command = Command::new(env!("CARGO_BIN_EXE_stagepose"));
@@ -61,7 +61,7 @@ pub fn records(lines: &str) -> Vec<Record> {
     records
 }
 
-/// The middle of the values; of an even number, the upper of the two in the middle.
+/// Returns the median, or the upper of the two middle values for an even count.
 pub fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]

@@ -1,9 +1,10 @@
-//! Real clips beside the project: found, or skipped with a message; and the config of a stage that is a photograph.
+//! Finds real clips beside the project, or skips them with a message. Also writes the config of a
+//! stage that is a photograph.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// A data set, or `None` with a message where it is absent.
+/// Returns the path of a data set, or `None` with a message if it is absent.
 pub fn data_set(name: &str) -> Option<PathBuf> {
     let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")).join(name);
     if !path.is_dir() {
@@ -13,7 +14,7 @@ pub fn data_set(name: &str) -> Option<PathBuf> {
     Some(path)
 }
 
-/// True where ffmpeg can be run; else a message.
+/// Whether ffmpeg is installed; prints a message if it is not.
 pub fn has_ffmpeg() -> bool {
     let found = Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok_and(|s| s.success());
     if !found {
@@ -22,13 +23,14 @@ pub fn has_ffmpeg() -> bool {
     found
 }
 
-/// The first frame of a video as a picture.
+/// Extracts the first frame of a video as a picture.
 pub fn extract_first_frame(video: &Path, picture: &Path) {
     let run = Command::new("ffmpeg").args(["-v", "error", "-i"]).arg(video).args(["-frames:v", "1"]).arg(picture).output().unwrap();
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
 }
 
-/// A stage that is one surface, seen in a photograph that the stage camera took itself; nothing is known of that camera.
+/// A stage of one surface, seen in a photograph taken by the stage camera itself. That camera is
+/// otherwise unknown.
 pub struct PhotographedStage<'a> {
     pub photo: &'a Path,
     /// Clockwise from the top left.
@@ -36,12 +38,13 @@ pub struct PhotographedStage<'a> {
     /// Height over width.
     pub size_ratio: f64,
     pub frame_size: (u32, u32),
-    /// Further sections of the config.
+    /// Further sections for the config.
     pub more: &'a str,
 }
 
 impl PhotographedStage<'_> {
-    /// Writes config and calibration: a focal length of 1.1 widths, no distortion, a surface one metre wide.
+    /// Writes the config and a calibration: focal length 1.1 picture widths, no distortion, a
+    /// surface one metre wide.
     pub fn write(&self, folder: &Path) -> PathBuf {
         let (width, height) = self.frame_size;
         let (w, h) = (f64::from(width), f64::from(height));

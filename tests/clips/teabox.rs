@@ -1,7 +1,8 @@
-//! A box of tea on a board that is turned by hand, filmed by two cameras: a stage of 250 by 90 pixels.
+//! A tea box on a board that is turned by hand, filmed by two cameras: a stage of 250 by 90 pixels.
 //!
-//! No truth comes with the clips. The corners below were read off the frames, where the sides of the box's upper face meet, good to a pixel. The picture of one camera must serve
-//! the other as well: another place, another light.
+//! The clips have no ground truth. The corners below were read off the frames, where the sides of
+//! the box's upper face meet, accurate to a pixel. The picture from one camera must also work for
+//! the other, which has another place and another light.
 
 use std::path::Path;
 
@@ -10,15 +11,18 @@ use nalgebra::Point2;
 use super::replayed::{Record, records, replay};
 use super::shared::{PhotographedStage, data_set, extract_first_frame, has_ffmpeg};
 
-/// Height over width of the upper face: 68 by 165 mm.
+/// Height over width of the upper face, 68 by 165 mm.
 const SIZE_RATIO: f64 = 0.412;
-/// Corners read to a pixel, a lid that is not quite flat, and lenses that nobody calibrated: 0.9 to 1.8 pixels, and 2.7 and 3.4 where the box has half left the picture.
-const MAX_ERROR_PX: f64 = 5.0;
-/// Of the frames of a clip.
-const MIN_SHARE_GIVEN: f64 = 0.9;
+/// Maximum distance from the corners, pixels. Corners were read to a pixel, the lid is not quite
+/// flat, and the lenses are uncalibrated. Measured: 0.9 to 1.8 pixels, and 2.7 and 3.4 where the
+/// box has half left the picture.
+const LARGEST_ERROR_PX: f64 = 5.0;
+/// Minimum fraction of a clip's frames that report a pose.
+const LEAST_SHARE_GIVEN: f64 = 0.9;
 const FRAMES: usize = 121;
 
-/// A row, and the face's corners in it: clockwise from the top left, where they are in the picture.
+/// A row, and the face's corners in it, clockwise from the top left; `None` for a corner outside
+/// the picture.
 type Face = (usize, [Option<[f64; 2]>; 4]);
 
 struct Camera {
@@ -34,7 +38,7 @@ const LEFT: Camera = Camera {
         (120, [Some([111.9, 209.2]), Some([341.0, 208.5]), Some([336.7, 288.5]), Some([84.5, 286.5])]),
     ],
 };
-/// The box leaves the picture to the left.
+/// The box leaves the picture on the left.
 const RIGHT: Camera = Camera {
     video: "teabox_right.mp4",
     faces: [
@@ -44,13 +48,13 @@ const RIGHT: Camera = Camera {
     ],
 };
 
-/// The largest distance of a record's face from the corners that were read off, pixels.
+/// Returns the largest distance of a record's face from the corners read off the frame, pixels.
 fn face_error_px(record: &Record, reference: &Face, (_, seen): &Face) -> f64 {
     let corners = reference.1.iter().zip(seen).filter_map(|(from, to)| Some((Point2::from((*from)?), Point2::from((*to)?))));
     corners.map(|(from, to)| (record.place(from).unwrap() - to).norm()).fold(0.0, f64::max)
 }
 
-/// Follows the box through `filmed`, by the first frame of `pictured`.
+/// Tracks the box through `filmed`, using the first frame of `pictured` as the reference.
 fn assert_followed(set: &Path, pictured: &Camera, filmed: &Camera) {
     let folder = tempfile::tempdir().unwrap();
     let photo = folder.path().join("frame0.png");

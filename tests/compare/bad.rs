@@ -1,4 +1,5 @@
-//! What is no pair of pictures, or has nothing in common: a sentence, and never a relation.
+//! Inputs that are not a pair of pictures, or have nothing in common: the result is a sentence, and
+//! never a relation.
 
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -93,8 +94,8 @@ fn wrong_arguments_are_named_with_the_mend() {
     }
 }
 
-/// The end may come at any time, also within a step that takes many times the ten seconds after which the program would end without being asked; what
-/// was there before stays, and no half of a file is left.
+/// A signal may arrive at any time, even during a step that takes many times the ten seconds after
+/// which the program is ended by force. Existing files stay, and no half-written file remains.
 #[test]
 fn an_interrupt_leaves_no_half_written_file() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -109,7 +110,7 @@ fn an_interrupt_leaves_no_half_written_file() {
         command.current_dir(folder.path()).args(["compare", "one.png", "one.png", "--detector", detector]);
         command.args(["--json", "out.json", "--report", "out.html"]).stderr(Stdio::piped()).stdout(Stdio::null());
         let child = command.spawn().expect("the program runs");
-        // It needs a minute, and a tenth of a second until it listens to signals.
+        // The work takes about a minute, and the program handles signals after a tenth of a second.
         std::thread::sleep(Duration::from_millis(1500));
         kill(Pid::from_raw(child.id() as i32), signal).expect("it still runs");
         let output = child.wait_with_output().expect("it ends");

@@ -28,7 +28,7 @@ fn known_views_of_a_picture_are_measured() {
         let is_it = |row: &&Value| row["detector"] == detector && row["pair"].as_str().is_some_and(|p| p.ends_with(pair));
         rows.iter().find(is_it).unwrap_or_else(|| panic!("no row of {detector}, {pair}"))
     };
-    // SIFT bears a roll; corners described by upright patches do not, and both bear less light.
+    // SIFT tolerates a roll, corners with upright patches do not, and both tolerate less light.
     let [sift, harris] = ["sift", "harris"].map(|detector| of(detector, "roll 30"));
     assert!(sift["repeatability"].as_f64() > Some(0.5) && sift["right"].as_f64() > Some(0.9), "{sift}");
     assert!(sift["corner_error_px"].as_f64().is_some_and(|e| e < 0.5), "{sift}");

@@ -1,4 +1,4 @@
-//! Slow work is heard of while it runs, and ends where it is not wanted any more.
+//! Slow work reports progress while it runs, and stops when it is no longer wanted.
 
 use std::cell::{Cell, RefCell};
 
@@ -36,7 +36,7 @@ fn the_views_of_asift_are_counted_one_by_one() {
     assert_eq!(heard.into_inner(), expected);
 }
 
-/// Wherever it is ended, there is no result, and nobody is asked again.
+/// Wherever it is stopped, there is no result, and the callback is not called again.
 #[test]
 fn every_detector_ends_where_it_is_not_wanted_any_more() {
     let picture = grey(&paint(200, 150, 1));

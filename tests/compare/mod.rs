@@ -1,5 +1,5 @@
-//! `stagepose compare` and `stagepose detectors` as a user runs them: on rendered pairs with exact truth, on photographs whose truth is known, and on
-//! what is no pair at all.
+//! `stagepose compare` and `stagepose detectors` as a user runs them: on rendered pairs with exact
+//! ground truth, on photographs with known ground truth, and on inputs that are not a pair.
 
 mod bad;
 mod detectors;
@@ -12,7 +12,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
-/// What the program gave.
+/// The result of a run.
 struct Compared {
     code: Option<i32>,
     stdout: String,
@@ -20,7 +20,7 @@ struct Compared {
     json: Value,
 }
 
-/// Runs `stagepose compare A B` with more arguments, and reads its JSON.
+/// Runs `stagepose compare A B` with further arguments, and reads its JSON.
 fn compare(folder: &Path, a: &str, b: &str, more: &[&str]) -> Compared {
     let json = folder.join("out.json");
     let _ = std::fs::remove_file(&json);

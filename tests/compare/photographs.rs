@@ -1,4 +1,5 @@
-//! Photographs whose truth was measured by others; skipped with a message where they are not beside the project.
+//! Photographs whose ground truth was measured by others; skipped with a message if they are not
+//! beside the project.
 
 use std::path::Path;
 
@@ -14,7 +15,7 @@ fn homography(file: &Path) -> Matrix3<f64> {
     Matrix3::from_row_slice(&numbers)
 }
 
-/// Root mean square over the first picture's corners of how far H puts them off, pixels.
+/// Returns the rms error of H over the first picture's corners, pixels.
 fn corner_error_px(found: &Compared, truth: &Matrix3<f64>, picture: &Path) -> f64 {
     assert!(!found.json["H"].is_null(), "no homography: {}", found.stdout);
     let h = Matrix3::from_row_slice(&numbers::<9>(&found.json["H"]));
@@ -25,8 +26,8 @@ fn corner_error_px(found: &Compared, truth: &Matrix3<f64>, picture: &Path) -> f6
     (corners.iter().map(|c| (map(&h, *c) - map(truth, *c)).norm_squared()).sum::<f64>() / 4.0).sqrt()
 }
 
-/// Sets of Oxford, the pictures that are compared with the first one, and the largest corner error: 1.2 times that of OpenCV's SIFT with MAGSAC
-/// (CATALOG.md), at least a pixel.
+/// Oxford sets, the pictures compared with the first one, and the maximum corner error: 1.2 times
+/// that of OpenCV's SIFT with MAGSAC (CATALOG.md), but at least one pixel.
 const OXFORD: [(&str, &[(u32, f64)]); 4] = [
     ("homog-oxford-graf", &[(2, 1.38), (3, 3.96)]),
     ("homog-oxford-boat", &[(2, 1.0), (3, 1.0), (4, 2.14)]),
@@ -49,9 +50,9 @@ fn planes_seen_twice_are_homographies_as_exact_as_a_peers() {
     }
 }
 
-/// Pairs whose scenes are not quite flat: set, pictures, truth, and the largest corner error, 1.2
-/// times that of OpenCV's MAGSAC, leuven's 6 a pixel. A threshold of 1.2 pixels had 0.58, 1.33,
-/// 1.22 and 5.75.
+/// Pairs whose scenes are not quite flat: set, pictures, ground truth, and the maximum corner
+/// error. The limit is 1.2 times the error of OpenCV's MAGSAC, but one pixel for leuven's picture
+/// 6. A threshold of 1.2 pixels gave 0.58, 1.33, 1.22 and 5.75.
 const NOT_QUITE_FLAT: [(&str, [&str; 3], f64); 4] = [
     ("homog-oxford-leuven", ["1.png", "4.png", "H_1_4"], 0.41),
     ("homog-oxford-leuven", ["1.png", "5.png", "H_1_5"], 0.72),
@@ -84,7 +85,7 @@ fn steep_views_are_related_by_simulated_ones() {
     }
 }
 
-/// A row of `poses.txt`: the picture, the calibration, and the pose, camera from world.
+/// A row of `poses.txt`: the picture, the calibration, and the pose (camera from world).
 struct Posed {
     picture: String,
     calibration: String,
@@ -119,7 +120,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// Rotation and direction of each pair, degrees off.
+/// Returns the rotation errors and the direction errors of the pairs, degrees.
 fn errors_deg(folder: &Path, views: &[Posed], model: Option<&str>) -> (Vec<f64>, Vec<f64>) {
     let out = tempfile::tempdir().expect("a folder");
     assert!(folder.is_dir());
@@ -158,7 +159,7 @@ fn a_fountain_gives_the_move_of_the_camera() {
 #[test]
 fn an_office_gives_the_move_of_the_camera() {
     let Some(folder) = data_set("pose-tum-fr3-office") else { return };
-    // The first picture is older than the first measured pose.
+    // The first picture was taken before the first measured pose.
     let (turns, directions) = errors_deg(&folder, &posed(&folder)[1..], None);
     let (turn, direction) = (median(turns), median(directions));
     assert!(turn <= 0.6 && direction <= 3.0, "{turn} {direction}");

@@ -1,4 +1,4 @@
-//! Pairs rendered by the virtual stage: the camera's move and the homography are known exactly.
+//! Pairs rendered by the virtual stage, with exactly known camera motion and homography.
 
 use std::path::Path;
 
@@ -15,10 +15,11 @@ fn camera() -> CameraModel {
     CameraModel::pinhole(640, 480, 560.0, 560.0, 319.5, 239.5).expect("a camera")
 }
 
-/// Where a camera stands and looks.
+/// A camera's position, its target and its roll.
 type Station = ([f64; 3], [f64; 3], f64);
 
-/// A backdrop, and two flats in front of it where the scene has depth, from both stations; and the camera's move.
+/// Renders a backdrop, and two flats in front of it if the scene has depth, from both stations.
+/// Returns the camera's motion.
 fn rendered(folder: &Path, stations: [Station; 2], has_depth: bool) -> Pose<Camera, Camera> {
     let picture = |seed| grey(&paint(900, 675, seed));
     let mut surfaces = vec![artwork_surface("backdrop", picture(3), [4.0, 3.0], upright(Vector3::zeros(), 0.0))];
@@ -39,7 +40,7 @@ fn rendered(folder: &Path, stations: [Station; 2], has_depth: bool) -> Pose<Came
     b.inverse() * a
 }
 
-/// How far the rotation is off, and the direction, degrees.
+/// Returns the errors of the rotation and of the direction, degrees.
 fn off_deg(found: &Compared, truth: &Pose<Camera, Camera>) -> (f64, f64) {
     let [x, y, z, w] = numbers::<4>(&found.json["rotation_xyzw"]);
     let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
@@ -59,13 +60,13 @@ fn a_scene_with_depth_gives_the_essential_matrix_and_the_move() {
     assert_eq!((found.code, &found.json["model"]), (Some(0), &"essential".into()), "{} {}", found.stderr, found.stdout);
     let (rotation, direction) = off_deg(&found, &truth);
     assert!(rotation < 0.1 && direction < 0.6, "{rotation} {direction}");
-    // With the distance of the two places the move has its length.
+    // With the distance between the two places, the motion has its true length.
     let metres = Vector3::from(numbers::<3>(&found.json["translation_m"]));
     assert!((metres - truth.translation).norm() < 0.02, "{metres} {}", truth.translation);
-    // F and E bind the same points: F = K^-T E K^-1.
+    // F and E relate the same points: F = K^-T E K^-1.
     let e = Matrix3::from_row_slice(&numbers::<9>(&found.json["E"]));
     assert!((e.norm() - 1.0).abs() < 1e-9 && e.determinant().abs() < 1e-9);
-    // Without the pictures' bytes, which may spell anything.
+    // Leaves out the pictures' bytes, which may spell anything.
     let report = std::fs::read_to_string(folder.path().join("out.html")).expect("a report");
     let report: String = report.split('"').filter(|part| !part.starts_with("data:")).collect();
     for figure in ["Matches that fit", "Epipolar lines", "Homography", "The two cameras", "How near"] {
@@ -74,7 +75,7 @@ fn a_scene_with_depth_gives_the_essential_matrix_and_the_move() {
     assert!(!report.contains("NaN") && !report.contains("http://") && !report.contains("https://"));
 }
 
-/// Thesis error E31: the source takes the translation's sign from one point picked by hand.
+/// Thesis error E31: the source takes the translation's sign from one hand-picked point.
 #[test]
 fn e31_the_move_is_never_reversed() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -98,7 +99,7 @@ fn a_flat_scene_gives_the_homography() {
     let found = compare(folder.path(), "a.png", "b.png", &[]);
     assert_eq!((found.code, &found.json["model"]), (Some(0), &"homography".into()), "{}", found.stderr);
     assert!(found.json["E"].is_null() && found.json["rotation_xyzw"].is_null());
-    // Truth: a point of the backdrop as both cameras see it.
+    // The ground truth is a backdrop point as both cameras see it.
     let h = Matrix3::from_row_slice(&numbers::<9>(&found.json["H"]));
     assert_eq!(h[(2, 2)], 1.0);
     let seen = |(position, target, roll): Station, p: Point3<f64>| {

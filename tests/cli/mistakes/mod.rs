@@ -1,7 +1,9 @@
-//! The usual mistakes of a first evening: what was done wrong, and what `check` must say of it. None may be called good.
+//! Common mistakes of a first evening, and what `check` must say about each. None of them may be
+//! called good.
 //!
-//! Every mistake spoils one thing of a stage that is otherwise right. Codes: 0 it works by less than was meant (a surface is left out, a rate is
-//! assumed), 1 something is to be mended, 2 the config is refused.
+//! Each mistake breaks one thing of a stage that is otherwise right. Exit codes: 0, it works but
+//! with less than was intended (a surface is left out, a rate is assumed); 1, something must be
+//! fixed; 2, the config is refused.
 
 mod stage;
 
@@ -15,7 +17,7 @@ struct Mistake {
     done: &'static str,
     spoil: fn(&Stage),
     code: i32,
-    /// What must be said, each somewhere.
+    /// Texts that must all appear in the output.
     says: &'static [&'static str],
 }
 
@@ -155,7 +157,7 @@ const CORNERS: [Mistake; 8] = [
     },
 ];
 
-/// The picture's file.
+/// The artwork's file.
 const PICTURE: [Mistake; 9] = [
     Mistake {
         done: "artwork upside down",
@@ -357,7 +359,7 @@ const CLIP: [Mistake; 10] = [
     },
 ];
 
-/// The frames beside each other in the clip's folder, as a folder of pictures.
+/// Moves the frames into the clip's folder itself, as in a plain folder of pictures.
 fn move_up(stage: &Stage) {
     for k in 0..FRAMES {
         std::fs::rename(stage.path(&format!("clip/frames/{k:06}.pgm")), stage.path(&format!("clip/{k:06}.pgm"))).unwrap();
@@ -365,7 +367,7 @@ fn move_up(stage: &Stage) {
     std::fs::remove_dir(stage.path("clip/frames")).unwrap();
 }
 
-/// Makes every mistake of a table; all that fail are reported together.
+/// Makes every mistake of a table, and reports all failures together.
 fn assert_named(mistakes: &[Mistake]) {
     let failed: Vec<String> = mistakes
         .iter()
@@ -409,12 +411,13 @@ fn the_clip() {
     assert_named(&CLIP);
 }
 
-/// The first line that says what to mend.
+/// Returns the first line that says what to fix.
 fn first(said: &stage::Said) -> &str {
     said.text.lines().find_map(|line| line.strip_prefix("mend ")).unwrap_or_default().trim()
 }
 
-/// Mistakes with a photograph whose corners were read by eye: the cause comes first, though no corner is exact.
+/// Mistakes with a photograph whose corners were read by eye. The true cause comes first, although
+/// no corner is exact.
 #[test]
 fn of_a_photograph_the_cause_comes_first() {
     let by_eye = |order: [usize; 4], from: &str, to: &str| {
@@ -441,13 +444,15 @@ fn a_guessed_lens_is_mended_by_the_key_that_guessed_it() {
     }
 }
 
-/// 480 x 360 pixels stretched to 640 x 360, as a camera or a recording program does with 4:3 in 16:9; and to 480 x 480.
+/// 480 x 360 pixels stretched to 640 x 360, as a camera or a recording program does when it puts
+/// 4:3 into 16:9; and to 480 x 480.
 #[test]
 fn a_stretched_clip_is_called_so() {
     for ((width, height), undone) in [((640, 360), "scale=480:360"), ((480, 480), "scale=480:360")] {
         let stage = Stage::new();
         stage.frames(|_, f| imageops::resize(&f, width, height, imageops::FilterType::CatmullRom));
-        // What is known of the camera is its angle across, whatever became of its pictures.
+        // The config states only the horizontal angle of view, which the stretching does not
+        // change.
         stage.config("calibration = \"camera.toml\"", "fov_deg = 58.1");
         let said = stage.check();
         assert!(said.code == 1 && first(&said).contains("pixels are not square"), "{width} x {height}\n{}", said.text);
@@ -456,7 +461,7 @@ fn a_stretched_clip_is_called_so() {
     }
 }
 
-/// A clip that is shaken by hand before a camera that reads its rows one after another, which the config does not say.
+/// The camera is shaken by hand and has a rolling shutter that the config does not mention.
 #[test]
 fn a_readout_that_is_not_configured_blames_no_lens() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! A rendered stage as a folder: a backdrop with a flat before it, a clip of a camera that rides past, and a right config.
+//! A rendered stage as a folder: a backdrop with a flat in front of it, a clip of a camera that
+//! moves past, and a correct config.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -15,14 +16,14 @@ const SIZE_PX: (u32, u32) = (480, 360);
 const FOCAL_PX: f64 = 432.0;
 const DISTORTION: [f64; 5] = [-0.11, 0.06, 0.0006, -0.0004, 0.0];
 
-/// The config that is right.
+/// The correct config.
 pub const CONFIG: &str = "[camera]\ncalibration = \"camera.toml\"\nshutter = \"global\"\n\
     [[stage.surface]]\nimage = \"backdrop.png\"\nsize_m = [4.0, 3.0]\n\
     [[stage.surface]]\nimage = \"flat.png\"\nsize_m = [1.1, 1.7]\nposition_m = [0.95, -0.8, -0.65]\n";
-/// The same without the flat, from frame 0 as a photograph; CORNERS stands for the four corners.
+/// The same without the flat, with frame 0 as a photograph. CORNERS stands for the four corners.
 pub const PHOTO: &str = "[camera]\ncalibration = \"camera.toml\"\nshutter = \"global\"\n[[stage.surface]]\nphoto = \"photo.png\"\ncorners_px = CORNERS\nsize_m = [4.0, 3.0]\n";
 
-/// Rendered once for all tests.
+/// The pictures, rendered once for all tests.
 struct Pictures {
     backdrop: GrayImage,
     flat: GrayImage,
@@ -61,15 +62,15 @@ fn pictures() -> &'static Pictures {
     })
 }
 
-/// A folder with all of it, to be spoilt.
+/// A folder with a whole stage, for a test to break.
 pub struct Stage {
     folder: tempfile::TempDir,
 }
 
-/// What a check said.
+/// The result of a check.
 pub struct Said {
     pub code: i32,
-    /// Both outputs.
+    /// Stdout and stderr.
     pub text: String,
 }
 
@@ -100,32 +101,34 @@ impl Stage {
         std::fs::write(self.path(name), text).unwrap();
     }
 
-    /// The config with one text replaced by another.
+    /// Writes the correct config with one text replaced by another.
     pub fn config(&self, from: &str, to: &str) {
         assert!(CONFIG.contains(from), "the config has no `{from}`");
         self.write("stage.toml", &CONFIG.replacen(from, to, 1));
     }
 
-    /// The config of the photograph, with these of the true corners, in this order, and other changes.
+    /// Writes the photograph's config with the true corners in this order, and one text replaced by
+    /// another.
     pub fn photo(&self, order: [usize; 4], from: &str, to: &str) {
         let corners = order.map(|k| pictures().corners[k]);
         self.write("stage.toml", &PHOTO.replace("CORNERS", &format!("{corners:?}")).replace(from, to));
     }
 
-    /// The same with corners as a person reads them off a viewer: each a pixel or so off.
+    /// Does the same with corners as a person reads them in a viewer, each off by a pixel or two.
     pub fn photo_by_eye(&self, order: [usize; 4], from: &str, to: &str) {
         let off = [[1.2, -0.9], [-1.1, -1.3], [0.8, 1.4], [-1.5, 0.7]];
         let corners = order.map(|k| [0, 1].map(|axis| ((pictures().corners[k][axis] + off[k][axis]) * 10.0).round() / 10.0));
         self.write("stage.toml", &PHOTO.replace("CORNERS", &format!("{corners:?}")).replace(from, to));
     }
 
-    /// `corners_px` as the messages write them, begun at one of the true corners.
+    /// Returns the beginning of `corners_px` as messages write it, starting at one of the true
+    /// corners.
     pub fn corner(&self, first: usize) -> String {
         let corner = pictures().corners[first];
         format!("corners_px = [[{:?}, {:?}]", corner[0], corner[1])
     }
 
-    /// Another calibration, its principal point in the same part of the picture.
+    /// Writes another calibration, with the principal point at the same relative place.
     pub fn lens(&self, (width, height): (u32, u32), focal: f64, distortion: [f64; 5]) {
         let (cx, cy) = (241.0 / 480.0 * f64::from(width), 178.0 / 360.0 * f64::from(height));
         let text = format!(
@@ -140,14 +143,14 @@ impl Stage {
         change(image::open(&file).unwrap().into_luma8()).save(&file).unwrap();
     }
 
-    /// Changes every frame of the clip; the number is its row's.
+    /// Changes every frame of the clip; `change` also gets the frame's row number.
     pub fn frames(&self, change: impl Fn(usize, GrayImage) -> GrayImage) {
         for k in 0..FRAMES {
             self.picture(&format!("clip/frames/{k:06}.pgm"), |frame| change(k, frame));
         }
     }
 
-    /// The frames' levels.
+    /// Changes the levels of all frames.
     pub fn levels(&self, change: impl Fn(f32) -> f32) {
         self.frames(|_, mut frame| {
             frame.pixels_mut().for_each(|p| *p = Luma([change(f32::from(p[0])).clamp(0.0, 255.0) as u8]));
@@ -168,7 +171,7 @@ impl Stage {
     }
 }
 
-/// A picture in the middle of a grey one of the clip's size.
+/// Returns a picture centred in a grey frame of the clip's size.
 pub fn placed(picture: &GrayImage) -> GrayImage {
     let mut frame = GrayImage::from_pixel(SIZE_PX.0, SIZE_PX.1, Luma([60]));
     let (x, y) = ((SIZE_PX.0 - picture.width()) / 2, (SIZE_PX.1 - picture.height()) / 2);
