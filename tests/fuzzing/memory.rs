@@ -1,4 +1,4 @@
-//! How many bytes the process holds, and the most it held since it was asked.
+//! Counts the bytes that the process holds, and their peak during a piece of work.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -8,19 +8,19 @@ static MOST: AtomicUsize = AtomicUsize::new(0);
 
 struct Counting;
 
-// SAFETY: all is passed on to the system's allocator as it came; counting touches nothing but two numbers.
+// SAFETY: every call goes to the system allocator unchanged; counting only touches two numbers.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         let held = HELD.fetch_add(layout.size(), Ordering::Relaxed) + layout.size();
         MOST.fetch_max(held, Ordering::Relaxed);
-        // SAFETY: the caller's promises are the system's.
+        // SAFETY: the caller upholds the system allocator's contract.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
         let held = HELD.fetch_add(layout.size(), Ordering::Relaxed) + layout.size();
         MOST.fetch_max(held, Ordering::Relaxed);
-        // SAFETY: as above. Passed on, so that pages that nobody touches cost no time.
+        // SAFETY: as above. Passed on rather than emulated, so that untouched pages cost no time.
         unsafe { System.alloc_zeroed(layout) }
     }
 
@@ -34,7 +34,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// The most bytes that `work` held beyond what was held before it.
+/// Returns the peak number of bytes that `work` held beyond those held before it.
 pub fn taken_by(work: impl FnOnce()) -> usize {
     let before = HELD.load(Ordering::Relaxed);
     MOST.store(before, Ordering::Relaxed);

@@ -1,29 +1,30 @@
-//! Good files, changed a little: bytes as damage changes them, text as typing changes it.
+//! Changes good files slightly: bytes as damage changes them, text as typing changes it.
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-/// What a file is made of.
+/// The format of a file, which decides how it is changed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Form {
-    /// Lines, words, numbers.
+    /// Lines, words and numbers.
     Text,
-    /// Bytes.
+    /// Plain bytes.
     Binary,
-    /// Bytes with a checksum over each chunk, which is set right again most of the time: behind a wrong one nothing is read.
+    /// Bytes with a checksum over each chunk. The checksum is usually corrected afterwards, because
+    /// nothing is read behind a wrong one.
     Png,
 }
 
-/// Makes inputs out of good ones; the same seed makes the same inputs.
+/// Makes inputs from good ones; the same seed makes the same inputs.
 pub struct Mutator {
     random: Pcg64Mcg,
     form: Form,
     seeds: Vec<Vec<u8>>,
 }
 
-/// Larger than every seed; repeated pieces must not grow without end.
+/// Maximum input size, bytes: larger than every seed. It limits the growth from repeated pieces.
 const LONGEST: usize = 1 << 20;
-/// Numbers at the edges of their types and beyond.
+/// Numbers at the limits of their types and beyond.
 const BYTES: [u64; 14] = [0, 1, 0x7F, 0x80, 0xFF, 0x100, 0x7FFF, 0x8000, 0xFFFF, 0x4000, 0x7FFF_FFFF, 0x8000_0000, 0xFFFF_FFFF, u64::MAX];
 const WORDS: [&str; 31] = [
     "0",
@@ -65,10 +66,10 @@ impl Mutator {
         Self { random: Pcg64Mcg::seed_from_u64(seed), form, seeds }
     }
 
-    /// The next input; one in ten is a good file as it is.
+    /// Returns the next input; one in ten is an unchanged good file.
     pub fn next_input(&mut self) -> Vec<u8> {
         let mut input = self.seeds[self.random.random_range(0..self.seeds.len())].clone();
-        // Mostly one change: what is wrong in many places is refused at the first of them.
+        // Mostly one change: a file that is wrong in many places is refused at the first of them.
         let changes = [0, 1, 1, 1, 1, 1, 2, 2, 4, 16][self.random.random_range(0..10)];
         for _ in 0..changes {
             let as_text = self.form == Form::Text && self.random.random_ratio(2, 3);
@@ -85,7 +86,7 @@ impl Mutator {
         input
     }
 
-    /// A random piece, of which the length is often short.
+    /// Returns a random range, which is often short.
     fn piece(&mut self, length: usize) -> std::ops::Range<usize> {
         let from = self.random.random_range(0..=length);
         let most = if self.random.random_bool(0.7) { 16 } else { length };
@@ -142,7 +143,7 @@ impl Mutator {
             0 => drop(lines.remove(one)),
             1 => lines.insert(other, lines[one].clone()),
             2 => lines.swap(one, other),
-            // A key of one line, a value of another.
+            // The key of one line with the value of another.
             3 => {
                 let value = lines[other].split_once(['=', ':']).map_or_else(String::new, |(_, value)| value.to_owned());
                 if let Some(at) = lines[one].find(['=', ':']) {
@@ -157,7 +158,7 @@ impl Mutator {
         *input = lines.join("\n").into_bytes();
     }
 
-    /// A line with one of its words or numbers replaced.
+    /// Returns a line with one of its words or numbers replaced.
     fn with_word(&mut self, line: &str, word: &str) -> String {
         let is_inside = |c: char| c.is_alphanumeric() || "._+-\"/".contains(c);
         let starts: Vec<usize> = line
@@ -174,7 +175,7 @@ impl Mutator {
     }
 }
 
-/// Makes the checksum of every chunk that is still one right.
+/// Corrects the checksum of every chunk that is still intact.
 fn set_checksums(png: &mut [u8]) {
     let mut at = 8;
     while let Some(&[a, b, c, d]) = png.get(at..at + 4) {
@@ -187,7 +188,7 @@ fn set_checksums(png: &mut [u8]) {
     }
 }
 
-/// CRC-32 of ISO 3309, as PNG has it.
+/// Computes the CRC-32 of ISO 3309, as PNG uses it.
 fn crc(bytes: &[u8]) -> u32 {
     let step =
         |crc: u32, byte: &u8| (0..8).fold(crc ^ u32::from(*byte), |crc, _| if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 });

@@ -1,4 +1,5 @@
-//! The parsers, each in this process: a panic, a minute without an end, or memory beyond the bound is a fault.
+//! The parsers in this process: a panic, a minute without an end, or memory beyond the bound is a
+//! failure.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -17,14 +18,15 @@ use super::memory::taken_by;
 use super::mutator::{Form, Mutator};
 use super::{inputs, keep, seed, seeds};
 
-/// An input that takes so long hangs.
+/// Maximum time for one input; a parser that takes longer hangs.
 const HANG: Duration = Duration::from_secs(60);
-/// Bytes that a text may take: a config reads pictures, all others take less.
-const MAX_OF_TEXT: usize = 256 << 20;
-/// Bytes that a picture may take: 67 million pixels of 16-bit RGBA, and what is made of them.
-const MAX_OF_PICTURES: usize = 1200 << 20;
+/// Maximum memory for a text, bytes. A config reads pictures; all other texts take less.
+const MOST_OF_TEXT: usize = 256 << 20;
+/// Maximum memory for a picture, bytes: 67 million pixels of 16-bit RGBA, and what is made from
+/// them.
+const MOST_OF_PICTURES: usize = 1200 << 20;
 
-/// One parser at a time: the memory that is counted is the whole process'.
+/// Allows one parser at a time, because the memory count covers the whole process.
 static ALONE: Mutex<()> = Mutex::new(());
 
 fn fuzz(name: &'static str, mutator: Mutator, most: usize, parse: impl Fn(&[u8]) + Send + 'static) {
@@ -115,8 +117,8 @@ fn packets() {
     let tracker =
         PsnTracker { id: 1, position_m: Some([1.0, 2.0, 3.0]), validity: Some(1.0), timestamp_us: Some(9), ..PsnTracker::default() };
     let psn = PsnPacket::Data(PsnHeader::default(), vec![tracker]).encode().expect("short enough");
-    fuzz("psn", binary(psn), MAX_OF_TEXT, |bytes| drop(PsnPacket::decode(bytes)));
-    // Behind a wrong checksum nothing is read: the payload is changed, not the datagram.
+    fuzz("psn", binary(psn), MOST_OF_TEXT, |bytes| drop(PsnPacket::decode(bytes)));
+    // Nothing is read behind a wrong checksum, so the payload is changed, not the datagram.
     let json = br#"{"protocol":{"name":"OpenTrackIO","version":[1,0,1]},"transforms":[{"translation":{"x":1.5,"y":0,"z":2}}]}"#;
     let mut cbor = Vec::new();
     ciborium::into_writer(&serde_json::from_slice::<serde_json::Value>(json).expect("JSON"), &mut cbor).expect("CBOR");
@@ -171,8 +173,8 @@ fn timestamps() {
 #[test]
 fn learnt_cameras() {
     LearntCamera::from_bytes(seeds::LEARNT.as_bytes()).expect("the seed is good");
-    fuzz("learnt", text(&[seeds::LEARNT]), MAX_OF_TEXT, |bytes| match LearntCamera::from_bytes(bytes) {
-        // What is taken is kept as it is.
+    fuzz("learnt", text(&[seeds::LEARNT]), MOST_OF_TEXT, |bytes| match LearntCamera::from_bytes(bytes) {
+        // What is accepted survives a round trip.
         Ok(learnt) => assert_eq!(LearntCamera::from_bytes(&learnt.to_bytes()), Ok(learnt)),
         Err(e) => assert!(e.to_string().contains("learnt anew"), "{e}"),
     });

@@ -1,5 +1,5 @@
-//! The program itself on a part of the inputs: its exit code is 0, 1 or 2, it ends, no panic is printed, and its memory
-//! has a bound.
+//! Runs the program itself on some of the inputs: it ends, its exit code is 0, 1 or 2, it prints no
+//! panic, and its memory stays within a bound.
 
 use std::io::Write;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
@@ -13,14 +13,15 @@ use nix::sys::resource::{Resource, setrlimit};
 use super::mutator::{Form, Mutator};
 use super::{inputs, keep, seed, seeds};
 
-/// Starting the program takes as long as a hundred inputs in this process.
+/// One in this many inputs goes through the program: starting it takes as long as a hundred inputs
+/// in this process.
 const SHARE: u64 = 40;
-/// A run that takes so long hangs.
+/// Maximum time of a run; one that takes longer hangs.
 const HANG: Duration = Duration::from_secs(60);
-/// Address space of a run, bytes.
-const MAX_MEMORY: u64 = 2 << 30;
-/// Resident memory of a run, or of a child of its own, bytes.
-const MAX_RESIDENT: u64 = 1 << 30;
+/// Maximum address space of a run, bytes.
+const MOST_MEMORY: u64 = 2 << 30;
+/// Maximum resident memory of a run or of one of its children, bytes.
+const MOST_RESIDENT: u64 = 1 << 30;
 
 /// Where a changed file goes.
 enum To {
@@ -53,23 +54,24 @@ fn fuzz(name: &str, mut mutator: Mutator, to: &To, arguments: &[&str]) {
     println!("{name}: exit codes 0, 1, 2 came {codes:?} times; largest peak {} MB resident", peak >> 20);
 }
 
-/// How a child ended and its peak of resident memory, bytes; `None` while it runs. The kernel counts the child's own
-/// children too, and what this process held when it forked.
+/// Returns how a child ended and its peak resident memory in bytes; `None` while it runs. The
+/// kernel's figure includes the child's own children, and what this process held when it forked.
 fn ended(child: &Child) -> Option<(ExitStatus, u64)> {
     let (pid, mut status) = (child.id() as libc::pid_t, 0);
-    // SAFETY: all zeros is a value of this plain struct.
+    // SAFETY: all zeros is a valid value of this plain struct.
     let mut usage: libc::rusage = unsafe { std::mem::zeroed() };
-    // SAFETY: both pointers are to variables that outlive the call; nobody else waits for the child.
+    // SAFETY: both pointers are to variables that outlive the call; nothing else waits for the
+    // child.
     let reaped = unsafe { libc::wait4(pid, &raw mut status, libc::WNOHANG, &raw mut usage) };
     assert!(reaped >= 0, "the child can be waited for");
     (reaped == pid).then(|| (ExitStatus::from_raw(status), usage.ru_maxrss as u64 * 1024))
 }
 
-/// The exit code and the peak of resident memory in bytes, or what is wrong with the run.
+/// Returns the exit code and the peak resident memory in bytes, or what is wrong with the run.
 #[allow(clippy::zombie_processes)] // `ended` waits for it, by wait4
 fn run(command: &mut Command, stdin: Option<&Vec<u8>>) -> Result<(i32, u64), String> {
-    // SAFETY: setrlimit is async-signal-safe, and nothing is allocated on the way to it.
-    unsafe { command.pre_exec(|| setrlimit(Resource::RLIMIT_AS, MAX_MEMORY, MAX_MEMORY).map_err(std::io::Error::from)) };
+    // SAFETY: setrlimit is async-signal-safe, and nothing allocates on the way to it.
+    unsafe { command.pre_exec(|| setrlimit(Resource::RLIMIT_AS, MOST_MEMORY, MOST_MEMORY).map_err(std::io::Error::from)) };
     let mut child = command.spawn().expect("the program starts");
     let writer = stdin.cloned().zip(child.stdin.take()).map(|(bytes, mut to)| std::thread::spawn(move || to.write_all(&bytes)));
     let mut stderr = child.stderr.take().expect("it is piped");
@@ -88,7 +90,7 @@ fn run(command: &mut Command, stdin: Option<&Vec<u8>>) -> Result<(i32, u64), Str
         }
         std::thread::sleep(Duration::from_millis(1));
     };
-    // A run that refuses its input reads no more of it.
+    // A run that refuses its input stops reading it, so the write may fail.
     let _ = writer.map(std::thread::JoinHandle::join);
     let told = told.join().expect("the reader does not panic").map_err(|e| e.to_string())?;
     if told.contains("panicked") {
@@ -100,7 +102,7 @@ fn run(command: &mut Command, stdin: Option<&Vec<u8>>) -> Result<(i32, u64), Str
     status.code().map(|code| (code, resident)).ok_or_else(|| format!("is killed ({status}; {told})"))
 }
 
-/// A stage with a small clip.
+/// Writes a stage with a small clip.
 fn scene(folder: &Path) {
     let at = |name: &str| folder.join(name);
     std::fs::create_dir_all(at("clip/frames")).unwrap();
@@ -116,7 +118,7 @@ fn scene(folder: &Path) {
     }
 }
 
-/// A config that binds and sends nothing.
+/// A config that binds no socket and sends nothing.
 const STAGE: &str =
     "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"art.png\"\nsize_m = [4.0, 3.0]\n[tracker]\nfeatures = 300\n";
 
@@ -159,7 +161,8 @@ fn replay_of_damaged_videos_that_are_to_be_shown_turned() {
     fuzz("replay-mp4", video, &To::File("clip.mp4"), &["replay", "clip.mp4", "--config", "stage.toml"]);
 }
 
-/// Four pictures in an MP4 whose display matrix turns them; `None` where ffmpeg is not installed.
+/// Encodes four pictures as an MP4 with a rotating display matrix; `None` if ffmpeg is not
+/// installed.
 fn turned_mp4() -> Option<Vec<u8>> {
     let folder = tempfile::tempdir().unwrap();
     scene(folder.path());
@@ -167,7 +170,8 @@ fn turned_mp4() -> Option<Vec<u8>> {
     command.current_dir(folder.path()).args(["-loglevel", "error", "-i", "clip/frames/%06d.png", "-c:v", "mpeg4", "clip.mp4"]);
     command.status().ok().filter(std::process::ExitStatus::success)?;
     let mut mp4 = std::fs::read(folder.path().join("clip.mp4")).unwrap();
-    // The track header: its kind, version and flags, 36 bytes, and the matrix (ISO/IEC 14496-12, 8.3.2).
+    // In the track header, the kind, version and flags, and 36 bytes precede the matrix (ISO/IEC
+    // 14496-12, 8.3.2).
     let matrix = mp4.windows(4).position(|kind| kind == b"tkhd")? + 4 + 4 + 36;
     let turned = [0, 0x1_0000, 0, -0x1_0000, 0, 0, 0, 0, 0x4000_0000_i32];
     mp4[matrix..matrix + 36].copy_from_slice(&turned.map(i32::to_be_bytes).concat());
@@ -191,7 +195,7 @@ fn calibrate_with_damaged_pictures() {
     fuzz("compare", text(seeds::CAMERA), &To::File("other.toml"), &["calibrate", "camera.toml", "--compare", "other.toml"]);
 }
 
-/// 7 x 5 inner corners, seen from the front.
+/// Draws a board of 7 x 5 inner corners, seen from the front.
 fn chessboard() -> image::GrayImage {
     image::GrayImage::from_fn(120, 90, |x, y| {
         let inside = (12..108).contains(&x) && (9..81).contains(&y);

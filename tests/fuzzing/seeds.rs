@@ -1,4 +1,4 @@
-//! Good files of every form, small, so that a change hits something.
+//! Good files of every format. They are small, so that a change hits something relevant.
 
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
@@ -21,7 +21,7 @@ pub const OPENCV: &str = "%YAML:1.0\n---\ncalibration_time: \"Mon 1 Jan 2024\"\n
     avg_reprojection_error: 3.9e-01\n";
 pub const ROS: &str = "image_width: 752\nimage_height: 480\ncamera_name: cam\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: [435.2, 0, 367.4, 0, 435.3, 252.2, 0, 0, 1]\n\
     distortion_model: plumb_bob\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [-0.36, 0.15, 0.001, 0.002, 0]\n";
-/// The same with a window of the sensor, and with one that is the whole of it.
+/// The same with a window of the sensor, and with a window that is the whole sensor.
 pub const ROS_ROI: &str = "image_width: 1504\nimage_height: 960\ncamera_matrix:\n  data: [870.4, 0, 734.8, 0, 870.6, 504.4, 0, 0, 1]\n\
     distortion_model: plumb_bob\ndistortion_coefficients:\n  data: [-0.36, 0.15, 0.001, 0.002, 0]\nbinning_x: 2\nbinning_y: 2\n\
     roi:\n  x_offset: 160\n  y_offset: 90\n  height: 360\n  width: 640\n  do_rectify: false\n";
@@ -33,18 +33,18 @@ pub const KALIBR: &str = "cam0:\n  camera_model: pinhole\n  distortion_coeffs: [
 pub const BOUGUET: &str = "% Focal length:\nfc = [ 657.462 ; 657.945 ];\ncc = [ 303.137 ; 242.569 ];\nalpha_c = 0.0004;\n\
     kc = [ -0.2553 ; 0.1275 ; -0.0002 ; 0.00003 ; 0.000 ]; % distortion\nfc_error = [ 0.317 ; 0.340 ];\ncc_error = [ 0.645 ; 0.591 ];\n\
     alpha_c_error = 0.0001;\nkc_error = [ 0.0027 ; 0.0107 ; 0.0001 ; 0.0001 ; 0.0 ];\nnx = 640;\nny = 480;\nn_ima = 20;\nomc_1 = [ 1.654 ; NaN ; -0.669 ];\n";
-/// What a recording says of itself.
+/// The description of a recording.
 pub const ABOUT: &str = "program = \"stagepose 0.1.0\"\nbegun_utc = \"2026-01-02T10:00:00Z\"\nconfig = \"config/stage.toml\"\n\
     learnt = \"stagepose learnt camera 1\\nreadout_s 0.0201 0.0002\\nexposure_s 0.012 0.001\\n\"\n[clock]\nmonotonic_ns = 33333333\n\
     utc_ns = 1767225600000000000\n[camera]\nname = \"cam\"\nwidth = 120\nheight = 90\nformat = \"MJPG\"\nfps = 30.0\nexposure_s = 0.01\n[camera.controls]\n\
     gain = 3\n";
 pub const STAMPS: &str = "#timestamp [ns],filename\n0,000000.png\n33333333,000001.png\n66666666,000002.png\n99999999,000003.png\n";
 
-/// The same in milliseconds, for which the unit is doubted.
+/// The same in milliseconds, for which the unit is ambiguous.
 pub const STAMPS_MS: &str = "#timestamp [ns],filename\n0,000000.png\n33,000001.png\n66,000002.png\n100,000003.png\n";
-/// What a camera taught.
+/// What was learnt about a camera.
 pub const LEARNT: &str = "stagepose learnt camera 1\nreadout_s 0.0201 0.0002\nexposure_s 0.012 0.001\n";
-/// What ffmpeg says of a video that is to be shown turned, and of its first picture.
+/// Log of ffmpeg for a video with a rotation, and for its first picture.
 pub const FFMPEG_LOG: &str = "[info] ffmpeg version 5.1.9-0+deb12u1 Copyright (c) 2000-2026 the FFmpeg developers\n\
     [info] Input #0, mov,mp4,m4a,3gp,3g2,mj2, from 'file:a.mp4':\n\
     [info]   Stream #0:0[0x1](und): Video: h264 (High) (avc1 / 0x31637661), yuv420p(tv, progressive), 640x360, 29.97 fps, 30 tbr\n\
@@ -54,14 +54,15 @@ pub const FFMPEG_LOG: &str = "[info] ffmpeg version 5.1.9-0+deb12u1 Copyright (c
     [info] Output #0, null, to 'pipe:':\n[info]       displaymatrix: rotation of -90.00 degrees\n\
     [mov,mp4 @ 0x6] [error] stream 0, offset 0x30: partial file\n";
 
-/// Texts as other programs write them: UTF-16 of both orders, with a mark and without.
+/// Returns a text in UTF-16 of both byte orders, with and without a byte order mark.
 pub fn utf16s(text: &str) -> Vec<Vec<u8>> {
     let (little, big) = (u16::to_le_bytes as fn(u16) -> [u8; 2], u16::to_be_bytes as fn(u16) -> [u8; 2]);
     let body = |bytes: fn(u16) -> [u8; 2]| text.encode_utf16().flat_map(bytes).collect::<Vec<u8>>();
     vec![[&[0xFF, 0xFE], &body(little)[..]].concat(), [&[0xFE, 0xFF], &body(big)[..]].concat(), body(little), body(big)]
 }
 
-/// Binary glTF: one of everything that is looked at, and one with a piece of binary behind its description.
+/// Returns binary glTF: one with everything that is read, and one with binary data behind its
+/// description.
 pub fn glbs() -> Vec<Vec<u8>> {
     let glb = |text: &str, behind: &[u8]| {
         let text = format!("{text:<width$}", width = text.len().next_multiple_of(4));
@@ -73,7 +74,8 @@ pub fn glbs() -> Vec<Vec<u8>> {
     vec![glb(whole, b""), glb(r#"{"asset":{"version":"2.0"},"buffers":[{"byteLength":4}]}"#, b"\x04\0\0\0BIN\0abcd")]
 }
 
-/// How a surface of 4 x 3 m with this picture hangs: one interval each way, and one way to be off.
+/// Returns the shape of a surface of 4 x 3 m with this picture: one interval each way, and one mode
+/// of deviation.
 pub fn shape(picture: &GrayImage) -> String {
     let size = [picture.width(), picture.height()].map(u32::to_le_bytes).concat();
     let mark =
@@ -85,7 +87,7 @@ pub fn shape(picture: &GrayImage) -> String {
     )
 }
 
-/// A picture with corners enough to be tracked.
+/// Returns a picture with enough corners to be tracked.
 pub fn picture(width: u32, height: u32) -> GrayImage {
     GrayImage::from_fn(width, height, |x, y| {
         let block = (x / 7).wrapping_mul(0x9E37_79B9) ^ (y / 6).wrapping_mul(0x85EB_CA6B);
@@ -93,7 +95,7 @@ pub fn picture(width: u32, height: u32) -> GrayImage {
     })
 }
 
-/// The EXIF of a camera that was held upright, and turned.
+/// Returns EXIF with a camera make and a rotation.
 fn exif() -> Vec<u8> {
     b"II*\0\x08\0\0\0\x02\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\x0F\x01\x02\0\x04\0\0\0cam\0\0\0\0\0".to_vec()
 }
@@ -117,7 +119,7 @@ pub fn jpegs() -> Vec<Vec<u8>> {
     vec![encoded(&grey, ImageFormat::Jpeg), encoded(&grey.to_rgb8().into(), ImageFormat::Jpeg), turned]
 }
 
-/// JPEGs cut behind their EXIF, so that changes fall on it.
+/// Returns JPEGs cut after their EXIF, so that changes hit it, and the rest of the file.
 pub fn exif_heads() -> (Vec<Vec<u8>>, Vec<u8>) {
     let turned = jpegs().swap_remove(2);
     let block = exif();
@@ -151,7 +153,7 @@ pub fn mjpegs() -> Vec<Vec<u8>> {
     vec![jpegs().concat(), jpegs()[0].repeat(4)]
 }
 
-/// A RIFF with a header list, a few chunks of pictures and an index.
+/// Returns a RIFF with a header list, a few picture chunks and an index.
 pub fn avis() -> Vec<Vec<u8>> {
     let chunk = |id: &[u8; 4], data: &[u8]| {
         let pad = vec![0; data.len() % 2];

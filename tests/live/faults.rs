@@ -1,4 +1,5 @@
-//! One fault after another: what subscribers get, what is said, that nothing hangs and nothing panics out.
+//! One fault after another: what subscribers receive, what is reported, that nothing hangs, and
+//! that no panic escapes.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -10,14 +11,14 @@ use stagepose::{ClipOptions, Daemon, PoseSample, RunningDaemon, Settings, State,
 
 use super::faulty::{Fault, Faulty, source, tracker_setup};
 
-/// What a run came to.
+/// The result of a run.
 struct Played {
     samples: Vec<PoseSample>,
     events: Vec<StampedEvent>,
     link: LiveLink,
 }
 
-/// Joins, or fails the test instead of hanging it.
+/// Joins the daemon; if it hangs, the test fails instead of hanging too.
 fn join(running: RunningDaemon) {
     let (done, joined) = bounded(1);
     std::thread::spawn(move || done.send(running.join()));
@@ -97,7 +98,7 @@ fn a_read_that_never_returns_hangs_nobody() {
     let faulty = Faulty::told(&[], &[(3, Fault::Blocks), (4, Fault::Blocks), (5, Fault::Blocks)], 8);
     let played = play(&faulty);
     assert_eq!(played.rows().len(), 8);
-    // And with a reader that is blocked, the daemon ends all the same.
+    // The daemon also ends while a reader is blocked.
     let faulty = Faulty::told(&[], &[(2, Fault::Blocks)], u64::MAX);
     let (mut daemon, stop) = daemon(&faulty, &LiveLink::default());
     let samples = daemon.subscribe();

@@ -1,4 +1,4 @@
-//! A camera in front of a virtual stage that fails as it is told, or at random from a seed.
+//! A camera in front of a virtual stage that fails on schedule, or at random from a seed.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -20,7 +20,7 @@ use crate::pipeline::scene::{FPS, backdrop, camera, past, quiet, setup};
 
 pub const SIZE: (u32, u32) = (320, 240);
 
-/// A picture that has not come out after this long will not, on the slowest machine.
+/// A picture that has not come out after this long is lost, even on the slowest machine.
 const LOST_AFTER: Duration = Duration::from_secs(20);
 
 /// Rendered frames of one pass along the path, as JPEGs, with their true poses.
@@ -33,7 +33,7 @@ pub fn scene() -> VirtualStage {
     quiet(camera(SIZE.0, SIZE.1), past(), backdrop())
 }
 
-/// What the tracker is told of it; fewer corners than usual, for the sake of time.
+/// Returns the tracker's setup, with fewer features than usual to save time.
 pub fn tracker_setup() -> TrackerSetup {
     let mut setup = setup(&scene());
     (setup.settings.features, setup.settings.threads) = (150, 2);
@@ -60,14 +60,14 @@ pub fn jpeg(image: &GrayImage) -> Vec<u8> {
     bytes
 }
 
-/// Frame `n` of an endless ride to and fro.
+/// Returns the index of frame `n` of an endless ride to and fro.
 pub fn ride(n: u64) -> usize {
     let last = take().jpegs.len() as u64 - 1;
     let at = n % (2 * last);
     at.min(2 * last - at) as usize
 }
 
-/// What a fault does, in one opening or one picture.
+/// What goes wrong at one opening or in one picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
     Silent,
@@ -121,35 +121,36 @@ impl Fault {
 
 /// What decides on the next fault.
 pub enum Plan {
-    /// Faults of openings, and of pictures by their number.
+    /// Scheduled faults: of openings in order, and of pictures by number.
     Told { openings: Vec<Option<Fault>>, pictures: HashMap<u64, Fault> },
-    /// From a seed; one picture in so many fails.
+    /// Random faults from a seed: one in `one_in` pictures fails.
     Random { rng: Pcg64Mcg, one_in: u32 },
 }
 
-/// The opener, and what the camera and the test both know.
+/// The opener, with the state that the camera and the test share.
 pub struct Faulty {
     plan: Mutex<Plan>,
     openings: AtomicU64,
     pictures: AtomicU64,
     most_pictures: u64,
-    /// Rows that came out of the pipeline: the next picture waits for them, so that none is dropped on the way.
+    /// Rows that came out of the pipeline. The next picture waits for them, so that none is dropped
+    /// on the way.
     pub tracked: AtomicU64,
-    /// Pictures that never came out: they were in the hands of a reader that was left behind.
+    /// Pictures that never came out, because an abandoned reader held them.
     pub lost: AtomicU64,
     /// The last picture that was waited for, and since when.
     waited: Mutex<(u64, Instant)>,
-    /// Which frame of the ride a stamp belongs to; the other stage's are not in here.
+    /// Index into the ride's frames by timestamp; frames of the other stage have no entry.
     pub shown: Mutex<HashMap<Timestamp, usize>>,
     pub faults: Mutex<HashMap<String, u64>>,
     last_stamp: Mutex<Timestamp>,
-    /// While true, blocked reads do not come back.
+    /// While true, blocked reads do not return.
     pub blocking: AtomicBool,
 }
 
 impl Faulty {
     pub fn new(plan: Plan, most_pictures: u64) -> Arc<Self> {
-        // Rendering takes its time, which is not to be taken for a driver that blocks.
+        // Renders in advance, so that the rendering time does not look like a blocked driver.
         let _ = (take(), other_stage());
         Arc::new(Self {
             plan: Mutex::new(plan),
@@ -161,7 +162,7 @@ impl Faulty {
             waited: Mutex::new((0, Instant::now())),
             shown: Mutex::default(),
             faults: Mutex::default(),
-            // Far ahead, so that a slow machine does not pull the frames apart in time.
+            // Far in the future, so that a slow machine does not pull the frames' timestamps apart.
             last_stamp: Mutex::new(monotonic_now().after_s(3600.0)),
             blocking: AtomicBool::new(true),
         })
@@ -175,7 +176,7 @@ impl Faulty {
         Self::new(Plan::Random { rng: Pcg64Mcg::seed_from_u64(seed), one_in }, most_pictures)
     }
 
-    /// Whether picture `n` is under way no more: a reader that was left behind took it along.
+    /// Whether picture `n` will never come out because an abandoned reader took it.
     fn is_lost(&self, n: u64) -> bool {
         let mut waited = self.waited.lock().unwrap();
         if waited.0 != n {
@@ -193,7 +194,7 @@ impl Faulty {
             }
             (Plan::Random { rng, one_in }, None) => (rng.random_range(0..*one_in) == 0).then(|| {
                 let fault = Fault::OF_PICTURES[rng.random_range(0..Fault::OF_PICTURES.len())];
-                // A block and a stall cost real time: nine in ten are let off.
+                // Blocks and stalls cost real time, so nine in ten are replaced.
                 if matches!(fault, Fault::Blocks | Fault::Stalls) && rng.random_range(0..10) > 0 { Fault::Silent } else { fault }
             }),
         };
@@ -204,7 +205,7 @@ impl Faulty {
     }
 }
 
-/// Gives the opener to the pipeline.
+/// Hands the opener to the pipeline.
 pub struct Opener(pub Arc<Faulty>);
 
 impl CameraOpener for Opener {
@@ -283,7 +284,7 @@ impl Camera for FaultyCamera {
                 return Err(CameraFault::Gone("STREAMOFF fails".into()));
             }
             Some(Fault::Blocks) => {
-                // As a driver that hangs: it does not look at the time limit.
+                // Acts like a hanging driver: it ignores the time limit.
                 while self.faulty.blocking.load(Ordering::Relaxed) && begun.elapsed() < Duration::from_millis(1500) {
                     std::thread::sleep(Duration::from_millis(5));
                 }
@@ -310,7 +311,7 @@ impl FaultyCamera {
             Some(Fault::OtherStage) => (bytes, shows_stage) = (other_stage().clone(), false),
             _ => {}
         }
-        // One after another in time, whatever the pipeline's pace.
+        // Timestamps follow each other regularly, whatever the pipeline's pace.
         let arrival = monotonic_now();
         let mut last = self.faulty.last_stamp.lock().unwrap();
         let at = last.after_ns(33_333_333);
@@ -324,7 +325,7 @@ impl FaultyCamera {
         *last = at;
         let (timestamp, _) = mid_exposure(stamp, arrival, &Shutter::default());
         if shows_stage {
-            // A repeated stamp is this picture's own where the one before came without it.
+            // A repeated timestamp belongs to this picture if the previous one came without it.
             self.faulty.shown.lock().unwrap().entry(timestamp).or_insert(which);
         }
         let lost = if fault == Some(Fault::FramesLostInDevice) { 3 } else { 0 };
@@ -346,7 +347,7 @@ impl Drop for FaultyCamera {
     }
 }
 
-/// A frame of a stage that nobody told the tracker of.
+/// Renders a frame of a stage that the tracker does not know.
 fn other_stage() -> &'static Vec<u8> {
     static OTHER: OnceLock<Vec<u8>> = OnceLock::new();
     OTHER.get_or_init(|| {
@@ -359,15 +360,15 @@ fn other_stage() -> &'static Vec<u8> {
     })
 }
 
-/// Limits that let a test end soon.
+/// Returns short limits, so that a test ends soon.
 pub fn patience() -> Patience {
     let ms = Duration::from_millis;
     Patience { read: ms(20), silence: ms(1500), blocked: ms(500), between_openings: ms(5) }
 }
 
-/// A source that reads the camera.
+/// Returns a source that reads the camera.
 pub fn source(faulty: &Arc<Faulty>, link: &LiveLink) -> LiveSource {
-    // The panics are part of the play.
+    // These panics are intended.
     std::panic::set_hook(Box::new(|info| {
         if !info.to_string().contains("told to panic") {
             eprintln!("{info}");

@@ -1,4 +1,5 @@
-//! What a new user sees first: the page's address, a clip that plays again, and where a service keeps what it writes.
+//! What a new user sees first: the page's address, a clip that plays repeatedly, and where a
+//! service keeps its files.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -12,7 +13,7 @@ use super::program::{config, stagepose};
 
 const FIXTURE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/dolly");
 
-/// A program that runs, and goes with its test.
+/// A running program that is killed at the end of its test.
 struct Running(Child, BufReader<ChildStdout>);
 
 impl Drop for Running {
@@ -35,7 +36,7 @@ impl Running {
         line
     }
 
-    /// The port of the page whose address is the next line.
+    /// Returns the port of the page whose address is the next line.
     fn page(&mut self) -> u16 {
         let line = self.line();
         let address = line.strip_prefix("page: http://127.0.0.1:").unwrap_or_else(|| panic!("no address in `{line}`"));
@@ -43,7 +44,7 @@ impl Running {
     }
 }
 
-/// Status and content.
+/// Returns status and content.
 fn ask(port: u16, method: &str, path: &str, content: &str) -> (u16, String) {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
     let head = format!("{method} {path} HTTP/1.0\r\nHost: localhost\r\nIf-Match: *\r\nContent-Length: {}\r\n\r\n", content.len());
@@ -55,7 +56,7 @@ fn ask(port: u16, method: &str, path: &str, content: &str) -> (u16, String) {
     (head.split(' ').nth(1).unwrap().parse().unwrap(), content.to_owned())
 }
 
-/// `[http]` at a port that is free now.
+/// Returns an `[http]` section with a port that is free now.
 fn http() -> String {
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     format!("[http]\nlisten = \"127.0.0.1:{port}\"\n")
@@ -127,7 +128,7 @@ fn run_prints_the_pages_address_and_plays_a_clip_again_and_again() {
     wait("a third time", || begins() >= 3);
     let stamps: Vec<i64> = records().iter().map(|record| record["timestamp_ns"].as_i64().unwrap()).collect();
     assert!(stamps.windows(2).all(|w| w[1] > w[0]), "stamps do not rise");
-    // Nothing is carried over: each time the stage has to be found again.
+    // No state is carried over: the stage must be found anew each time.
     let first_of_each = records().into_iter().filter(|record| record["sequence"] == 0);
     assert!(first_of_each.into_iter().all(|record| record["state"] == "searching" || record["state"] == "tracking"));
 }
@@ -145,7 +146,7 @@ fn is_root() -> bool {
     std::fs::metadata("/proc/self").unwrap().uid() == 0
 }
 
-/// As a service does whose config is root's.
+/// Runs the command as a service whose config belongs to root.
 fn as_nobody(command: &mut Command, state: &Path) {
     const NOBODY: u32 = 65534;
     chown(state, Some(NOBODY), Some(NOBODY)).unwrap();

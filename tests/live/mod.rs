@@ -1,4 +1,5 @@
-//! A live camera that does everything wrong, and the daemon that has to bear it; no hardware.
+//! A live camera that fails in every way, and the daemon that must cope with it. No hardware is
+//! needed.
 
 mod faults;
 mod faulty;

@@ -1,4 +1,4 @@
-//! The live commands from outside, with a clip that plays as the camera.
+//! The live commands from outside, with a clip played as the camera.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -17,7 +17,7 @@ pub fn stagepose(folder: &std::path::Path) -> Command {
     command
 }
 
-/// The fixture's config, to be changed by a test, beside a copy of what it names.
+/// Copies the fixture's config and the files it names into the folder, for a test to change.
 pub fn config(folder: &std::path::Path) -> std::path::PathBuf {
     for name in ["backdrop.png", "flat.png", "camera.toml", "stage.toml"] {
         std::fs::copy(format!("{FIXTURE}/{name}"), folder.join(name)).unwrap();
@@ -25,7 +25,7 @@ pub fn config(folder: &std::path::Path) -> std::path::PathBuf {
     folder.join("stage.toml")
 }
 
-/// A long clip: the fixture's pictures again and again.
+/// Writes a long clip: the fixture's pictures over and over.
 pub fn long_clip(folder: &std::path::Path, times: usize) -> std::path::PathBuf {
     let one: Vec<u8> = (0..40).chain((1..39).rev()).flat_map(|n| std::fs::read(format!("{FIXTURE}/frames/{n:06}.jpg")).unwrap()).collect();
     let clip = folder.join("long.mjpeg");
@@ -60,7 +60,7 @@ fn ask(port: u16, method: &str, path: &str) -> String {
     reply
 }
 
-/// Waits for a line of the log that has a text.
+/// Waits for a log line that contains a text.
 fn wait_for(log: &mut impl BufRead, text: &str) {
     let mut line = String::new();
     while !line.contains(text) {
@@ -73,7 +73,8 @@ fn wait_for(log: &mut impl BufRead, text: &str) {
 fn a_recording_that_the_disk_ends_is_no_success_and_tracking_goes_on() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(folder.path());
-    // Smaller pictures than the fixture's, so that the copy of the config has room where a frame of 230 kB has none.
+    // The pictures are smaller than the fixture's, so that the copy of the config fits the file
+    // size limit while a frame of 230 kB does not.
     for name in ["backdrop.png", "flat.png"] {
         let picture = image::open(folder.path().join(name)).unwrap().to_luma8();
         let small = image::imageops::thumbnail(&picture, picture.width() / 3, picture.height() / 3);
@@ -82,10 +83,11 @@ fn a_recording_that_the_disk_ends_is_no_success_and_tracking_goes_on() {
     }
     const MOST: u64 = 200_000;
     let mut command = stagepose(folder.path());
-    // A long clip, ended when enough came after the failure: how quick the machine is does not matter.
+    // The clip is long and ends once enough arrived after the failure, so the machine's speed does
+    // not matter.
     let clip = recording(folder.path(), 0.0081);
     command.args(["record", "take", "--config", config.to_str().unwrap(), "--poses", "live.jsonl", "--play"]).arg(&clip);
-    // SAFETY: setrlimit is async-signal-safe, and nothing is allocated on the way to it.
+    // SAFETY: setrlimit is async-signal-safe, and nothing allocates on the way to it.
     unsafe {
         use std::os::unix::process::CommandExt;
         let limit = || nix::sys::resource::setrlimit(nix::sys::resource::Resource::RLIMIT_FSIZE, MOST, MOST);
@@ -133,7 +135,7 @@ fn a_played_clip_is_recorded_and_replays_byte_for_byte() {
     assert!(!read("live.jsonl").is_empty());
     assert_eq!(read("live.jsonl"), read("take/poses.jsonl"));
     assert_eq!(read("again.jsonl"), read("take/poses.jsonl"));
-    // A take is not recorded over.
+    // An existing take is not overwritten.
     let again = stagepose(folder.path()).args(record).output().unwrap();
     let said = String::from_utf8_lossy(&again.stderr).into_owned();
     assert!(again.status.code() == Some(1) && said.contains("take/frames: is there already and would be written over"), "{said}");
@@ -157,14 +159,15 @@ fn what_is_left_of_a_recording_is_not_written_over() {
         assert_eq!(std::fs::read_to_string(&part).unwrap(), "kept");
         std::fs::remove_dir_all(folder.path().join("take")).unwrap();
     }
-    // The recording's own files are no outputs of anything else.
+    // No other output may use the recording's own files.
     std::fs::create_dir(folder.path().join("take")).unwrap();
     let ran = record(&["--poses", "take/poses.jsonl"]);
     let said = String::from_utf8_lossy(&ran.stderr).into_owned();
     assert!(ran.status.code() == Some(2) && said.contains("the recording goes to the same file"), "{said}");
 }
 
-/// A long clip of the fixture's frames that says, as a recording does, that its camera had the exposure locked.
+/// Writes a long clip of the fixture's frames that states, as a recording does, that the camera's
+/// exposure was locked.
 fn recording(folder: &std::path::Path, exposure_s: f64) -> std::path::PathBuf {
     let clip = folder.join("recording");
     std::fs::create_dir_all(clip.join("frames")).unwrap();
@@ -178,7 +181,7 @@ fn recording(folder: &std::path::Path, exposure_s: f64) -> std::path::PathBuf {
     clip
 }
 
-/// Records a take until some frames of it are tracked, and gives what was said.
+/// Records a take until some of its frames are tracked, and returns what was printed.
 fn record_some(folder: &std::path::Path, clip: &std::path::Path, take: &str) -> String {
     let arguments = ["record", take, "--config", "stage.toml", "--log", "info", "--play"];
     let mut child = stagepose(folder).args(arguments).arg(clip).spawn().unwrap();
@@ -214,7 +217,7 @@ fn a_locked_exposure_is_the_trackers_and_the_recordings_too() {
     assert!(read("take/config/stage.toml").contains("exposure_s = 0.0081\n"), "{}", read("take/config/stage.toml"));
     assert_eq!(replay("take", "take/config/stage.toml"), read("take/poses.jsonl"));
     assert_ne!(replay("take", "stage.toml"), read("take/poses.jsonl"), "without the exposure the tracker has to learn it");
-    // Where both speak, the config counts, and the contradiction is said.
+    // If both state an exposure, the config wins and the contradiction is reported.
     std::fs::write(&config, open.replace("[camera]", "[camera]\nexposure_s = 0.02")).unwrap();
     let said = record_some(folder.path(), &clip, "contradicted");
     assert!(said.contains("its exposure is 8.1 ms, exposure_s in [camera] says 20.0 ms"), "{said}");
@@ -256,7 +259,7 @@ fn it_is_a_good_service() {
             std::thread::sleep(Duration::from_millis(20));
         }
     };
-    // The ring has something to save.
+    // Wait until the ring has something to save.
     wait_for_frames(3);
     if cfg!(feature = "http") {
         let begun = Instant::now();
@@ -272,10 +275,10 @@ fn it_is_a_good_service() {
         wait_for(&mut log, "the last seconds are saved");
     }
     wait_for_frames(3);
-    // What happened just now.
+    // SIGUSR1 saves what just happened.
     signal(&child, Signal::SIGUSR1);
     wait_for(&mut log, "the last seconds are saved");
-    // A bad config is refused and the old one stays; a good one is taken over.
+    // A bad config is refused and the old one stays; a good one replaces it.
     std::fs::write(&config, "[camera]\nx = 1\n").unwrap();
     signal(&child, Signal::SIGHUP);
     wait_for(&mut log, "the old config stays");
@@ -289,7 +292,7 @@ fn it_is_a_good_service() {
         wait_for_frames(3);
     }
     std::fs::write(&config, text).unwrap();
-    // As a log rotation does.
+    // Rename the file as a log rotation does.
     std::fs::rename(folder.path().join("events.jsonl"), folder.path().join("events.old")).unwrap();
     signal(&child, Signal::SIGHUP);
     wait_for(&mut log, "was read again");

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::program::{config, stagepose};
 
-/// A `setup` that runs, with a clip that plays as the camera; it goes with its test.
+/// A running `setup` with a clip played as the camera; it is killed at the end of its test.
 struct Setup {
     program: Child,
     port: u16,
@@ -41,7 +41,7 @@ impl Setup {
         }
     }
 
-    /// Status and content.
+    /// Returns status and content.
     fn ask(&self, method: &str, path: &str, content: &str) -> (u16, Value) {
         let mut stream = TcpStream::connect(("127.0.0.1", self.port)).unwrap();
         let head = format!("{method} {path} HTTP/1.0\r\nHost: localhost\r\nIf-Match: *\r\nContent-Length: {}\r\n\r\n", content.len());

@@ -1,6 +1,8 @@
-//! Thousands of frames with faults at random from a seed: no panic out, no wrong pose, no growing memory.
+//! Thousands of frames with random faults from a seed: no panic escapes, no pose is wrong, and
+//! memory does not grow.
 //!
-//! `STAGEPOSE_SOAK_FRAMES=10000 cargo test --test stagepose soak -- --nocapture` makes it long and says what it found.
+//! `STAGEPOSE_SOAK_FRAMES=10000 cargo test --test stagepose soak -- --nocapture` runs a long
+//! version and prints its findings.
 
 use std::sync::atomic::Ordering;
 
@@ -9,11 +11,11 @@ use stagepose::{Daemon, Reason, State, Tracker};
 
 use super::faulty::{Faulty, source, take, tracker_setup};
 
-/// A pose is wrong beyond these.
-const MAX_M: f64 = 0.1;
-const MAX_DEG: f64 = 2.0;
+/// Errors above which a pose is wrong.
+const MOST_M: f64 = 0.1;
+const MOST_DEG: f64 = 2.0;
 
-/// Memory of this process in use, megabytes.
+/// Returns the resident memory of this process, megabytes.
 fn resident_mb() -> f64 {
     let statm = std::fs::read_to_string("/proc/self/statm").unwrap();
     statm.split(' ').nth(1).unwrap().parse::<f64>().unwrap() * 4096.0 / 1e6
@@ -26,7 +28,7 @@ fn soak() {
     let tracker = Tracker::new(tracker_setup()).expect("a setup that fits");
     let link = LiveLink::default();
     let mut daemon = Daemon::live(source(&faulty, &link), tracker);
-    // Never read: it must cost its queue and no more.
+    // This subscriber never reads: it must cost its queue and no more.
     let stalled = daemon.subscribe();
     let samples = daemon.subscribe();
     let count = faulty.clone();
@@ -41,7 +43,8 @@ fn soak() {
             State::Stale => stale += 1,
             State::Tracking => {
                 tracking += 1;
-                // A stage that the tracker was not told of has no truth: any pose there is wrong.
+                // A stage that the tracker does not know has no ground truth: any pose there is
+                // wrong.
                 let frame = faulty.shown.lock().unwrap().remove(&sample.timestamp);
                 let measurement = sample.measurement.expect("a tracking sample");
                 let (measured, measured_by) = (measurement.pose, (measurement.inliers, measurement.rms_px));
@@ -94,7 +97,7 @@ fn soak() {
     assert!(wrong.is_empty(), "{wrong:?}");
     assert!(tracking * 10 > frames * 8, "{tracking} of {frames} tracked");
     assert_eq!(stalled.len(), 256);
-    // Other tests share the process in a short run.
+    // In a short run, other tests share the process.
     if frames >= 10_000 {
         assert!(late_mb - early_mb < 8.0, "memory grew from {early_mb:.1} to {late_mb:.1} MB");
     }

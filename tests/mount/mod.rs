@@ -1,4 +1,4 @@
-//! `stagepose mount` on rendered pairs of views with exact truth.
+//! `stagepose mount` on rendered pairs of views with exact ground truth.
 
 mod rig;
 
@@ -14,7 +14,7 @@ use stagepose::{Body, Camera, Pose, Stage};
 
 use rig::{Board, filming, filming_camera, mount, rig, tracking_camera, write};
 
-/// Places of the rig, and how it is panned, tilted and rolled there.
+/// Positions of the rig in metres, and its pan, tilt and roll there in degrees.
 const PLACES: [([f64; 3], [f64; 3]); 6] = [
     ([0.0, -4.2, 0.0], [0.0, 0.0, 0.0]),
     ([-1.6, -3.6, 0.2], [-24.0, -2.0, 3.0]),
@@ -41,13 +41,14 @@ fn numbers(value: &Value) -> Vec<f64> {
     value.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
 }
 
-/// The mount between the cameras' bodies, as the config has it.
+/// Returns the true mount between the cameras' bodies, as the config has it.
 fn true_mount() -> Pose<Body, Body> {
     let axes = to_body_axes(&Pose::identity()).rotation.inverse();
     Pose::new(axes * mount().rotation * axes.inverse(), axes * mount().translation)
 }
 
-/// Millimetres and degrees that a result is off, and its squared error over the told covariance and six degrees of freedom.
+/// Returns the errors of a result in millimetres and degrees, and its squared error normalised by
+/// the stated covariance and six degrees of freedom.
 fn off(told: &Value) -> (f64, f64, f64) {
     let (offset, q) = (Vector3::from_vec(numbers(&told["offset_m"])), numbers(&told["orientation_xyzw"]));
     let rotation = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(q[3], q[0], q[1], q[2]));
@@ -68,7 +69,7 @@ fn six_pairs_of_views_tell_the_mount_and_judge_the_typed_one() {
     write(folder, "a", tracking_camera(), &board, &tracking);
     write(folder, "b", filming_camera(), &board, &tracking.iter().map(filming).collect::<Vec<_>>());
     let config = std::fs::read_to_string(folder.join("a.toml")).unwrap();
-    // A tape measure's values, then one that is two centimetres off.
+    // Values as from a tape measure, then values that are two centimetres off.
     let o = true_mount().translation;
     let angles = stagepose::protocols::PanTiltRoll::of_rotation(&true_mount().rotation, 0.0);
     let typed = |up: f64| {
@@ -82,11 +83,11 @@ fn six_pairs_of_views_tell_the_mount_and_judge_the_typed_one() {
     let (mm, degrees, nees) = off(&json(folder));
     println!("{said}\noff by {mm:.3} mm, {degrees:.4} degrees, NEES/6 {nees:.2}");
     assert!(mm <= 1.0 && degrees <= 0.05, "{mm} mm, {degrees} degrees: {said}");
-    // One trial: six degrees of freedom exceed 3.7 once in a thousand.
+    // In one trial with six degrees of freedom, NEES/6 exceeds 3.7 once in a thousand.
     assert!(nees < 3.7, "{nees}: {said}");
     assert!(said.contains("6 pairs of views, 6 measured by both cameras, 6 used") && said.contains("verdict   good"), "{said}");
     assert!(said.contains("its [mount] agrees with what was measured"), "{said}");
-    // The printed section works where it is printed for, and is the same mount.
+    // The printed section works in the config it is printed for, and is the same mount.
     let section = &said[said.find("[mount]\nname").unwrap()..];
     std::fs::write(folder.join("c.toml"), format!("{config}{section}")).unwrap();
     let check = Command::new(env!("CARGO_BIN_EXE_stagepose")).args(["check", "--config", "c.toml"]).current_dir(folder).output().unwrap();
@@ -98,7 +99,7 @@ fn six_pairs_of_views_tell_the_mount_and_judge_the_typed_one() {
     );
     assert!(text(&check.stdout).contains("its lens: 960 x 540 pixels"), "{}", text(&check.stdout));
     std::fs::write(folder.join("a.toml"), typed(0.02)).unwrap();
-    // One pair less on each side is enough to say so.
+    // One pair fewer is still enough to find the error.
     for clip in ["a", "b"] {
         std::fs::remove_file(folder.join(clip).join("005.png")).unwrap();
     }
@@ -112,7 +113,7 @@ fn one_pair_is_given_with_its_doubt_and_the_view_that_is_missing() {
     let (folder, board) = (folder.path(), Board::new(4));
     let tracking = poses(&PLACES[..2]);
     let mut seen: Vec<_> = tracking.iter().map(filming).collect();
-    // In the second view the filming camera looks away.
+    // In the second view, the filming camera looks away.
     seen[1].rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 2.0) * seen[1].rotation;
     write(folder, "a", tracking_camera(), &board, &tracking);
     write(folder, "b", filming_camera(), &board, &seen);
@@ -126,11 +127,12 @@ fn one_pair_is_given_with_its_doubt_and_the_view_that_is_missing() {
     assert!(nees < 3.7 && mm < 20.0 && degrees < 0.5, "{mm} mm, {degrees} degrees, NEES/6 {nees}: {said}");
 }
 
-/// Frames of a film while the rig stands, and while it is carried on.
+/// Frames of a film while the rig stands still, and while it is carried on.
 const STANDING_FRAMES: usize = 12;
 const CARRIED_FRAMES: usize = 5;
 
-/// What a camera films of a rig that is carried from place to place, and how each film begins and ends is its own.
+/// Returns what a camera films of a rig that is carried from place to place. Each film has its own
+/// number of frames at the start and at the end.
 fn filmed(places: &[Pose<Stage, Camera>], first: usize, last: usize) -> Vec<Pose<Stage, Camera>> {
     let mut film = vec![places[0]; first];
     for (k, place) in places.iter().enumerate() {
@@ -170,7 +172,7 @@ fn a_lens_that_was_guessed_leaves_its_doubt_in_the_mount() {
     let told = run(folder, &["--json", "mount.json"]);
     assert_eq!(told.status.code(), Some(0), "{}{}", text(&told.stdout), text(&told.stderr));
     let calibrated = sigma(&json(folder));
-    // 61.3 degrees, by a data sheet that rounds.
+    // The true angle is 61.3 degrees; a data sheet rounds it.
     let config = std::fs::read_to_string(folder.join("a.toml")).unwrap();
     let guessed = config.replace("calibration = \"a-camera.toml\"", "width = 640\nheight = 480\nfov_deg = 60");
     assert_ne!(config, guessed);
@@ -181,14 +183,16 @@ fn a_lens_that_was_guessed_leaves_its_doubt_in_the_mount() {
     let (told_m, (mm, degrees, nees)) = (sigma(&json(folder)), off(&json(folder)));
     println!("{said}\noff by {mm:.3} mm, {degrees:.4} degrees, NEES/6 {nees:.2}, sigma {told_m} m instead of {calibrated}");
     assert!(said.contains("most of the doubt is the calibrations' own, which more views do not mend: calibrate both cameras"), "{said}");
-    // Decimetres: nothing to show a renderer, and no view is asked for that would not help.
+    // The uncertainty is decimetres, so the mount is unusable. No further view is requested,
+    // because it would not help.
     assert!(said.contains("verdict   do not use") && !said.contains("next      "), "{said}");
     assert!(text(&told.stderr).contains("calibrate both cameras with `stagepose calibrate`"), "{}", text(&told.stderr));
     assert_eq!(told.status.code(), Some(1), "{said}");
     assert!(told_m > 5.0 * calibrated && nees < 3.7, "{told_m} {calibrated} NEES/6 {nees}: {said}");
 }
 
-/// The rig in front of two boards, which stand 3.5 m from it: where the filming camera's own stage is in the tracking one's.
+/// Returns where the filming camera's own stage is in the tracking camera's. The rig stands about
+/// 3.5 m from the two boards.
 fn boards_apart() -> Pose<Stage, Stage> {
     Pose::new(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -0.3), Vector3::new(1.2, 0.4, 0.2))
 }
@@ -237,7 +241,7 @@ fn what_does_not_go_together_is_refused_with_the_mend() {
     assert_eq!(refused(&[], &["a has 3 pictures", "b has 2", "one picture for each view in the same order"]), Some(1));
     assert_eq!(refused(&["--clip", "b"], &["--clip is there 3 times"]), Some(2));
     assert_eq!(refused(&["--json", "a.toml"], &["--json"]), Some(2));
-    // Both clips of the wrong stage.
+    // Neither clip shows its stage.
     std::fs::remove_file(folder.join("a/002.png")).unwrap();
     for name in ["a", "b"] {
         Board::new(99).art.save(folder.join(format!("{name}-board.png"))).unwrap();
@@ -246,7 +250,8 @@ fn what_does_not_go_together_is_refused_with_the_mend() {
     assert_eq!(refused(&[], &parts), Some(1));
 }
 
-/// Rigs at random, each with three views at random: what is told is as far off as it says. `STAGEPOSE_RIGS=20` takes more than the few of every day.
+/// Random rigs, each with three random views: the reported mount is as accurate as its covariance
+/// says. `STAGEPOSE_RIGS=20` tries more rigs than the two of a normal run.
 #[test]
 fn what_is_told_is_as_far_off_as_it_says() {
     let trials: u64 = std::env::var("STAGEPOSE_RIGS").ok().and_then(|n| n.parse().ok()).unwrap_or(2);
@@ -254,10 +259,11 @@ fn what_is_told_is_as_far_off_as_it_says() {
     for trial in 0..trials {
         let mut random = Pcg64Mcg::seed_from_u64(trial);
         let mut near = |size: f64| random.random_range(-size..=size);
-        // From anywhere, looking at the middle, give or take.
+        // From anywhere, looking roughly at the middle.
         let place = |_| {
             let at = [near(1.6), -4.0 + near(0.9), near(0.8)];
-            // y is upstage, and the rig is downstage: on the right it pans to the left, above it tilts down.
+            // y points upstage and the rig is downstage, so from the right it pans to the left, and
+            // from above it tilts down.
             let [pan, tilt] = [-at[0] / at[1], at[2] / at[1]].map(|slope: f64| slope.atan().to_degrees());
             (at, [pan + near(5.0), tilt + near(4.0), near(15.0)])
         };
@@ -273,7 +279,8 @@ fn what_is_told_is_as_far_off_as_it_says() {
         sum += nees / trials as f64;
     }
     println!("of {trials} rigs: NEES/6 {sum:.2}, worst {:.3} mm, {:.4} degrees", worst[0], worst[1]);
-    // The mean of 6 n squared normal numbers scatters by sqrt(2 / 6 n): five times that, and a quarter for what is no noise.
+    // The mean of 6 n squared normal numbers has a standard deviation of sqrt(2 / 6 n). The limit
+    // allows five of those, plus a quarter for errors that are not noise.
     assert!(sum < 1.25 + 5.0 * (2.0 / (6.0 * trials as f64)).sqrt(), "NEES/6 {sum}");
     assert!(worst[0] <= 1.0 && worst[1] <= 0.05, "{worst:?}");
 }

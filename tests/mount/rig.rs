@@ -1,4 +1,4 @@
-//! A rig of two cameras in front of painted boards, and what each of them sees from a few places.
+//! A rig of two cameras in front of painted boards, and what each camera sees from a few places.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use stagepose::diagnostics::geometry::FilmingCamera;
 use stagepose::diagnostics::simulate::{artwork_surface, grey, look_at, paint, upright};
 use stagepose::{BodySpec, Camera, CameraModel, CameraPath, Intrinsics, Pose, Renderer, SensorNoise, Stage, SurfaceSpec, VirtualStage};
 
-/// A board of 4 x 3 m around its own origin, painted from a seed.
+/// A board of 4 x 3 m centred on its own origin, painted from a seed.
 pub struct Board {
     pub art: GrayImage,
 }
@@ -24,7 +24,7 @@ impl Board {
         artwork_surface("board", self.art.clone(), SIZE_M, upright(Vector3::zeros(), 0.0))
     }
 
-    /// What a camera sees of it from a place.
+    /// Renders what a camera sees of the board from a place.
     pub fn seen(&self, camera: CameraModel, pose: &Pose<Stage, Camera>, seed: u64) -> GrayImage {
         let stage = BodySpec::new("stage", vec![self.surface()]);
         let mut scene = VirtualStage::new(camera, standing(pose), stage);
@@ -36,7 +36,7 @@ impl Board {
     }
 }
 
-/// A still camera with this pose.
+/// Returns the path of a still camera with this pose.
 fn standing(pose: &Pose<Stage, Camera>) -> CameraPath {
     let at = Point3::from(pose.translation);
     let target = at + pose.rotation * Vector3::z();
@@ -54,13 +54,14 @@ pub fn filming_camera() -> CameraModel {
     CameraModel::new(Intrinsics { width: 960, height: 540, fx: 790.0, fy: 788.0, cx: 484.0, cy: 266.0, skew: 0.0, distortion }).unwrap()
 }
 
-/// 0.4 m and 25 degrees apart: `T_tracking_filming`.
+/// Returns `T_tracking_filming`: the cameras are 0.4 m and 25 degrees apart.
 pub fn mount() -> Pose<Camera, FilmingCamera> {
     let turn = Vector3::new(0.25, 1.0, 0.2).normalize() * 25.0_f64.to_radians();
     Pose::new(UnitQuaternion::from_scaled_axis(turn), Vector3::new(0.3, -0.2, 0.17).normalize() * 0.4)
 }
 
-/// The rig at (x, y, z), panned, tilted and rolled (degrees, as a tripod head's) from where both cameras look upstage alike.
+/// Returns the tracking camera's pose for a rig at (x, y, z), panned, tilted and rolled (degrees,
+/// like a tripod head) from the pose in which both cameras look equally far off upstage.
 pub fn rig([x, y, z]: [f64; 3], [pan, tilt, roll]: [f64; 3]) -> Pose<Stage, Camera> {
     let level = look_at(Point3::origin(), Point3::new(0.0, 1.0, 0.0), 0.0).rotation;
     let half_back = UnitQuaternion::from_scaled_axis(mount().rotation.scaled_axis() * -0.5);
@@ -69,13 +70,14 @@ pub fn rig([x, y, z]: [f64; 3], [pan, tilt, roll]: [f64; 3]) -> Pose<Stage, Came
     Pose::new(turned * level * half_back, Vector3::new(x, y, z))
 }
 
-/// Where the filming camera is, in the stage of the tracking one.
+/// Returns the filming camera's pose in the tracking camera's stage.
 pub fn filming(tracking: &Pose<Stage, Camera>) -> Pose<Stage, Camera> {
-    // The filming camera's optical frame is a camera's.
+    // The filming camera's optical frame is also a camera frame.
     (*tracking * mount()).renamed()
 }
 
-/// Writes what a camera sees from these places as a folder of pictures, and its config and calibration beside it.
+/// Writes what a camera sees from these places as a folder of pictures, with its config and
+/// calibration beside it.
 pub fn write(folder: &Path, name: &str, camera: CameraModel, board: &Board, poses: &[Pose<Stage, Camera>]) -> PathBuf {
     let clip = folder.join(name);
     std::fs::create_dir_all(&clip).unwrap();

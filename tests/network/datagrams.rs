@@ -1,4 +1,4 @@
-//! Damaged datagrams for the real `listen`: every one becomes one line that a terminal may show.
+//! Damaged datagrams for the real `listen`: each one becomes one line that is safe on a terminal.
 
 use std::io::{BufRead, BufReader, Read};
 use std::net::UdpSocket;
@@ -12,8 +12,9 @@ use super::mutator::Mutator;
 use super::packets::{PROTOCOLS, good, mended};
 use super::{inputs, peak_memory_kb};
 
-/// Peak memory of a listener, kB; it needs 10 MB. A length that is believed takes much more.
-const MAX_MEMORY_KB: u64 = 64_000;
+/// Maximum peak memory of a listener, kB. It needs 10 MB; trusting a length in a datagram takes
+/// much more.
+const MOST_MEMORY_KB: u64 = 64_000;
 
 struct Listener {
     program: Child,
@@ -24,7 +25,7 @@ struct Listener {
 impl Listener {
     fn start(protocol: &str) -> Self {
         let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-        // A port that is free now; a datagram makes sure that the program has it.
+        // This port is free now; the datagrams below check that the program has bound it.
         let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let mut program = Command::new(env!("CARGO_BIN_EXE_stagepose"))
             .args(["listen", protocol, &port.to_string()])
@@ -46,7 +47,8 @@ impl Listener {
         socket.connect(("127.0.0.1", port)).unwrap();
         let listener = Self { program, lines, socket };
         let begun = Instant::now();
-        // Sent again until it is heard: the program may not have its port yet, and refusals come back as errors.
+        // Sent until it is received: the program may not have bound its port yet, and refusals come
+        // back as errors.
         while listener.socket.send(b"hello").is_err() || listener.lines.recv_timeout(Duration::from_millis(200)).is_err() {
             assert!(begun.elapsed() < Duration::from_secs(60), "it does not listen");
         }
@@ -54,7 +56,7 @@ impl Listener {
         listener
     }
 
-    /// The line that a datagram becomes.
+    /// Returns the line that a datagram becomes.
     fn line(&mut self, datagram: &[u8]) -> String {
         self.socket.send(datagram).unwrap();
         match self.lines.recv_timeout(Duration::from_secs(60)) {
@@ -81,7 +83,7 @@ impl Listener {
 }
 
 impl Drop for Listener {
-    /// A test that fails leaves no program behind.
+    /// A failing test leaves no program behind.
     fn drop(&mut self) {
         let _ = self.program.kill();
         let _ = self.program.wait();
@@ -103,7 +105,7 @@ fn every_datagram_is_one_printable_line() {
             assert!(text.starts_with("127.0.0.1:") && text.chars().all(stands_for_itself), "{text:?} of {datagram:02x?}");
             understood += u64::from(!text.contains(&format!(" {} bytes: ", datagram.len())));
         }
-        // The damage reaches what lies behind the first checks, and the checks are reached too.
+        // The damage reaches the code behind the first checks, and also triggers the checks.
         assert!(understood > inputs() / 20 && understood < inputs(), "{protocol}: {understood} of {} understood", inputs());
         let memory = peak_memory_kb(listener.program.id());
         listener.end();

@@ -1,13 +1,14 @@
-//! Damages good inputs, the same way in every run.
+//! Damages good inputs in a reproducible way.
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
-/// Most bytes of an input: what one datagram holds.
+/// Maximum size of an input, bytes: about what one datagram holds.
 const LONGEST: usize = 60_000;
-/// What numbers of one, two, four and eight bytes go wrong at.
+/// Values at which numbers of one, two, four and eight bytes go wrong.
 const EDGES: [u64; 12] = [0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF, 0x7FFF_FFFF, 0x8000_0000, 0xFFFF_FFFF, u64::MAX];
-/// What a terminal obeys, what is no text, and what protocols begin, end and nest with.
+/// Terminal escape sequences, bytes that are not text, and pieces with which protocols begin, end
+/// and nest.
 const PIECES: [&[u8]; 20] = [
     b"\x1b]0;owned\x07",
     b"\x1b[2J\x1b[H",
@@ -31,7 +32,7 @@ const PIECES: [&[u8]; 20] = [
     b"\r\nTransfer-Encoding: chunked\r\nContent-Length: 7",
 ];
 
-/// A source of damage.
+/// A reproducible source of damage.
 pub struct Mutator {
     random: Pcg64,
 }
@@ -45,7 +46,7 @@ impl Mutator {
         self.random.random_range(0..n.max(1))
     }
 
-    /// One of the good inputs with one to eight faults; now and then one as it is.
+    /// Returns one of the good inputs with zero to eight faults.
     pub fn input(&mut self, good: &[Vec<u8>]) -> Vec<u8> {
         let mut bytes = good[self.below(good.len())].clone();
         for _ in 0..self.below(9) {

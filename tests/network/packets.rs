@@ -1,11 +1,12 @@
-//! Good packets of every protocol that `listen` knows, and the checksums that let damaged ones get past the first look.
+//! Good packets of every protocol that `listen` knows, and the checksums that let damaged packets
+//! pass the first check.
 
 use rosc::{OscArray, OscBundle, OscColor, OscMessage, OscMidiMessage, OscPacket, OscTime, OscType, encoder};
 use stagepose::protocols::freed::FreedPacket;
 use stagepose::protocols::opentrackio::{Encoding, HEADER, datagram};
 use stagepose::protocols::psn::{PsnHeader, PsnPacket, PsnTracker};
 
-/// The words for them on the command line.
+/// The protocols' names on the command line.
 pub const PROTOCOLS: [&str; 5] = ["freed", "psn", "opentrackio", "osc", "json"];
 
 pub fn good(protocol: &str) -> Vec<Vec<u8>> {
@@ -20,7 +21,7 @@ pub fn good(protocol: &str) -> Vec<Vec<u8>> {
     }
 }
 
-/// Makes the checksum right again, where the protocol has one.
+/// Corrects the checksum if the protocol has one.
 pub fn mended(protocol: &str, bytes: Vec<u8>) -> Vec<u8> {
     match protocol {
         "freed" if bytes.len() == 29 => {

@@ -1,10 +1,11 @@
-//! Damaged requests for a true daemon: each has an answer of HTTP or none, strangers get nothing, and it stays well.
+//! Damaged requests for a real daemon: each gets an HTTP answer or none, strangers get nothing, and
+//! the daemon stays healthy.
 
 use super::inputs;
 use super::mutator::Mutator;
 use super::service::Service;
 
-/// Statuses of requests that were let in, and of those that were not.
+/// Statuses of requests that were admitted, and of those that were refused.
 const LET_IN: [u16; 9] = [101, 200, 202, 304, 404, 405, 413, 429, 503];
 const REFUSED: [u16; 6] = [400, 403, 414, 421, 426, 431];
 
@@ -23,7 +24,7 @@ fn good() -> Vec<Vec<u8>> {
         get("/metrics", "User-Agent: Prometheus/3\r\nAccept-Encoding: gzip\r\n"),
         [get("/ws", upgrade), frames.clone()].concat(),
         [get("/ws/events", upgrade), frames.clone()].concat(),
-        // `n`, for a frame, and what is not understood.
+        // `n` asks for a frame; the rest is not understood.
         [get("/ws/view?width=-1", upgrade), b"\x81\x81\x00\x00\x00\x00n\x82\x81\x00\x00\x00\x00n".to_vec(), frames].concat(),
         b"POST /api/v1/ring/save HTTP/1.1\r\nHost: [::1]\r\nContent-Length: 0\r\n\r\n".to_vec(),
         b"POST /api/v1/ring/save HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n3\r\nabc\r\n0\r\n\r\n".to_vec(),
@@ -36,7 +37,8 @@ fn good() -> Vec<Vec<u8>> {
     ]
 }
 
-/// Whether any text in the request could be a host of this machine, or a request that needs none.
+/// Whether any text in the request could be a host of this machine, or a request that needs no
+/// host.
 fn may_be_let_in(request: &[u8]) -> bool {
     let text = String::from_utf8_lossy(request).to_ascii_lowercase();
     ["localhost", "127.", "::", "http/1.0"].iter().any(|part| text.contains(part))

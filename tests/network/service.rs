@@ -1,4 +1,5 @@
-//! A `run` that waits for its camera, with its HTTP server: a true daemon that leaves the processor to who attacks it.
+//! A `run` that waits for its camera, with its HTTP server: a real daemon that leaves the processor
+//! to its attackers.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -8,13 +9,13 @@ use std::time::{Duration, Instant};
 use super::peak_memory_kb;
 use crate::live::program::{config, stagepose};
 
-/// Peak memory, kB; it needs 30 MB.
-const MAX_MEMORY_KB: u64 = 128_000;
+/// Maximum peak memory, kB; it needs 30 MB.
+const MOST_MEMORY_KB: u64 = 128_000;
 
 pub struct Service {
     program: Child,
     port: u16,
-    /// Answered health checks, and the longest time of one.
+    /// Number of answered health checks, and the longest one.
     checks: (u32, Duration),
     _folder: tempfile::TempDir,
 }
@@ -41,20 +42,21 @@ impl Service {
         self.port
     }
 
-    /// What comes back for these bytes, after which nothing more is said. Empty where the connection is refused or broken off.
+    /// Sends these bytes and nothing more, and returns the answer. The answer is empty if the
+    /// connection is refused or broken off.
     pub fn ask(&self, bytes: &[u8]) -> Vec<u8> {
         let mut answer = Vec::new();
         let Ok(mut stream) = TcpStream::connect(("127.0.0.1", self.port)) else { return answer };
         stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
         stream.set_write_timeout(Some(Duration::from_secs(30))).unwrap();
-        // The server may have heard enough before it has read everything.
+        // The server may stop reading before it has received everything.
         let _ = stream.write_all(bytes);
         let _ = stream.shutdown(std::net::Shutdown::Write);
         let _ = stream.read_to_end(&mut answer);
         answer
     }
 
-    /// Asks how it is, as a service manager does; it must answer.
+    /// Asks for the health as a service manager does; the server must answer.
     pub fn check(&mut self) {
         let begun = Instant::now();
         let answer = self.ask(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
@@ -63,7 +65,8 @@ impl Service {
         self.checks = (self.checks.0 + 1, self.checks.1.max(took));
     }
 
-    /// Ends it in order. The time of a check is judged only where `STAGEPOSE_HEALTH_WITHIN_MS` says how: tests assert no times.
+    /// Ends the service cleanly. The time of a check is only judged if `STAGEPOSE_HEALTH_WITHIN_MS`
+    /// sets a limit, because tests assert no times.
     pub fn end(mut self, what: &str) {
         let memory = peak_memory_kb(self.program.id());
         let pid = nix::unistd::Pid::from_raw(self.program.id() as i32);
@@ -79,7 +82,7 @@ impl Service {
 }
 
 impl Drop for Service {
-    /// A test that fails leaves no program behind.
+    /// A failing test leaves no program behind.
     fn drop(&mut self) {
         let _ = self.program.kill();
         let _ = self.program.wait();

@@ -1,4 +1,5 @@
-//! Clients that take places and give nothing back, all at once, and a service manager that asks how it is meanwhile.
+//! Clients that hold connections and give nothing back, all at once, while a service manager checks
+//! the health.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
@@ -9,14 +10,14 @@ use super::service::Service;
 
 const DEAD_READERS: usize = 200;
 const PIPELINING: usize = 64;
-/// Health checks while they are there, and the pause between two.
+/// Health checks during the siege, and the pause between two of them.
 const CHECKS: u32 = 40;
 const PAUSE: Duration = Duration::from_millis(100);
 
 const WEB_SOCKET: &[u8] = b"GET /ws HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
     Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n";
 
-/// How a dead reader begins before it falls silent.
+/// Returns what a dead reader sends before it falls silent.
 fn beginning(k: usize) -> &'static [u8] {
     match k % 4 {
         0 => b"",
@@ -32,12 +33,13 @@ fn connected(port: u16) -> Option<TcpStream> {
     Some(stream)
 }
 
-/// Keeps all dead readers connected; who was let go comes again.
+/// Keeps all dead readers connected, and reconnects those that the server drops.
 fn stay_dead(port: u16, is_over: &AtomicBool, let_go: &AtomicU64) {
     let mut readers: Vec<Option<TcpStream>> = (0..DEAD_READERS).map(|_| None).collect();
     while !is_over.load(Ordering::Relaxed) {
         for (k, reader) in readers.iter_mut().enumerate() {
-            // A byte is taken to see whether the server is still there; a dead reader has no more use for it.
+            // Reads a byte to see whether the server is still there; a dead reader does not need
+            // it.
             let is_gone = reader.as_mut().is_some_and(|stream| match stream.read(&mut [0]) {
                 Ok(0) => true,
                 Ok(_) => false,
@@ -56,7 +58,7 @@ fn stay_dead(port: u16, is_over: &AtomicBool, let_go: &AtomicU64) {
     }
 }
 
-/// Asks on and on and reads nothing; let go, it comes again.
+/// Sends requests endlessly and reads nothing; reconnects when dropped.
 fn pipeline(port: u16, is_over: &AtomicBool, let_go: &AtomicU64) {
     let requests = b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n".repeat(200);
     while !is_over.load(Ordering::Relaxed) {
@@ -86,7 +88,7 @@ fn health_is_answered_through_a_siege() {
                 std::thread::sleep(PAUSE);
                 service.check();
             }
-            // Those who hold places without reading are let go while others come.
+            // Clients that hold connections without reading are dropped in favour of new ones.
             while pipelining.load(Ordering::Relaxed) < PIPELINING as u64 {
                 std::thread::sleep(PAUSE);
                 service.check();

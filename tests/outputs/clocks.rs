@@ -1,4 +1,4 @@
-//! Clocks that a test steps.
+//! Clocks that a test advances.
 
 use std::sync::{Arc, Mutex};
 

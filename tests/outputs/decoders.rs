@@ -1,18 +1,18 @@
-//! Small decoders from the protocols' documents: free-d manual A.3.2, OpenTrackIO 1.0.1, RFC 8949, PosiStageNet 2.03, OSC 1.0, RFC 6455.
-//! Whatever is not as the document says fails the test.
+//! Small decoders written from the protocols' documents: free-d manual A.3.2, OpenTrackIO 1.0.1,
+//! RFC 8949, PosiStageNet 2.03, OSC 1.0, RFC 6455. Any deviation from the document fails the test.
 
 use serde_json::{Map, Value};
 
-/// What one packet says of the main body.
+/// What one packet says about the main body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Said {
-    /// Metres to the right, where there is a pose.
+    /// Metres to the right, if there is a pose.
     pub x: Option<f64>,
     /// The mark, in the words of docs/protocols.md.
     pub mark: String,
 }
 
-/// Free-d D1; the mark is the low byte of the spare ones where `has_quality`.
+/// Decodes free-d D1; with `has_quality`, the mark is the low spare byte.
 pub fn freed(packet: &[u8], has_quality: bool) -> Said {
     assert_eq!((packet.len(), packet[0]), (29, 0xD1));
     let sum = packet[..28].iter().map(|b| u32::from(*b)).sum::<u32>();
@@ -23,7 +23,7 @@ pub fn freed(packet: &[u8], has_quality: bool) -> Said {
     Said { x: Some(f64::from(units) / 64.0 / 1000.0), mark }
 }
 
-/// OpenTrackIO: the mark is the status, and the notes in brackets.
+/// Decodes OpenTrackIO; the mark is the status, with the notes in brackets.
 pub fn opentrackio(packet: &[u8]) -> (u16, Said) {
     assert_eq!((&packet[..4], packet[4]), (&b"OTrk"[..], 0));
     let sequence = u16::from_be_bytes([packet[6], packet[7]]);
@@ -53,7 +53,7 @@ pub fn opentrackio(packet: &[u8]) -> (u16, Said) {
     (sequence, Said { x: sample["transforms"][0]["translation"]["x"].as_f64(), mark: format!("{status}{notes}") })
 }
 
-/// One item of CBOR.
+/// Decodes one CBOR item.
 fn cbor(rest: &mut &[u8]) -> Value {
     let take = |rest: &mut &[u8], n: usize| -> Vec<u8> {
         let (head, tail) = rest.split_at(n);
@@ -104,7 +104,7 @@ fn half(bits: u16) -> f64 {
     }
 }
 
-/// PosiStageNet's first tracker, none in a packet with names; the mark is its validity.
+/// Decodes PosiStageNet's first tracker, or `None` for a packet of names; the mark is its validity.
 pub fn psn(packet: &[u8]) -> Option<Said> {
     let (kind, content) = chunks(packet).remove(0);
     if kind == 0x6756 {
@@ -131,7 +131,7 @@ fn chunks(mut bytes: &[u8]) -> Vec<(u32, &[u8])> {
     found
 }
 
-/// An OSC bundle with /pose and, where there is one, /status, whose word and confidence are the mark.
+/// Decodes an OSC bundle with /pose and possibly /status, whose word and confidence are the mark.
 pub fn osc(packet: &[u8]) -> Said {
     assert_eq!(&packet[..8], b"#bundle\0");
     let (mut rest, mut said) = (&packet[16..], Said { x: None, mark: String::new() });
@@ -155,13 +155,14 @@ pub fn osc(packet: &[u8]) -> Said {
     said
 }
 
-/// A string of OSC: ends in zeros, to four bytes.
+/// Decodes an OSC string, which is padded with zeros to four bytes.
 fn text(bytes: &[u8]) -> (String, &[u8]) {
     let end = bytes.iter().position(|b| *b == 0).unwrap();
     (String::from_utf8(bytes[..end].to_vec()).unwrap(), &bytes[(end / 4 + 1) * 4..])
 }
 
-/// A line of JSON, of the camera or of the first object; the mark is the state, and what else is said of the pose.
+/// Decodes a JSON line, for the camera or the first object; the mark is the state, and what else
+/// the line says about the pose.
 pub fn json(line: &str, of_object: bool) -> Said {
     let line: Value = serde_json::from_str(line).unwrap();
     let body = if of_object { &line["objects"][0] } else { &line };
@@ -179,7 +180,7 @@ pub fn json(line: &str, of_object: bool) -> Said {
     Said { x: body["pose"]["position_m"][0].as_f64(), mark }
 }
 
-/// The next message of a WebSocket, none where the other side has closed.
+/// Returns the next WebSocket message, or `None` once the other side has closed.
 #[cfg(feature = "http")]
 pub fn web_socket_message(stream: &mut std::net::TcpStream) -> Option<String> {
     use std::io::{ErrorKind, Read};

@@ -1,4 +1,4 @@
-//! Where the outputs of a test send to, and what came there.
+//! The receivers of a test's outputs, and what arrived there.
 
 use std::io::{ErrorKind, Read};
 use std::net::{TcpListener, TcpStream, UdpSocket};
@@ -14,7 +14,7 @@ use stagepose::protocols::opentrackio_lens::PrincipalPoint;
 
 use super::decoders::{self, Said};
 
-/// How one column of the table is sent and read.
+/// How one column of the table is sent and decoded.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Way {
     Freed(Spare),
@@ -26,7 +26,8 @@ pub enum Way {
     JsonInFile,
 }
 
-/// The columns, by their titles in docs/protocols.md. JSON has one there: it says the same wherever it goes.
+/// The columns, by their titles in docs/protocols.md. JSON has one column there, because it says
+/// the same over every transport.
 pub const WAYS: [(&str, Way); 12] = [
     ("FreeD `quality`", Way::Freed(Spare::Quality)),
     ("FreeD `frame`", Way::Freed(Spare::Frame)),
@@ -65,7 +66,7 @@ impl Way {
     }
 }
 
-/// What an output sends to, and what came.
+/// A receiver of one output, and what arrived.
 pub struct Place {
     pub title: &'static str,
     pub way: Way,
@@ -73,12 +74,12 @@ pub struct Place {
     udp: UdpSocket,
     listen: Option<std::net::SocketAddr>,
     client: Option<TcpStream>,
-    /// What came by TCP and is no whole line yet.
+    /// Bytes received by TCP that are not a whole line yet.
     begun: Vec<u8>,
     file: Option<PathBuf>,
     lines_read: usize,
     pub said: Vec<Said>,
-    /// OpenTrackIO's numbers.
+    /// OpenTrackIO's sequence numbers.
     pub sequences: Vec<u16>,
 }
 
@@ -110,7 +111,7 @@ impl Place {
         }
     }
 
-    /// Where the output waits for a client, it gets one.
+    /// Connects a client if the output waits for one.
     pub fn connect(&mut self) {
         self.client = self.listen.map(|at| {
             let stream = TcpStream::connect(at).unwrap();
@@ -119,7 +120,7 @@ impl Place {
         });
     }
 
-    /// Takes in what has come.
+    /// Reads everything that has arrived.
     pub fn hear(&mut self) {
         let mut buffer = [0; 4096];
         while let Ok(length) = self.udp.recv(&mut buffer) {
@@ -151,7 +152,7 @@ impl Place {
         }
     }
 
-    /// True where the other side has closed the connection.
+    /// Whether the other side has closed the connection.
     pub fn is_closed(&mut self) -> bool {
         self.client.as_mut().is_none_or(|client| {
             client.set_read_timeout(Some(Duration::from_secs(20))).unwrap();

@@ -1,4 +1,5 @@
-//! The program itself, stopped by the shell's Ctrl-Z and let go on: what was under way is old by then, and is not sent as good.
+//! The program itself, stopped as with the shell's Ctrl-Z and continued. What was under way is old
+//! by then, and must not be sent as good.
 
 use std::net::UdpSocket;
 use std::process::{Child, Command, Stdio};
@@ -9,10 +10,10 @@ use nix::unistd::Pid;
 use serde_json::Value;
 
 const FIXTURE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/dolly");
-/// How long it is stopped.
+/// Duration of a stop.
 const STOP: Duration = Duration::from_millis(2500);
 
-/// Ends with the test, whatever comes.
+/// A program that is killed at the end of its test, whatever happens.
 struct Running(Child);
 
 impl Drop for Running {
@@ -22,13 +23,13 @@ impl Drop for Running {
     }
 }
 
-/// How old a line's frame is by this process' own clock, seconds.
+/// Returns the age of a line's frame by this process's own clock, seconds.
 fn age_s(line: &Value) -> f64 {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
     now.as_secs_f64() - line["unix_ns"].as_i64().unwrap() as f64 * 1e-9
 }
 
-/// The next line, and how old its frame was when it came.
+/// Returns the next line, and the age of its frame on arrival.
 fn next(socket: &UdpSocket) -> (Value, f64) {
     let mut buffer = vec![0; 65_536];
     let length = socket.recv(&mut buffer).expect("a line comes");
@@ -51,7 +52,8 @@ fn after_a_stop_nothing_old_is_told_as_good() {
     socket.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
     let stage = std::fs::read_to_string(format!("{FIXTURE}/stage.toml")).unwrap();
     let to = socket.local_addr().unwrap();
-    // Ticks and frames; a second is time enough for a slow machine, and much less than the stop.
+    // Sends per frame and at a fixed rate. One second is enough for a slow machine, and much less
+    // than the stop.
     let output = |more: &str| format!("[[output]]\nkind = \"json\"\non_loss = \"flag\"\nto = [\"{to}\"]\n{more}");
     let config = format!("{stage}\n{}{}[safety]\nstale_after_s = 1.0\n", output(""), output("rate_hz = 30\n"));
     std::fs::write(folder.path().join("stage.toml"), config).unwrap();
@@ -73,7 +75,7 @@ fn after_a_stop_nothing_old_is_told_as_good() {
     for _ in 0..2 {
         signal(Signal::SIGSTOP);
         std::thread::sleep(STOP);
-        // What was sent before the stop.
+        // Drops what was sent before the stop.
         socket.set_nonblocking(true).unwrap();
         while socket.recv(&mut [0; 65_536]).is_ok() {}
         socket.set_nonblocking(false).unwrap();
@@ -86,7 +88,8 @@ fn after_a_stop_nothing_old_is_told_as_good() {
             has_stale |= line["event"] == "stale";
             if is_good(&line) {
                 good += 1;
-                // By the program's word, and by this process' own clock, with what the way takes on a busy machine.
+                // Checks the age by the program's own statement, and by this process's clock with
+                // room for transport on a busy machine.
                 assert!(line["age_ms"].as_f64().unwrap() < 1000.0 && age_s < 2.0, "{age_s} s old: {line}");
             }
         }

@@ -1,7 +1,7 @@
-//! The table of docs/protocols.md: what each protocol says in each state.
+//! The table of docs/protocols.md: what each protocol sends in each state.
 //!
-//! Every row is played to all columns at once, for the camera and for an object, by clocks that the test steps; what arrives must be what
-//! the table says, word for word.
+//! Every row is played to all columns at once, for the camera and for an object, with clocks that
+//! the test advances. What arrives must match the table word for word.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -17,13 +17,13 @@ use super::places::{Place, WAYS};
 
 const DOCUMENT: &str = include_str!("../../docs/protocols.md");
 const FRAME_MS: i64 = 33;
-/// Where the body is before a state, and in it.
+/// The body's position before a state, and in it.
 const BEFORE_M: f64 = 1.0;
 const THEN_M: f64 = 1.5;
-/// Beyond the permitted box.
+/// Outside the permitted box.
 const OUTSIDE_M: f64 = 30.0;
 
-/// (row, column) -> cell.
+/// Parses the document into (row, column) -> cell.
 fn table() -> BTreeMap<(String, String), String> {
     let mut cells = BTreeMap::new();
     let mut columns: Option<Vec<String>> = None;
@@ -58,7 +58,7 @@ enum Story {
     Dead,
 }
 
-/// The rows of the table, by their titles.
+/// Returns the rows of the table, by their titles.
 fn stories() -> Vec<(String, Story)> {
     let before = [Story::Tracking, Story::Predicted, Story::Coasting, Story::Blended];
     let mut stories: Vec<_> = before.map(|story| (format!("{story:?}").to_lowercase(), story)).into();
@@ -89,7 +89,7 @@ fn safety() -> SafetySettings {
     }
 }
 
-/// A frame of now in which camera and object are `x` to the right.
+/// Returns a current frame with camera and object `x` to the right.
 fn sample(sequence: u64, timestamp: Timestamp, state: State, x: f64) -> PoseSample {
     let is_known = matches!(state, State::Tracking | State::Coasting);
     let s = std::f64::consts::FRAC_1_SQRT_2;
@@ -121,7 +121,7 @@ impl Show {
             camera: CameraModel::pinhole(640, 480, 600.0, 600.0, 319.5, 239.5).unwrap(),
             objects: vec!["cart".to_owned()],
             mount: None,
-            // The one interval of the predicted row has room for many ticks.
+            // In the predicted row, one frame interval has room for many ticks.
             safety: if is_fixed { SafetySettings { stale_after: Duration::from_secs(60), ..safety() } } else { safety() },
             stamps: Stamps::Live,
             frame_rate: Some(if is_fixed { 0.1 } else { 30.0 }),
@@ -143,7 +143,7 @@ impl Show {
         self.places.iter_mut().for_each(Place::hear);
     }
 
-    /// Until every place has what it waits for; `step` is done between looks.
+    /// Waits until every place has what it waits for, and calls `step` between checks.
     fn wait(&mut self, step: &dyn Fn(&SteppedClocks), has: &dyn Fn(&Place) -> bool) {
         let begun = Instant::now();
         loop {
@@ -162,14 +162,14 @@ impl Show {
         self.places.iter_mut().for_each(|place| place.said.clear());
     }
 
-    /// A tracked frame, which everybody hears.
+    /// Sends a tracked frame and waits until every place has received it.
     fn lead_in(&mut self) {
         self.frame(State::Tracking, BEFORE_M);
         self.wait(&|_| {}, &|place| !place.said.is_empty());
         self.forget();
     }
 
-    /// What every column says in the end: (title, what).
+    /// Closes the outputs and returns what every column received: (title, packets).
     fn end(mut self) -> Vec<(&'static str, Vec<Said>)> {
         drop(self.publisher.close());
         self.places.iter_mut().for_each(Place::hear);
@@ -177,7 +177,7 @@ impl Show {
     }
 }
 
-/// Plays a story; what the columns say in its state.
+/// Plays a story and returns what the columns received in its state.
 fn played(story: Story, of_object: bool, expects: &dyn Fn(&str) -> bool) -> Vec<(&'static str, Vec<Said>)> {
     let folder = tempfile::tempdir().unwrap();
     let mut show = Show::new(story, of_object, folder.path());
@@ -189,7 +189,7 @@ fn played(story: Story, of_object: bool, expects: &dyn Fn(&str) -> bool) -> Vec<
         Story::Predicted => {
             show.frame(State::Tracking, THEN_M);
             show.wait(&|clocks| clocks.advance_ms(5), &|place| place.said.iter().any(|said| said.x.is_some()));
-            // What was said before the frame came is of another state.
+            // What arrived before the frame belongs to another state.
             show.places.iter_mut().for_each(|place| place.said.retain(|said| said.x.is_some()));
         }
         Story::Coasting => {
@@ -219,7 +219,7 @@ fn played(story: Story, of_object: bool, expects: &dyn Fn(&str) -> bool) -> Vec<
             show.lead_in();
             show.clocks.advance_ms(2500);
             show.wait(&|_| {}, &|place| !expects(place.title) || !place.said.is_empty());
-            // A frame from before the silence says nothing else.
+            // A frame from before the silence must change nothing.
             let old = show.clocks.read().monotonic.after_s(-2.0);
             show.publisher.send(&sample(9, old, State::Tracking, THEN_M));
             std::thread::sleep(Duration::from_millis(200));
@@ -236,7 +236,7 @@ fn played(story: Story, of_object: bool, expects: &dyn Fn(&str) -> bool) -> Vec<
     show.end()
 }
 
-/// A packet in the table's words.
+/// Returns a packet in the table's words.
 fn cell(said: &Said) -> String {
     let pose = match said.x {
         None => "no pose",
@@ -311,7 +311,7 @@ mod web {
         stream
     }
 
-    /// What a GET is answered.
+    /// Returns the body of the answer to a GET.
     fn get(server: &Server, path: &str) -> String {
         let mut stream = connect(server);
         write!(stream, "GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n").unwrap();
@@ -335,7 +335,7 @@ mod web {
         stream
     }
 
-    /// The frame of a story: what the records say knows neither limits nor `on_loss`.
+    /// Returns the frame of a story. Records know neither limits nor `on_loss`.
     fn frame(story: Story) -> (State, f64) {
         match story {
             Story::Coasting => (State::Coasting, THEN_M),
@@ -354,7 +354,8 @@ mod web {
             server.judge_ages(Arc::new(FrameClock::with(Arc::new(clocks.clone()), Stamps::Live)), safety().stale_after);
             let mut stream = web_socket(&server);
             let now = || clocks.read().monotonic;
-            // The client may not be subscribed yet: what it hears first is the lead-in.
+            // The client may not be subscribed yet, so the lead-in is repeated until it receives
+            // something.
             let mut sequence = 0;
             loop {
                 clocks.advance_ms(FRAME_MS);
@@ -371,7 +372,7 @@ mod web {
             let (state, x) = frame(story);
             clocks.advance_ms(if matches!(story, Story::Stale(_)) { 2500 } else { FRAME_MS });
             if matches!(story, Story::Stale(_)) {
-                // A frame from before the silence says nothing else.
+                // A frame from before the silence must change nothing.
                 server.publish(&sample(sequence, now().after_s(-2.0), State::Tracking, THEN_M));
             } else if story != Story::Dead {
                 server.publish(&sample(sequence, now(), state, x));
