@@ -1,7 +1,9 @@
-//! What a bent surface costs over a flat one. The same dolly past the same pictures is tracked twice on one thread: flat, and hung in folds whose shape is
-//! known. The two take turns frame by frame, so that whatever else the machine does meets both.
+//! Cost of a bent surface relative to a flat one. One thread tracks the same dolly past the same
+//! pictures twice: flat, and hung in folds of known shape. The two take turns frame by frame, so
+//! that other load on the machine affects both.
 //!
-//! `cargo bench --bench bent`; `-- --check` ends with 1 where a bent frame costs more than 1.25 times a flat one.
+//! `cargo bench --bench bent`; `-- --check` ends with 1 if a bent frame costs more than 1.25 times
+//! a flat one.
 
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -13,14 +15,17 @@ use stagepose::diagnostics::track::{BentShape, ShapeWay, SurfaceShape};
 use stagepose::nalgebra::{Vector1, Vector2};
 use stagepose::{ClipEntry, Dolly, FrameSource, State, Tracker, TrackerSetup, VirtualStage, dolly, track_entry};
 
-/// Frames of a pass, and passes. Raised, the ratio scatters less; frames of bent cloth take seconds to render.
+/// Frames per pass, and number of passes. Raised, the ratio scatters less; rendering a frame of
+/// bent cloth takes seconds.
 const FRAMES: u64 = 14;
 const PASSES: usize = 6;
-/// Frames at the start of a pass that are not counted: the tracker finds the stage, and its buffers grow.
+/// Uncounted frames at the start of a pass, in which the tracker finds the stage and its buffers
+/// grow.
 const FIRST: usize = 3;
-/// Most that a bent frame may cost, in flat ones.
+/// Maximum cost of a bent frame, in flat frames.
 const MOST: f64 = 1.25;
-/// Distance between the knots of a height and of a stretch, metres, and the ways in which a shape may be off: as a survey has them.
+/// Knot spacing of the heights and of the stretch, metres, and the number of modes in which a shape
+/// may be off; both as in a survey.
 const KNOT_M: [f64; 2] = [0.154, 0.67];
 const WAYS: usize = 24;
 
@@ -72,7 +77,8 @@ impl Filmed {
     }
 }
 
-/// Folds of 18 mm at most and some stretch, with ways in which they may be off by tenths of a millimetre.
+/// Folds of at most 18 mm with some stretch, and modes in which they may be off by tenths of a
+/// millimetre.
 fn folds(size_m: [f64; 2]) -> SurfaceShape {
     let [knots, coarse] = KNOT_M.map(|knot_m| size_m.map(|side| (side / knot_m).ceil() as usize));
     let height = |at_mm: &dyn Fn(f64, f64) -> f64| {

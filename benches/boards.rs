@@ -1,6 +1,8 @@
-//! The board finder on rendered pictures with exact truth: how exact its corners are, and what it makes of hard pictures.
+//! The board finder on rendered pictures with exact ground truth: how accurate its corners are, and
+//! how it copes with hard pictures.
 //!
-//! `cargo bench --bench boards` prints two tables. A corner counts as wrong from one pixel on.
+//! `cargo bench --bench boards` prints two tables. A corner that is off by one pixel or more counts
+//! as wrong.
 
 use std::f64::consts::TAU;
 
@@ -26,7 +28,8 @@ fn camera(focal_px: f64, distortion: [f64; 5]) -> BoardPhotographer {
     BoardPhotographer::new(CameraModel::new(intrinsics).expect("a possible camera"))
 }
 
-/// A board that fills `fill` of the picture when front-on, `aside` of the axis in shares of the picture.
+/// Pose of a board that would fill `fill` of the picture head-on, with its middle `aside` of the
+/// axis in fractions of the picture.
 fn pose(board: &Board, focal_px: f64, fill: f64, [tilt_deg, azimuth, roll]: [f64; 3], aside: Vector2<f64>) -> Pose<Camera, BoardFrame> {
     let axis = Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * tilt_deg.to_radians();
     let turn = UnitQuaternion::from_scaled_axis(axis) * UnitQuaternion::from_scaled_axis(Vector3::z() * roll);
@@ -37,7 +40,8 @@ fn pose(board: &Board, focal_px: f64, fill: f64, [tilt_deg, azimuth, roll]: [f64
     Pose::new(turn, middle.push(distance) - turn * last.push(0.0) * 0.5)
 }
 
-/// Distances to the truth, for the turn of a symmetric board that fits best; `NAN` where a corner is hidden.
+/// Returns the distances from the truth for the best-fitting turn of a symmetric board; `NAN` where
+/// a corner is hidden.
 fn errors(found: &FoundBoard, truth: &[Vector2<f64>], board: &Board) -> Vec<f64> {
     let (columns, rows) = (board.columns() as usize, board.rows() as usize);
     let turned = |turn: usize| -> Vec<f64> {
@@ -66,7 +70,7 @@ fn rms(errors: &[f64]) -> f64 {
     (seen.iter().map(|e| e * e).sum::<f64>() / seen.len().max(1) as f64).sqrt()
 }
 
-/// Corner errors over five tilts, for boards, sizes and blurs.
+/// Prints corner errors over five tilts, for boards, sizes and blurs.
 fn accuracy() {
     println!("rms of the corner error, px: tilts 0, 15, 30, 45, 60 degrees, noise 2 grey levels (- where the board is not found)");
     let camera = camera(560.0, [-0.28, 0.09, 0.001, -0.0005, 0.0]);
@@ -90,14 +94,14 @@ fn accuracy() {
     }
 }
 
-/// Adds to or takes from every pixel by its distance from a place.
+/// Changes the level of every pixel by its position.
 fn shade(picture: &mut GrayImage, mut level: impl FnMut(Vector2<f64>, f64) -> f64) {
     for (x, y, pixel) in picture.enumerate_pixels_mut() {
         pixel.0[0] = level(Vector2::new(f64::from(x), f64::from(y)), f64::from(pixel.0[0])).clamp(0.0, 255.0) as u8;
     }
 }
 
-/// One hard picture and the truth.
+/// Renders one hard picture; returns it with the true corners.
 fn hard(kind: &str, board: &Board, camera: &BoardPhotographer, number: u64, random: &mut Pcg64Mcg) -> (GrayImage, Vec<Vector2<f64>>) {
     let mut between = |a: f64, b: f64| a + (b - a) * random.random::<f64>();
     let fill = between(0.45, 0.85);

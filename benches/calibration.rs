@@ -1,4 +1,5 @@
-//! Calibration on one thread: finding a board in a picture of 640 x 480 and larger ones, and the solve of 25 views of 156 corners.
+//! Calibration on one thread: finding a board in pictures of 640 x 480 and larger, and solving 25
+//! views of 156 corners.
 //!
 //! `cargo bench --bench calibration`
 
@@ -13,7 +14,7 @@ use stagepose::{Camera, CameraModel, Intrinsics, Pose};
 mod rendered;
 use rendered::{BoardPhotographer, Photograph};
 
-/// A camera of this width, 4 : 3.
+/// A 4:3 camera of this width.
 fn camera(width: u32) -> BoardPhotographer {
     let (w, h) = (f64::from(width), f64::from(width * 3 / 4));
     let distortion = [-0.28, 0.09, 0.001, -0.0005, 0.0];
@@ -22,7 +23,8 @@ fn camera(width: u32) -> BoardPhotographer {
     BoardPhotographer::new(CameraModel::new(intrinsics).expect("a possible camera"))
 }
 
-/// The board's middle `aside` of the axis and as far away as makes it fill 0.7 of the picture, tilted about an axis in its plane.
+/// Pose of a board tilted about an axis in its plane, with its middle `aside` of the axis, at the
+/// distance where it fills 0.7 of the picture.
 fn pose(board: &Board, tilt_deg: f64, azimuth: f64, aside: Vector2<f64>) -> Pose<Camera, BoardFrame> {
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * tilt_deg.to_radians());
     let last = board.corner(board.corner_count() - 1);

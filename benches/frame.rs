@@ -1,4 +1,4 @@
-//! Whole frames of the rendered dolly through the tracker, on one thread.
+//! Time to track whole frames of the rendered dolly, on one thread.
 //!
 //! `cargo bench --bench frame`
 
@@ -8,7 +8,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use stagepose::diagnostics::capture::VirtualCamera;
 use stagepose::{ClipEntry, Dolly, FrameSource, State, Tracker, TrackerSetup, dolly, track_entry};
 
-/// Frames of one pass; every pass starts with a new tracker, whose preparation is not counted.
+/// Frames per pass; every pass starts with a new tracker, whose preparation is not counted.
 const FRAMES: u64 = 12;
 
 fn frames(c: &mut Criterion) {
@@ -23,7 +23,7 @@ fn frames(c: &mut Criterion) {
     }
 }
 
-/// Time to track all rows.
+/// Returns the time to track all rows.
 fn pass(setup: &TrackerSetup, rows: &[ClipEntry]) -> Duration {
     let mut tracker = Tracker::new(setup.clone()).expect("a setup that fits");
     let start = Instant::now();

@@ -1,5 +1,5 @@
-//! The kernels of a frame, one by one: those of alignment on ten thousand pixels, corners, pyramid, description, matching, and the
-//! robust solvers.
+//! The kernels of a frame, one by one: alignment on ten thousand pixels, corners, pyramid,
+//! description, matching, and the robust solvers.
 //!
 //! `cargo bench --bench kernels`
 
@@ -28,7 +28,8 @@ fn picture() -> GrayImage {
     grey(&paint(1280, 720, 3))
 }
 
-/// The segment test (FAST-9), its scores and the spread of corners over a 1280x720 picture.
+/// The segment test (FAST-9), its scores, and the even distribution of corners over a 1280x720
+/// picture.
 fn corners(c: &mut Criterion) {
     let picture = picture();
     let options = CornerOptions { count: 1000, threshold: 20, least_threshold: 6, border: 18, cell_px: 40 };
@@ -59,7 +60,7 @@ fn description(c: &mut Criterion) {
     });
 }
 
-/// The Hamming scan of 1500 features over 4000, ratio and mutual test included.
+/// The Hamming scan of 1500 features against 4000, including the ratio and mutual tests.
 fn hamming(c: &mut Criterion) {
     let workers = Workers::new(1);
     let (mut extractor, mut reference, mut frame) = (FeatureExtractor::default(), Vec::new(), Vec::new());
@@ -81,7 +82,7 @@ fn pose() -> Pose<Camera, Body> {
     Pose::new(UnitQuaternion::from_euler_angles(0.2, -0.3, 0.05), Vector3::new(0.1, -0.2, 4.0))
 }
 
-/// Points of a box of 4 x 3 x `depth` metres around the origin.
+/// Returns random points in a box of 4 x 3 x `depth` metres around the origin.
 fn points(count: usize, depth: f64, random: &mut Pcg64Mcg) -> Vec<Point3<f64>> {
     let mut within = |half: f64| random.random_range(-half..=half);
     (0..count).map(|_| Point3::new(within(2.0), within(1.5), within(0.5 * depth))).collect()
@@ -125,7 +126,8 @@ fn essential(c: &mut Criterion) {
     });
 }
 
-/// The solvers of two views, as docs/solvers.md lists them: 200 pairs of a box, and of a plane, with noise of about half a pixel.
+/// The two-view solvers that docs/solvers.md lists: 200 pairs of a box and of a plane, with noise
+/// of about half a pixel.
 fn two_views(c: &mut Criterion) {
     const FOCAL: f64 = 1100.0;
     let mut random = Pcg64Mcg::seed_from_u64(4);
@@ -203,7 +205,7 @@ fn resection(c: &mut Criterion) {
     });
 }
 
-/// What a followed frame is made of: ten thousand pixels at half size of 1280x720.
+/// The alignment kernels of a tracked frame: ten thousand pixels at half the size of 1280x720.
 fn alignment(c: &mut Criterion) {
     let mut camera = VirtualCamera::new(
         dolly(Dolly { width: 1280, height: 720, seed: 1, duration_s: 1.0, artwork_width: 1600 }).expect("a scene"),

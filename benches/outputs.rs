@@ -1,7 +1,9 @@
-//! How late outputs are: eight of them at 240 Hz, beside a TCP client that does not read, a port that nobody has and a full socket.
+//! Latency of outputs: eight of them at 240 Hz, alone and beside a TCP client that does not read,
+//! an unused port and a full socket.
 //!
-//! `cargo bench --bench outputs` prints, over all samples, the time from `Publisher::send` to the arrival of the sample's last datagram at
-//! a socket of this machine, and how long `send` itself holds the caller up. `cargo bench --bench outputs -- --seconds 20` runs longer.
+//! `cargo bench --bench outputs` prints, over all samples, the time from `Publisher::send` to the
+//! arrival of the sample's last datagram at a socket of this machine, and how long `send` itself
+//! blocks the caller. `cargo bench --bench outputs -- --seconds 20` runs longer.
 
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::mpsc;
@@ -62,14 +64,14 @@ fn address(socket: &UdpSocket) -> SocketAddr {
     socket.local_addr().expect("a bound socket has an address")
 }
 
-/// Notes when each datagram came; they come in order, one a sample.
+/// Records when each datagram arrives; they come in order, one per sample.
 fn listen(socket: UdpSocket, arrivals: mpsc::Sender<(usize, Instant)>, frames: u64) -> std::thread::JoinHandle<()> {
     std::thread::spawn(move || {
         let mut buffer = [0; 65_536];
         let mut index = 0;
         while index < frames as usize {
             match socket.recv(&mut buffer) {
-                // PSN's names come once a second besides the data.
+                // PSN sends its names once a second in addition to the data.
                 Ok(n) if n > 1 && buffer[..2] == [0x56, 0x67] => {}
                 Ok(_) => {
                     let _ = arrivals.send((index, Instant::now()));
@@ -81,7 +83,7 @@ fn listen(socket: UdpSocket, arrivals: mpsc::Sender<(usize, Instant)>, frames: u
     })
 }
 
-/// Sends at an even pace; gives when each sample was sent and how long that took.
+/// Sends at a steady pace; returns when each sample was sent and how long that took.
 fn send(outputs: &[OutputSettings], frames: u64) -> (Vec<Instant>, Vec<Duration>) {
     let context = Context {
         camera: CameraModel::pinhole(1280, 720, 900.0, 900.0, 639.5, 359.5).expect("good intrinsics"),
@@ -121,7 +123,7 @@ fn sample(k: u64) -> PoseSample {
     sample
 }
 
-/// Whatever must stay open while the outputs run.
+/// What must stay open while the outputs run.
 type Trouble = Option<UdpSocket>;
 
 fn outputs(ports: &[SocketAddr], burdened: bool) -> (Vec<OutputSettings>, Trouble) {
@@ -154,14 +156,15 @@ fn outputs(ports: &[SocketAddr], burdened: bool) -> (Vec<OutputSettings>, Troubl
     if !burdened {
         return (outputs, None);
     }
-    // A client that connects and never reads, a port that nobody has, and a socket whose buffer is full and stays full.
+    // A client that connects and never reads, an unused port, and a socket whose buffer is full and
+    // stays full.
     let listen = TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).expect("loopback has ports");
     let stream = StreamSettings { tcp_listen: Some(listen), file: None };
     outputs.push(output(8, Protocol::Json(JsonSettings { stream }), Vec::new()));
     let full = UdpSocket::bind("127.0.0.1:0").expect("loopback has ports");
     let closed = address(&receiver());
     outputs.push(output(9, Protocol::Json(JsonSettings::default()), vec![closed, address(&full)]));
-    // It connects once the publisher listens, and then sleeps until the bench ends.
+    // The client connects once the publisher listens, and then sleeps until the bench ends.
     std::thread::spawn(move || {
         let connected = std::iter::repeat_with(|| TcpStream::connect(listen)).find_map(Result::ok);
         std::thread::sleep(Duration::from_secs(3600));

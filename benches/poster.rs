@@ -1,9 +1,11 @@
-//! The poster beside natural pictures of the same width: where a camera of 640x480 pixels finds them by itself, where it still follows them,
-//! and how sure it is of its place there; then how the same falls with the detail of a picture.
+//! The poster compared with natural pictures of the same width: where a camera of 640x480 pixels
+//! finds them, where it still tracks them, and its sigma there. Then how the sigma depends on the
+//! detail of a picture.
 //!
-//! `cargo bench --bench poster` takes the natural pictures from ../shared/data/textures; `-- FOLDER` takes others. `-- --check` ends with 1
-//! where the poster is not followed from 0.3 to 10 widths and to 75 degrees, or its sigma is larger than a natural picture's. `-- --detail FILE`
-//! measures and paints the pictures of docs/targets.md instead.
+//! `cargo bench --bench poster` takes the natural pictures from ../shared/data/textures;
+//! `-- FOLDER` takes others. `-- --check` ends with 1 if the poster is not tracked from 0.3 to 10
+//! widths and to 75 degrees, or if its sigma is not below that of every natural picture.
+//! `-- --detail FILE` instead prints the table of docs/targets.md and paints its pictures.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -20,10 +22,11 @@ mod one_picture;
 use one_picture::{in_front, one_picture, walk};
 
 const FPS: f64 = 30.0;
-/// Frames of a still camera that starts with nothing known; the last [`SCORED_FRAMES`] of them are scored.
+/// Frames of a still camera that starts from nothing; the last [`SCORED_FRAMES`] of them are
+/// scored.
 const COLD_FRAMES: u64 = 14;
 const SCORED_FRAMES: u64 = 8;
-/// The way from one width in front to the place, seconds.
+/// Duration of the walk from one width in front to the place, seconds.
 const WAY_S: f64 = 3.0;
 const POSTERS: [u64; 3] = [1, 2, 3];
 /// Places: widths in front, and degrees askew.
@@ -31,15 +34,16 @@ const NATURAL_PLACES: [(f64, f64); 3] = [(1.0, 0.0), (3.0, 0.0), (10.0, 0.0)];
 const POSTER_PLACES: [(f64, f64); 9] =
     [(0.3, 0.0), (1.0, 0.0), (3.0, 0.0), (5.0, 0.0), (7.0, 0.0), (10.0, 0.0), (1.0, 60.0), (1.0, 70.0), (1.0, 75.0)];
 
-/// What was seen at a place.
+/// Result at a place.
 #[derive(Debug, Clone, Copy, Default)]
 struct Seen {
-    /// Share of the scored frames that are `tracking`.
+    /// Fraction of the scored frames that are `tracking`.
     tracked: f64,
-    /// Told sigma of the camera's centre, and its error (RMS), widths of the picture.
+    /// Mean reported sigma of the camera's centre, and its rms error, in widths of the picture.
     sigma: f64,
     error: f64,
-    /// Squared error over its covariance and its degrees of freedom: 1 where the covariance is right.
+    /// Squared error normalised by the covariance and its degrees of freedom; 1 if the covariance
+    /// is right.
     nees: f64,
 }
 
@@ -47,7 +51,7 @@ struct Seen {
 enum Start {
     /// At the place, with nothing known.
     Cold,
-    /// One width in front of the picture, from where the camera walks to the place.
+    /// One width in front of the picture, from where the camera moves to the place.
     Followed,
 }
 
@@ -85,7 +89,8 @@ fn words(seen: Seen) -> String {
     format!("{:3.0} % sigma {:.1e} error {:.1e} NEES/3 {:.1}", 100.0 * seen.tracked, seen.sigma, seen.error, seen.nees)
 }
 
-/// One picture at all places; its told sigma where it is followed, `None` where it is lost.
+/// Prints one picture at all places; returns its reported sigma where it is tracked throughout,
+/// otherwise `None`.
 fn row(name: &str, picture: &GrayImage, places: &[(f64, f64)]) -> Vec<Option<f64>> {
     println!("\n{name} ({} x {} pixels)", picture.width(), picture.height());
     let at = |&place: &(f64, f64)| {
@@ -136,7 +141,7 @@ fn main() -> ExitCode {
     ExitCode::from(u8::from(!missed.is_empty() && arguments.iter().any(|a| a == "--check")))
 }
 
-/// Pictures with less and less to hold on to, each with its name.
+/// Returns pictures with less and less detail, each with its name.
 fn less_and_less() -> Vec<(&'static str, GrayImage)> {
     let (width, height) = (1600, 1200);
     let painted = grey(&paint(width, height, 11));
@@ -145,7 +150,7 @@ fn less_and_less() -> Vec<(&'static str, GrayImage)> {
     let map =
         |f: &dyn Fn(u32, u32, u8) -> u8| GrayImage::from_fn(width, height, |x, y| image::Luma([f(x, y, painted.get_pixel(x, y).0[0])]));
     let is_strip = |x: u32| (width * 3 / 10..width * 7 / 10).contains(&x);
-    // Folds of a curtain: soft, upright, all alike.
+    // Folds of a curtain: soft, vertical, all alike.
     let fold = |x: u32| (100.0 + 35.0 * (x as f32 * 0.045).sin() + 15.0 * (x as f32 * 0.021).cos()) as u8;
     let marks = [(0.06, 0.1), (0.5, 0.08), (0.93, 0.12), (0.3, 0.45), (0.72, 0.5), (0.08, 0.9), (0.55, 0.88), (0.94, 0.93)];
     let mark = |x: u32, y: u32| {
@@ -166,7 +171,7 @@ fn less_and_less() -> Vec<(&'static str, GrayImage)> {
     ]
 }
 
-/// Prints the table of docs/targets.md and paints its pictures, five a row, in the table's order.
+/// Prints the table of docs/targets.md and paints its pictures, five per row, in the table's order.
 fn detail(file: &Path) {
     const SIDES: [u32; 2] = [180, 135];
     const GAP: u32 = 8;
@@ -178,7 +183,7 @@ fn detail(file: &Path) {
         let small = imageops::resize(picture, SIDES[0], SIDES[1], FilterType::CatmullRom);
         let [column, row] = [k as u32 % 5, k as u32 / 5];
         imageops::replace(&mut sheet, &small, i64::from(column * (SIDES[0] + GAP)), i64::from(row * (SIDES[1] + GAP)));
-        // Of a picture four metres wide.
+        // For a picture four metres wide.
         let sigma = |seen: Seen| match seen.tracked {
             0.0 => "not found".to_owned(),
             1.0 => format!("{:.2} mm", 4000.0 * seen.sigma),

@@ -1,8 +1,10 @@
-//! The robust search for a homography among matches of which most are wrong: how often it finds the right one, how long it takes, and how near it
-//! comes to least squares over the matches that are right.
+//! The robust search for a homography among mostly wrong matches: how often it finds the right one,
+//! how long it takes, and how close it comes to least squares over the right matches.
 //!
-//! `cargo bench --bench robust` prints the table of docs/solvers.md. `-- --check` ends with 1 where a bar is missed: 1000 matches, 5 % right, sorted,
-//! found with every seed, 95 % of them within 2 ms; 300 matches, 50 % right, within 3 % of least squares, and, sorted, in 0.3 ms at the median.
+//! `cargo bench --bench robust` prints the table of docs/solvers.md. `-- --check` ends with 1 if a
+//! bar is missed: 1000 matches, 5 % right, sorted: found with every seed, 95 % of them within 2 ms;
+//! 300 matches, 50 % right: found with every seed, within 3 % of least squares, and, if sorted, in
+//! 0.3 ms at the median.
 
 use std::f64::consts::TAU;
 use std::process::ExitCode;
@@ -14,44 +16,45 @@ use rand_pcg::Pcg64Mcg;
 use stagepose::nalgebra::{Matrix3, Rotation3, Vector2, Vector3};
 use stagepose::two_views::geometry::{Homography, Order, PointPair, RobustOptions, robust_homography};
 
-/// Scenes of a row, each with a seed of its own.
+/// Scenes per row, each with its own seed.
 const SEEDS: u64 = 100;
-/// Each search is timed this many times, and the shortest counts: what else the machine does only adds.
+/// Each search is timed this many times and the shortest time counts, because other load only adds.
 const REPEATS: usize = 5;
-/// Rounds of a row that misses its bar, at most, and the pause between two: what else a machine does slows it for seconds. What is found is the same in each.
+/// Maximum rounds of a row that misses its bar, and the pause between two. Other load slows a
+/// machine for seconds; the matches found are the same in each round.
 const ROUNDS: usize = 5;
 const PAUSE: Duration = Duration::from_secs(2);
-/// Width and height of the poster, its own pixels, and of the picture.
+/// Width and height of the poster, in its own pixels, and of the picture.
 const POSTER: [f64; 2] = [1000.0, 800.0];
 const PICTURE: [f64; 2] = [640.0, 480.0];
-/// Focal length of the camera, pixels, and how far the poster leans away from it at most, radians.
+/// Focal length of the camera, pixels, and maximum tilt of the poster, radians.
 const FOCAL_PX: f64 = 600.0;
 const MOST_TILT: f64 = 0.8;
-/// Normal noise of one coordinate in the picture, pixels.
+/// Standard deviation of the noise in one picture coordinate, pixels.
 const NOISE_PX: f64 = 0.7;
-/// Distance of an inlier, pixels: that of the search, and of the poster's corners where the search counts as successful.
+/// Inlier distance of the search, pixels; also the maximum corner error of a successful search.
 const THRESHOLD_PX: f64 = 3.0;
-/// Weighs all residuals alike: far more than any of them, pixels.
+/// Residual scale that weighs all residuals alike, pixels: far more than any of them.
 const ALL_ALIKE_PX: f64 = 1e6;
 
-/// In which order the matches come.
+/// The order of the matches.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Sorting {
-    /// By qualities of the beta distributions (2, 5) of right and (5, 2) of wrong matches, small ones first.
+    /// By quality, best first: right matches have the beta distribution (2, 5), wrong ones (5, 2).
     Well,
-    /// By qualities of (2, 3) and (3, 2).
+    /// By quality, with the distributions (2, 3) and (3, 2).
     Badly,
-    /// By chance.
+    /// Random.
     Not,
 }
 
-/// What a row is held to.
+/// Limits of a row.
 #[derive(Debug, Clone, Copy)]
 struct Bar {
-    /// Median over the seeds, and the 95 % point.
+    /// Maximum median over the seeds, and maximum 95 % point.
     p50_ms: f64,
     p95_ms: f64,
-    /// Error over that of least squares, if it is held to that.
+    /// Maximum error relative to least squares, if it is limited.
     error: Option<f64>,
 }
 
@@ -63,7 +66,7 @@ struct Row {
     bar: Option<Bar>,
 }
 
-/// A time that is printed and not held to anything.
+/// Limit of a time that is only printed.
 const UNHELD: f64 = f64::INFINITY;
 
 const ROWS: [Row; 5] = [
@@ -122,12 +125,13 @@ impl Scene {
         Self { truth, pairs: rated.iter().map(|r| r.1).collect(), right }
     }
 
-    /// The same matches, the right ones known: what no search can beat but by luck.
+    /// Fits the right matches of the scene, which no search can beat except by luck.
     fn least_squares(&self) -> Homography {
         self.truth.refined(&self.right, ALL_ALIKE_PX, 30).expect("many points, not on a line")
     }
 
-    /// How far a map puts each corner of the poster off, squared, pixels; infinite behind the camera.
+    /// Returns the squared error of each poster corner under a map, pixels squared; infinite behind
+    /// the camera.
     fn corner_errors(&self, h: &Homography) -> [f64; 4] {
         [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(|[x, y]| {
             let corner = Vector2::new(x * POSTER[0], y * POSTER[1]);
@@ -136,7 +140,7 @@ impl Scene {
     }
 }
 
-/// A camera that sees the whole poster, turned and askew.
+/// Returns a random camera that sees the whole poster, rolled and askew.
 fn view(random: &mut Pcg64Mcg) -> Homography {
     let half = Vector2::from(PICTURE) / 2.0;
     loop {
@@ -155,13 +159,14 @@ fn view(random: &mut Pcg64Mcg) -> Homography {
     }
 }
 
-/// Normal noise (Box and Muller).
+/// Returns normal noise (Box and Muller).
 fn noise(random: &mut Pcg64Mcg) -> Vector2<f64> {
     let (length, angle) = ((-2.0 * (1.0 - random.random::<f64>()).ln()).sqrt(), random.random_range(0.0..TAU));
     Vector2::new(angle.cos(), angle.sin()) * length * NOISE_PX
 }
 
-/// The quality of a match, small where it is good. Of a + b - 1 even numbers the a-th smallest has the beta distribution (a, b).
+/// Returns the quality of a match; small is good. The a-th smallest of a + b - 1 uniform numbers
+/// has the beta distribution (a, b).
 fn quality(sorting: Sorting, is_right: bool, random: &mut Pcg64Mcg) -> f64 {
     let (a, b) = match (sorting, is_right) {
         (Sorting::Well, true) => (2, 5),
@@ -174,12 +179,13 @@ fn quality(sorting: Sorting, is_right: bool, random: &mut Pcg64Mcg) -> f64 {
     even[a - 1]
 }
 
-/// What a row came to.
+/// Result of a row.
 struct Measured {
     found: usize,
     p50_ms: f64,
     p95_ms: f64,
-    /// Root mean square of the corners' errors over that of least squares, over the scenes that were found.
+    /// Rms of the corner errors relative to least squares, over the scenes in which the homography
+    /// was found.
     error: f64,
 }
 
@@ -209,7 +215,7 @@ fn measured(row: &Row) -> Measured {
     Measured { found, p50_ms: at(0.5), p95_ms: at(0.95), error: (sums[0] / sums[1]).sqrt() }
 }
 
-/// What is missed of a row's bar.
+/// Returns the limits of a row's bar that are missed.
 fn missed(bar: Bar, m: &Measured) -> Vec<String> {
     let mut missed = Vec::new();
     if m.found < SEEDS as usize {

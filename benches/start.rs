@@ -1,6 +1,8 @@
-//! How long a tracker of four surfaces takes to start, with nothing kept of their pictures and with their banks of views kept, and its memory.
+//! Start-up time and memory of a tracker with four surfaces, with no kept views and with kept views
+//! of the pictures.
 //!
-//! `cargo bench --bench start` paints pictures of 1024 to 2048 pixels; `-- PICTURE...` takes others. Each time is the shortest of five.
+//! `cargo bench --bench start` paints pictures of 1024 to 2048 pixels; `-- PICTURE...` takes
+//! others. Each time is the shortest of five.
 
 use std::collections::BTreeMap;
 use std::process::ExitCode;
@@ -12,7 +14,7 @@ use nalgebra::Vector3;
 use stagepose::diagnostics::simulate::{artwork_surface, grey, paint, upright};
 use stagepose::{BodySpec, CameraModel, Tracker, TrackerSetup, ViewStore};
 
-/// What is promised: milliseconds with nothing kept, milliseconds with all kept, megabytes.
+/// Promised limits: milliseconds with nothing kept, milliseconds with everything kept, megabytes.
 const MOST_COLD_MS: f64 = 2000.0;
 const MOST_WARM_MS: f64 = 200.0;
 const MOST_MB: u64 = 250;
@@ -43,7 +45,7 @@ fn setup(pictures: Vec<GrayImage>) -> TrackerSetup {
     TrackerSetup::new(camera, BodySpec::new("stage", surfaces.collect()))
 }
 
-/// Milliseconds that a start takes.
+/// Returns the duration of a start, milliseconds.
 fn started(setup: &TrackerSetup) -> f64 {
     let setup = setup.clone();
     let start = Instant::now();
@@ -53,7 +55,7 @@ fn started(setup: &TrackerSetup) -> f64 {
     1e3 * spent.as_secs_f64()
 }
 
-/// The most memory that this process had since [`forget_peak`], megabytes.
+/// Returns the peak memory of this process since [`forget_peak`], megabytes.
 fn peak_mb() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap_or("0");
@@ -61,7 +63,7 @@ fn peak_mb() -> u64 {
 }
 
 fn forget_peak() {
-    // Where it cannot be reset, painting the pictures counts too.
+    // If the peak cannot be reset, it includes painting the pictures.
     let _ = std::fs::write("/proc/self/clear_refs", "5");
 }
 

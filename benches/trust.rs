@@ -1,6 +1,7 @@
-//! How right poses differ from wrong ones: the stage is aligned from many starts, near and far, on frames that show it and on frames
-//! that show another, with people in front, in dim light; then the share of tiles that agree and the size of the residuals are
-//! counted apart for poses that are right and poses that are not. The thresholds of the verdict lie where these counts leave room.
+//! How right poses differ from wrong ones. The stage is aligned from many starts, near and far, on
+//! frames that show it and on frames that show another stage, with people in front and in dim
+//! light. The ratio of agreeing tiles and the size of the residuals are then counted separately for
+//! right and wrong poses. The verdict's thresholds lie where these counts leave room.
 //!
 //! `cargo bench --bench trust`; `-- 10` takes ten stages instead of forty.
 
@@ -15,17 +16,18 @@ use stagepose::{
 };
 
 const STAGES: u64 = 40;
-/// Starts of each stage at each distance.
+/// Starts per stage at each distance.
 const STARTS: usize = 8;
-/// How far off starts are: of the distance, and radians.
+/// How far off the starts are: fraction of the distance, and radians.
 const FAR: [f64; 6] = [0.001, 0.005, 0.02, 0.05, 0.1, 0.2];
-/// A pose is wrong that is further off than this: of the distance, and radians (contract C5's tight bounds).
+/// Errors above which a pose is wrong: fraction of the distance, and radians (the tight bounds of
+/// contract C5).
 const WRONG_SHIFT: f64 = 0.01;
 const WRONG_TURN: f64 = 0.3 * std::f64::consts::PI / 180.0;
-/// Tens of percent of the tiles agree.
+/// Bins of ten percent of agreeing tiles.
 const BINS: usize = 10;
 
-/// Poses of one kind.
+/// Counts of one kind of poses.
 #[derive(Default)]
 struct Counts {
     by_share: [usize; BINS + 1],
@@ -102,7 +104,8 @@ fn surface(seed: u64, size_m: [f64; 2]) -> stagepose::SurfaceSpec {
     artwork_surface("backdrop", picture, size_m, upright(Vector3::zeros(), 0.0))
 }
 
-/// A backdrop seen from anywhere in front of it; half of the stages have people before them, and a third are dim.
+/// A backdrop seen from anywhere in front of it. Half of the stages have people in front, and a
+/// third are dim.
 fn scene(seed: u64, random: &mut Pcg64Mcg) -> VirtualStage {
     let size_m = [random.random_range(1.5..6.0), random.random_range(1.2..4.0)];
     let focal = random.random_range(500.0..1100.0);
@@ -130,7 +133,7 @@ fn scene(seed: u64, random: &mut Pcg64Mcg) -> VirtualStage {
     scene
 }
 
-/// The pose after a random step of this size, in sight and in space.
+/// Returns the pose after a random step of at most this size, in rotation and translation.
 fn moved(truth: &Pose<Camera, Body>, off: f64, random: &mut Pcg64Mcg) -> Pose<Camera, Body> {
     let mut step = |size: f64| Vector3::from_fn(|_, _| random.random_range(-size..=size));
     let (shift, turn) = (step(off * truth.translation.norm()), UnitQuaternion::from_scaled_axis(step(off)));

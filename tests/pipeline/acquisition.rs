@@ -7,13 +7,14 @@ use stagepose::{BodySpec, CameraPath, MovingObject, ObjectPath, PoseSample, Spli
 
 use super::scene::{aside, backdrop, body, camera, errors, nees_per_freedom, past, quiet, surface, track};
 
-/// A camera that stands so many degrees beside the axis of what it looks at, and looks at a point of it.
+/// A camera this many degrees beside the axis of its target, looking at the target point.
 fn from_the_side(degrees: f64, distance_m: f64, target: [f64; 3]) -> CameraPath {
     let (sin, cos) = degrees.to_radians().sin_cos();
     CameraPath::fixed(Point3::new(target[0] - distance_m * sin, -distance_m * cos, target[2] + 0.2), Point3::from(target))
 }
 
-/// Whatever is given is right, by the rule of a hundredth of the distance and 0.3 degrees; how many frames are given.
+/// Asserts that every reported pose is right to a hundredth of the distance and 0.3 degrees, and
+/// returns how many are reported.
 fn given_right(scene: &VirtualStage, samples: &[PoseSample]) -> usize {
     let given: Vec<_> = samples.iter().filter(|s| s.state == State::Tracking).collect();
     for sample in &given {
@@ -31,7 +32,8 @@ fn a_frame_that_leaves_no_doubt_gives_its_pose_at_once() {
 
 #[test]
 fn a_moving_camera_gives_its_pose_at_once_under_a_rolling_shutter() {
-    // A frontal plane that comes nearer while its rows are read looks tilted; its blur tells.
+    // A frontal plane that approaches while its rows are read looks tilted; its blur reveals the
+    // motion.
     let keys = [(-0.5, [-0.9, -3.6, 0.0]), (0.5, [0.9, -2.6, 0.4])].map(|(t, p)| (t, Vector3::from(p)));
     let towards = CameraPath { position: Spline::new(&keys).unwrap(), ..CameraPath::fixed(Point3::origin(), Point3::new(0.1, 0.0, 0.0)) };
     for path in [past(), towards] {
@@ -56,7 +58,7 @@ fn a_stage_is_found_from_far_to_its_side() {
 #[test]
 fn an_object_is_found_in_the_frame_that_finds_the_stage_from_far_to_its_side() {
     let mut scene = quiet(camera(960, 720), from_the_side(75.0, 2.6, [0.0; 3]), backdrop());
-    // Seen so small, it is found beside the stage alone.
+    // Seen this small, the object is found only by the search that starts from the stage's pose.
     let art = grey(&paint(320, 320, 77));
     let body = BodySpec::new("prop", vec![surface("prop", &art, [0.3; 2], Vector3::zeros(), 0.0)]);
     let place = Vector3::new(-0.5, -0.3, -0.2);
@@ -70,7 +72,8 @@ fn an_object_is_found_in_the_frame_that_finds_the_stage_from_far_to_its_side() {
     assert!(off < 0.003, "{off} m");
 }
 
-/// A picture that repeats a motif over and over, seen whole and from so near that its border is never in the frame.
+/// Asserts that a picture that repeats a motif is never found shifted, seen whole, in passing, and
+/// from so near that its border is never in the frame.
 fn assert_never_shifted(art: &GrayImage) {
     let stage = || body(vec![surface("pattern", art, [4.0, 3.0], Vector3::zeros(), 0.0)]);
     let whole = quiet(camera(640, 480), aside(), stage());
@@ -112,7 +115,7 @@ fn one_mark_among_tiles_gives_the_right_pose_or_none() {
     assert_never_shifted(&art);
 }
 
-/// A curtain of upright stripes with grain, and a small picture on it.
+/// A curtain of upright stripes with grain, with a small picture on it.
 fn curtain() -> GrayImage {
     let mut state = 7_u32;
     let mut art = GrayImage::from_fn(1600, 1200, |x, _| {
@@ -131,7 +134,7 @@ fn curtain() -> GrayImage {
 
 #[test]
 fn a_pose_does_not_slide_along_the_stripes_of_a_curtain() {
-    // Up and down, twice a second: too quickly for what is expected of the next frame to be near.
+    // Up and down twice a second: too fast for the prediction of the next frame to be close.
     let keys: Vec<(f64, f64)> = (-8..40).map(|k| f64::from(k) / 32.0).map(|t| (t, 0.22 * (4.0 * std::f64::consts::PI * t).sin())).collect();
     let along = |x: f64, y: f64| Spline::new(&keys.iter().map(|(t, z)| (*t, Vector3::new(x, y, *z))).collect::<Vec<_>>()).unwrap();
     let path = CameraPath { position: along(-0.1, -1.3), target: along(0.0, 0.0), roll_rad: 0.02, shake: None };

@@ -1,9 +1,11 @@
-//! Whatever a camera shows, and however it was told: the tracker gives a record and goes on.
+//! Whatever a camera shows, and however the tracker was configured, it returns a record and goes
+//! on.
 //!
-//! Random stages, lenses, shutters, frame rates and motions, seeded: pictures of 64 to 1920 pixels a side and of any aspect, surfaces that
-//! come into view and leave it, jumps, blackouts, frames of noise and of another size, stamps that stand still or go back. Assertions and
-//! overflow checks are on in this profile. `STAGEPOSE_RANDOM_FRAMES=100000` asks for more frames than the few of every day, and
-//! `STAGEPOSE_RANDOM_SEED` for another first scene.
+//! Stages, lenses, shutters, frame rates and motions are random from a seed. Pictures have 64 to
+//! 1920 pixels a side and any aspect ratio; surfaces come into view and leave it; there are jumps,
+//! blackouts, frames of noise or of another size, and timestamps that repeat or go back. Assertions
+//! and overflow checks are on in this profile. `STAGEPOSE_RANDOM_FRAMES=100000` asks for more
+//! frames than a normal run has, and `STAGEPOSE_RANDOM_SEED` for another first scene.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -20,11 +22,11 @@ use stagepose::{
 use super::record_line::assert_record_holds;
 use super::scene::{backdrop_art, other_art};
 
-/// Frames of a scene; each begins with a new tracker, which costs as much as many frames.
+/// Frames per scene. Each scene needs a new tracker, which costs as much as many frames.
 const FRAMES_A_SCENE: u64 = 60;
-/// Frames of every day.
+/// Frames of a normal run.
 const USUAL_FRAMES: u64 = 480;
-/// Pictures have no more pixels than this, one scene in so many no more than [`LARGE_PIXELS`].
+/// Maximum pixels of a picture; one scene in `LARGE_EVERY` has up to [`LARGE_PIXELS`].
 const SMALL_PIXELS: f64 = 40_000.0;
 const LARGE_EVERY: u64 = 40;
 const LARGE_PIXELS: f64 = 1_000_000.0;
@@ -46,23 +48,23 @@ fn no_frame_and_no_setup_ends_the_tracker() {
         }
     }
     println!("{all} frames, of which {tracked} were tracked");
-    // Frames that show nothing ask nothing of the aligner.
+    // Frames that show nothing would not exercise the aligner.
     assert!(8 * tracked > all, "{tracked} of {all}");
 }
 
-/// Tracks one random scene; the frames that were tracked, and all.
+/// Tracks one random scene; returns the number of tracked frames, and of all frames.
 fn track_scene(seed: u64) -> [u64; 2] {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let scene = random_scene(&mut random, if seed.is_multiple_of(LARGE_EVERY) { LARGE_PIXELS } else { SMALL_PIXELS });
     let mut setup = TrackerSetup::from(&scene);
     if random.random_bool(0.4) {
-        // Told wrong, or not told.
+        // The shutter is configured wrongly or not at all.
         setup.shutter.readout_s = random.random_bool(0.5).then(|| random.random_range(0.0..0.05));
         setup.shutter.exposure_s = random.random_bool(0.5).then(|| random.random_range(1e-6..0.05));
     }
     setup.settings.features = random.random_range(50..600);
     if random.random_bool(0.1) {
-        // Of another size than the frames now and then: nothing of the kind may matter.
+        // A mask whose size may differ from the frames' must do no harm.
         let (w, h) = (random.random_range(1..200), random.random_range(1..200));
         setup.mask = Some(GrayImage::from_fn(w, h, |x, y| Luma([if (x + y) % 7 == 0 { 0 } else { 255 }])));
     }
@@ -130,13 +132,13 @@ fn random_camera(random: &mut Pcg64Mcg, width: u32, height: u32) -> CameraModel 
     let (cx, cy) = (random.random_range(0.3..0.7) * w, random.random_range(0.3..0.7) * h);
     let fy = fx * random.random_range(0.9..1.1);
     let camera = |distortion| CameraModel::new(Intrinsics { width, height, fx, fy, cx, cy, skew: 0.0, distortion });
-    // A lens that folds its picture is refused.
+    // A lens whose distortion folds the picture is refused.
     camera(distortion).or_else(|_| camera([0.0; 5])).expect("a pinhole")
 }
 
 fn random_surface(random: &mut Pcg64Mcg, name: &str, scale: f64) -> SurfaceSpec {
     let art = if random.random_bool(0.5) { backdrop_art() } else { other_art() };
-    // The first one is large enough to be found; of the others anything may be.
+    // The first surface is large enough to be found; the others may be anything.
     let least = if name == "first" { 400 } else { 16 };
     let (w, h) = (random.random_range(least..=art.width()), random.random_range(least..=art.height()));
     let (x, y) = (random.random_range(0..=art.width() - w), random.random_range(0..=art.height() - h));
@@ -148,7 +150,8 @@ fn random_surface(random: &mut Pcg64Mcg, name: &str, scale: f64) -> SurfaceSpec 
     artwork_surface(name, artwork, [width_m, width_m * f64::from(h) / f64::from(w) * random.random_range(0.7..1.4)], pose * tilt)
 }
 
-/// Near and far, aside and behind, with the stage in the middle, at the edge or out of view; now and then faster than any camera.
+/// Near and far, aside and behind, with the stage in the middle, at the edge or out of view;
+/// sometimes faster than any real camera.
 fn random_path(random: &mut Pcg64Mcg) -> CameraPath {
     let hurry = [0.3, 0.6, 1.0, 6.0][random.random_range(0..4)];
     let mut t = 0.0;

@@ -1,4 +1,5 @@
-//! Cloth that hangs in folds or moves in a draught: tracked by its shape, or honestly without.
+//! Cloth that hangs in folds or moves in a draught: tracked with its shape, or without it and with
+//! an honest covariance.
 
 use std::sync::Arc;
 
@@ -11,7 +12,7 @@ use super::scene::{backdrop, camera, nees_per_freedom, quiet, rows, setup, track
 
 const FRAMES: u64 = 12;
 
-/// A camera that goes past the cloth, from one side to the other.
+/// A camera that moves past the cloth from one side to the other.
 fn across() -> CameraPath {
     let keys = [(-0.5, [-1.9, -3.1, 0.3]), (0.2, [0.2, -3.4, 0.1]), (0.9, [1.8, -3.0, 0.4])].map(|(t, p)| (t, Vector3::from(p)));
     let targets = [(-0.5, Vector3::new(-0.1, 0.0, 0.0)), (0.9, Vector3::new(0.1, 0.0, 0.1))];
@@ -29,7 +30,7 @@ fn folds() -> SurfaceShape {
     SurfaceShape::Bent(Arc::new(BentShape { height, stretch: BicubicSpline::zero([2, 2], size_m), ways: Vec::new() }))
 }
 
-/// Waves of these heights, metres, and rates: two that stand or run along the cloth and one across.
+/// Waves with this height in metres: two that stand still, and one that moves at this rate.
 fn waves(height_m: f64, rate_hz: f64) -> Vec<Wave> {
     let wave = |wave_vector, rate_hz, phase_rad| Wave { height_m, wave_vector, rate_hz, phase_rad };
     vec![wave([4.4, 0.4], 0.0, 0.9), wave([9.0, -0.8], 0.0, 2.1), wave([3.2, 1.0], rate_hz, 0.2)]
@@ -41,7 +42,7 @@ fn hung(change: impl FnOnce(&mut VirtualStage)) -> VirtualStage {
     scene
 }
 
-/// How many are tracked, their mean NEES over 6, and the median distance from the truth, mm.
+/// Returns how many frames are tracked, their mean NEES over 6, and the median error, mm.
 fn scored(scene: &VirtualStage, samples: &[PoseSample]) -> (usize, f64, f64) {
     let tracked: Vec<&PoseSample> = samples.iter().filter(|s| s.state == State::Tracking).collect();
     let nees = tracked.iter().map(|s| nees_per_freedom(scene, s)).sum::<f64>() / tracked.len().max(1) as f64;
@@ -59,7 +60,7 @@ fn a_cloth_whose_shape_is_told_is_tracked_like_a_flat_one() {
     let (count, nees, bent_mm) = scored(&bent, &track(&bent, FRAMES));
     println!("{count} of {FRAMES}, {bent_mm:.3} mm, NEES / 6 {nees:.2}; flat {flat_mm:.3} mm");
     assert!(count >= 11 && bent_mm < 2.0 * flat_mm && nees < 3.0, "{count} {bent_mm} {nees}");
-    // The same pictures, told flat: the folds do show.
+    // The same pictures with a flat stage configured: the folds do matter.
     let mut told = setup(&bent);
     told.stage = backdrop();
     let (_, _, unsurveyed_mm) = scored(&bent, &track_rows(told, &rows(&bent, FRAMES)));

@@ -1,19 +1,19 @@
-//! Second copies of the stage's picture: prints beside it, smaller ones, and the frames, wings and
-//! masks that look like some and are none.
+//! Second copies of the stage's picture: prints beside it, smaller prints, and frames, wings and
+//! masks that resemble copies but are none.
 
 use nalgebra::{Point3, Vector3};
 use stagepose::{CameraPath, PoseSample, Reason, Shake, Spline, State, SurfaceSpec, VirtualStage};
 
 use super::scene::{FPS, backdrop, backdrop_art, camera, errors, other_art, past, quiet, rows, setup, surface, track, track_rows};
 
-/// A camera in front of the stage that looks at these x, in seconds, from a place 3.4 m away.
+/// A camera 3.4 m in front of the stage that looks at these x over time (seconds, metres).
 fn looking(at: &[(f64, f64)]) -> CameraPath {
     let targets: Vec<_> = at.iter().map(|(t, x)| (*t, Vector3::new(*x, 0.0, 0.0))).collect();
     let position = Spline::fixed(Vector3::new(0.7, -3.4, 0.1));
     CameraPath { position, target: Spline::straight(&targets).unwrap(), roll_rad: 0.01, shake: Some(Shake::new(0.002, 0.001, 2.0, 4)) }
 }
 
-/// A print of the backdrop, `share` as large, with its middle there.
+/// A print of the backdrop, `share` times its size, centred at `middle`.
 fn print(share: f64, middle: Vector3<f64>) -> SurfaceSpec {
     surface("print", backdrop_art(), [4.0 * share, 3.0 * share], middle, 0.0)
 }
@@ -24,7 +24,7 @@ fn with_scenery(path: CameraPath, scenery: Vec<SurfaceSpec>) -> VirtualStage {
     scene
 }
 
-/// Every pose that is given is the camera's.
+/// Asserts that no reported pose is wrong.
 fn assert_none_wrong(scene: &VirtualStage, samples: &[PoseSample]) {
     for sample in samples.iter().filter(|s| s.state == State::Tracking) {
         let (shift, degrees) = errors(scene, sample);
@@ -79,7 +79,8 @@ fn a_print_that_comes_into_view_ends_no_track() {
     assert!(samples.iter().all(|s| s.state == State::Tracking));
 }
 
-/// Frames hide borders, masks hide halves, and what stands beside has another picture.
+/// Frames hide borders, masks hide halves, and the scenery beside the stage has another picture;
+/// none of them is a copy.
 #[test]
 fn what_hides_borders_refuses_nobody() {
     let board = |x: f64, z: f64, size: [f64; 2]| surface("board", other_art(), size, Vector3::new(x, -0.05, z), 0.0);
@@ -106,7 +107,7 @@ fn a_covered_camera_that_was_carried_is_found_elsewhere() {
     assert!(samples[37..].iter().all(|s| s.state == State::Tracking), "{:?}", samples[36..].iter().map(|s| s.reason).collect::<Vec<_>>());
 }
 
-/// Frames of a quick pan at 5, 30 and 240 a second: 0.6 m and 40 degrees within 0.4 s.
+/// A quick pan at 5, 30 and 240 frames a second: 0.6 m and 40 degrees within 0.4 s.
 #[test]
 fn a_quick_camera_is_given_at_any_rate() {
     for fps in [5.0, 30.0, 240.0] {

@@ -1,4 +1,4 @@
-//! The threads: the same samples as without them, and an end under all circumstances.
+//! The daemon's threads: the same samples as without them, and an end under all circumstances.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -32,7 +32,7 @@ fn lines(samples: impl IntoIterator<Item = PoseSample>) -> Vec<String> {
     samples.into_iter().map(|s| s.to_json_line()).collect()
 }
 
-/// Joins, or fails the test instead of hanging it.
+/// Joins the daemon; if it hangs, the test fails instead of hanging too.
 fn join(running: RunningDaemon) {
     let (done, joined) = bounded(1);
     std::thread::spawn(move || done.send(running.join()));
@@ -56,7 +56,8 @@ fn subscribers_get_what_the_tracker_alone_says_on_any_number_of_threads() {
     }
 }
 
-/// Rows without a picture; the next one comes when the last has been published, so that none is dropped on the way.
+/// Rows without a picture. Each one waits until the previous one is published, so that none is
+/// dropped on the way.
 struct Beats {
     rows: u64,
     next: u64,
@@ -86,7 +87,7 @@ impl FrameSource for Beats {
     }
 }
 
-/// A daemon over `rows` beats, and how many samples it has published.
+/// Returns a daemon over `rows` beats, and the count of its published samples.
 fn beating(rows: u64, delivery: Delivery) -> (Daemon, Arc<AtomicU64>) {
     let published = Arc::new(AtomicU64::new(0));
     let mut daemon = daemon(1, delivery, Beats { rows, next: 0, published: published.clone() });
@@ -112,14 +113,14 @@ fn a_live_subscriber_that_sleeps_loses_the_oldest_and_holds_nobody_up() {
     let late = sequences(&sleeper);
     assert!(late.len() < 400 && late.len() > 100, "{}", late.len());
     assert_eq!(late, (400 - late.len() as u64..400).collect::<Vec<_>>());
-    // The reader who keeps up is not harmed by the one who sleeps.
+    // A sleeping reader does not harm one that keeps up.
     let seen = awake.join().unwrap();
     assert!(seen.windows(2).all(|w| w[0] < w[1]) && seen.last() == Some(&399) && seen.len() >= late.len());
 }
 
 #[test]
 fn late_frames_are_dropped_and_counted() {
-    // A source that waits for nobody, far faster than the tracker.
+    // This source waits for nobody and is far faster than the tracker.
     let mut daemon = daemon(1, Delivery::DropOldest, VirtualCamera::new(scene(), FPS, 40));
     let samples = daemon.subscribe();
     let running = daemon.start().unwrap();
@@ -157,7 +158,8 @@ fn stop_ends_an_endless_stream() {
         let running = daemon.start().unwrap();
         assert_eq!(samples.recv_timeout(Duration::from_secs(60)).unwrap().sequence, 0);
         running.stop();
-        // A frame that waits at the stop is dropped: the source must not wait until it is published.
+        // A frame that is waiting at the stop is dropped, so the source must not wait for its
+        // publication.
         published.fetch_add(u64::MAX / 2, Ordering::Release);
         let rest = sequences(&samples);
         assert!(rest.windows(2).all(|w| w[1] == w[0] + 1));

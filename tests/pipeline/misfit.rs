@@ -1,4 +1,5 @@
-//! A stage or a lens that is not as configured: the covariance says so, or no pose is given.
+//! A stage or a lens that differs from its configuration: the covariance covers the error, or no
+//! pose is reported.
 
 use nalgebra::Vector3;
 use stagepose::diagnostics::capture::VirtualCamera;
@@ -12,7 +13,7 @@ use super::scene::{
     FPS, backdrop, backdrop_art, body, camera, nees_per_freedom, other_art, quiet, rows, setup, surface, track, track_rows, truth_of,
 };
 
-/// A camera that goes past the backdrop, well to the side of it.
+/// A camera that moves past the backdrop, well to one side of it.
 fn from_the_side() -> CameraPath {
     let keys = [(-0.5, Vector3::new(-2.1, -3.0, 0.3)), (2.5, Vector3::new(-1.2, -3.3, 0.1))];
     let targets = [(-0.5, Vector3::new(-0.2, 0.0, 0.0)), (2.5, Vector3::new(0.1, 0.0, 0.1))];
@@ -39,14 +40,15 @@ fn a_stretched_print_is_in_the_covariance() {
     assert!(of_right < 0.1 && of_stretched > 2.0 * of_right, "{of_right} {of_stretched}");
 }
 
-/// Frames of a lens that zooms in by 2 % a frame from frame 15 on, to 1.15, and back from frame 30 on.
+/// Returns frames of a lens that zooms in by 2 % a frame from frame 15 on, up to 1.15, and out
+/// again from frame 30 on.
 fn zooming(scene: &VirtualStage) -> Vec<ClipEntry> {
     let i = *scene.camera.intrinsics();
     let zoom = |frame: usize| (1.0 + 0.02 * frame.saturating_sub(14).min(37_usize.saturating_sub(frame)) as f64).min(1.15);
     let of_frame = |frame: usize| {
         let mut zoomed = scene.clone();
         zoomed.camera = CameraModel::new(Intrinsics { fx: zoom(frame) * i.fx, fy: zoom(frame) * i.fy, ..i }).unwrap();
-        // The second frame of a camera so slow that it is taken at this one's time.
+        // Renders the second frame of a slower camera, whose time equals that of `frame`.
         let mut slow = VirtualCamera::new(zoomed, FPS / frame as f64, 2);
         let last = std::iter::from_fn(|| slow.next_entry()).last();
         match last.map(|entry| (entry.timestamp, entry.content)) {
@@ -71,7 +73,7 @@ fn a_zoom_is_withheld_until_the_lens_is_back() {
     let states: Vec<State> = samples.iter().map(|s| s.state).collect();
     println!("{states:?}");
     assert!(states[1..15].iter().all(|s| *s == State::Tracking), "{states:?}");
-    // Frame 15 is 2 % off, frame 20 12 %.
+    // Frame 15 is 2 % off, frame 20 is 12 % off.
     assert!(states[18..36].iter().all(|s| *s == State::Lost), "{states:?}");
     let reasons: Vec<_> = samples[18..36].iter().map(|s| s.reason).collect();
     assert!(reasons.contains(&Some(Reason::LensMoved)), "{reasons:?}");
@@ -89,7 +91,7 @@ fn a_zoom_is_withheld_where_cloth_hides_it() {
     let samples = track_rows(setup(&scene), &zooming(&scene));
     let states: Vec<State> = samples.iter().map(|s| s.state).collect();
     println!("{states:?}");
-    // Frame 15 is 2 % off, frame 19 10 %.
+    // Frame 15 is 2 % off, frame 19 is 10 % off.
     assert!(states[2..15].iter().filter(|s| **s == State::Tracking).count() >= 11, "{states:?}");
     assert!(states[20..36].iter().all(|s| *s == State::Lost), "{states:?}");
     assert!(samples[20..36].iter().any(|s| s.reason == Some(Reason::LensMoved)));

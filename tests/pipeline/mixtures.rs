@@ -1,4 +1,4 @@
-//! Frames that show two moments at once, and those that look like it: long exposures, rolling
+//! Frames that mix two moments, and frames that resemble such a mixture: long exposures, rolling
 //! shutters, fine stripes, flickering light, lossy pictures.
 
 use image::GrayImage;
@@ -10,7 +10,7 @@ use stagepose::{CameraPath, ClipEntry, ComputeClock, EntryContent, FrameSource, 
 
 use super::scene::{FPS, aside, backdrop, backdrop_art, body, camera, errors, quiet, rows, setup, surface, track_rows};
 
-/// A pan of some 40 degrees a second: 13 pixels a frame.
+/// A pan at about 40 degrees a second, or 13 pixels a frame.
 fn panning() -> CameraPath {
     panning_by(1.0)
 }
@@ -26,7 +26,7 @@ fn picture(row: &ClipEntry) -> &GrayImage {
     &frame.image
 }
 
-/// Each frame made of itself and the one before.
+/// Makes each frame from itself and the previous one.
 fn mixed(rows: &[ClipEntry], mix: impl Fn(u32, u8, u8) -> u8) -> Vec<ClipEntry> {
     let mut out = rows.to_vec();
     for (k, row) in out.iter_mut().enumerate().skip(1) {
@@ -75,13 +75,13 @@ fn mixtures_are_withheld_while_the_camera_moves() {
             samples.iter().map(|s| s.reason).collect::<Vec<_>>()
         );
         assert!(wrong <= 3, "{name}, {share}");
-        // A clear double picture fits no pose, and is refused as one that is covered.
+        // A clear double picture fits no pose, and is refused as occluded.
         let is_refused_otherwise = || samples[2..].iter().all(|s| s.state != State::Tracking);
         assert!(refused >= 5 || is_refused_otherwise(), "{name}, {share}");
     }
 }
 
-/// Fields of an interlaced camera are half a frame's time apart.
+/// The fields of an interlaced camera are half a frame interval apart.
 #[test]
 fn fields_of_an_interlaced_camera_are_named_once_and_withheld() {
     let scene = quiet(camera(640, 360), panning_by(0.3), backdrop());

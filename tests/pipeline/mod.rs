@@ -1,4 +1,4 @@
-//! `Tracker` and `Daemon` on frames of the virtual stage, held to its exact truth.
+//! `Tracker` and `Daemon` on frames of the virtual stage, compared with its exact ground truth.
 
 mod acquisition;
 mod any_frame;

@@ -1,4 +1,4 @@
-//! A tracked object in front of the stage.
+//! Tracked objects in front of the stage.
 
 use nalgebra::Vector3;
 use stagepose::diagnostics::simulate::paint;
@@ -48,7 +48,7 @@ fn an_object_does_not_track_in_a_blackout() {
     }
 }
 
-/// Height and side of a square prop, its seed, and where it stands or goes.
+/// A square prop with its name, seed and side, standing or moving along `path`.
 fn prop(name: &str, seed: u64, side_m: f64, path: ObjectPath) -> MovingObject {
     let art = stagepose::diagnostics::simulate::grey(&paint(320, 320, seed));
     MovingObject { body: BodySpec::new(name, vec![surface(name, &art, [side_m, side_m], Vector3::zeros(), 0.0)]), path }
@@ -59,7 +59,8 @@ fn along(keys: &[(f64, [f64; 3])], turn_rad: f64, turn_rate_rad_s: f64) -> Objec
     ObjectPath { position: Spline::straight(&keys).unwrap(), turn_rad, turn_rate_rad_s }
 }
 
-/// Frames that give an object, and the worst of its errors: of its distance from the camera, and degrees.
+/// Returns the frames that report an object, and its worst errors: fraction of its distance from
+/// the camera, and degrees.
 fn given(scene: &VirtualStage, samples: &[PoseSample], object: usize) -> (Vec<u64>, [f64; 2]) {
     let (mut frames, mut worst) = (Vec::new(), [0.0_f64; 2]);
     for sample in samples.iter().filter(|s| s.objects[object].state == State::Tracking) {
@@ -74,7 +75,8 @@ fn given(scene: &VirtualStage, samples: &[PoseSample], object: usize) -> (Vec<u6
     (frames, worst)
 }
 
-/// Nothing that is given is off by more than a hundredth of the distance or 0.3 degrees.
+/// Asserts that no reported object pose is off by more than a hundredth of the distance or 0.3
+/// degrees; returns the frames that report it.
 fn assert_right(scene: &VirtualStage, samples: &[PoseSample], object: usize) -> Vec<u64> {
     let (frames, worst) = given(scene, samples, object);
     println!("object {object}: {} frames, worst {:.5} of the distance, {:.3} degrees", frames.len(), worst[0], worst[1]);
@@ -105,7 +107,7 @@ fn four_objects_are_followed_each_by_itself() {
 #[test]
 fn two_objects_with_one_picture_are_never_swapped() {
     let mut scene = quiet(camera(640, 480), aside(), backdrop());
-    // The same print twice, and another one: they cross.
+    // Two copies of one print and a different one; they cross.
     for (name, seed, from, to) in [("left", 77, -1.2, 0.4), ("right", 77, 0.4, -1.2), ("other", 78, -0.4, -0.3)] {
         let height = if name == "other" { 0.7 } else { -0.4 };
         let path = along(&[(0.0, [from, -0.6, height]), (0.5, [to, -0.6, height])], 0.1, 0.0);
@@ -126,7 +128,7 @@ fn a_box_is_one_object_whichever_side_is_seen() {
     let face = |name: &str, seed, x: f64, y: f64, turn: f64| surface(name, &art(seed), [0.8, 0.8], Vector3::new(x, y, 0.0), turn);
     let quarter = std::f64::consts::FRAC_PI_2;
     let faces = vec![face("front", 21, 0.0, -0.4, 0.0), face("right", 22, 0.4, 0.0, quarter), face("left", 23, -0.4, 0.0, -quarter)];
-    // From its left side to its right side within a second.
+    // It turns from its left side to its right side within a second.
     scene.objects.push(MovingObject {
         body: BodySpec::new("box", faces),
         path: along(&[(0.0, [-0.4, -0.9, -0.3]), (1.0, [0.0, -0.9, -0.3])], 1.1, -2.2),
@@ -136,7 +138,7 @@ fn a_box_is_one_object_whichever_side_is_seen() {
     assert!((3..30).all(|frame| frames.contains(&frame)), "{frames:?}");
 }
 
-/// Whether the frame shows the whole of an object with a side of 0.7 m.
+/// Whether the frame shows all of an object with a side of 0.7 m.
 fn is_whole(scene: &VirtualStage, sample: &PoseSample) -> bool {
     let at_s = sample.timestamp.seconds();
     let (object, seen_from) = (scene.object_truth(0, at_s).unwrap(), scene.truth(at_s).inverse());
@@ -148,7 +150,8 @@ fn is_whole(scene: &VirtualStage, sample: &PoseSample) -> bool {
     })
 }
 
-/// Nothing was seen of it before, and it is smeared by several pixels: its blur tells how fast it is, or the next frame does.
+/// The object was not seen before, and it is smeared by several pixels. Its blur reveals its speed,
+/// or else the next frame does.
 #[test]
 fn an_object_that_comes_in_quickly_is_given_as_soon_as_it_is_whole() {
     for (seed, exposure_s) in [(31, 0.004), (32, 0.005), (33, 0.006), (34, 0.007)] {
@@ -167,7 +170,7 @@ fn an_object_that_comes_in_quickly_is_given_as_soon_as_it_is_whole() {
 #[test]
 fn an_object_that_leaves_comes_back() {
     let mut scene = quiet(camera(640, 480), aside(), backdrop());
-    // Out of the frame to the left, and in again.
+    // Out of the frame on the left, and back in.
     let keys =
         [(0.0, [-0.6, -0.8, 0.0]), (0.4, [-3.6, -0.8, 0.0]), (0.6, [-3.6, -0.8, 0.0]), (1.0, [-0.6, -0.8, 0.0]), (1.4, [-0.6, -0.8, 0.0])];
     scene.objects.push(prop("cart", 31, 0.7, along(&keys, 0.1, 0.0)));
@@ -179,7 +182,8 @@ fn an_object_that_leaves_comes_back() {
     assert!(samples.iter().filter(|s| (14..18).contains(&s.sequence)).all(|s| s.objects[0].state != State::Tracking));
 }
 
-/// A picture that stands there as another one is configured, but in another shape, is recognised in every frame and never fits.
+/// The poster on the stage has another shape than configured, so it is recognised in every frame
+/// and never fits.
 #[test]
 fn an_object_that_is_tried_in_vain_takes_no_time_from_another() {
     let mut scene = quiet(camera(960, 720), aside(), backdrop());
@@ -198,10 +202,10 @@ fn an_object_that_is_thrown_is_lost_honestly() {
     let mut scene = quiet(camera(640, 480), aside(), backdrop());
     scene.shutter.exposure_s = 0.008;
     scene.samples = 16;
-    // Held, thrown at 9 m/s, caught.
+    // Held, thrown at almost 10 m/s, caught.
     let keys = [(0.0, [-1.0, -0.7, -0.3]), (0.3, [-1.0, -0.7, -0.3]), (0.5, [0.8, -0.9, 0.5]), (1.0, [0.8, -0.9, 0.5])];
     scene.objects.push(prop("ball", 41, 0.6, along(&keys, -0.2, 0.0)));
-    // One that spins at two turns a second.
+    // This one spins at two turns a second.
     scene.objects.push(prop("sign", 42, 0.6, along(&[(0.0, [-0.2, -0.8, -0.8]), (1.0, [-0.2, -0.8, -0.8])], 0.0, 12.5)));
     let samples = track(&scene, 30);
     let thrown = assert_right(&scene, &samples, 0);
@@ -233,6 +237,6 @@ fn objects_in_front_leave_the_stage_s_pose_alone() {
     };
     let (alone, among) = (rms_mm(&bare), rms_mm(&crowded));
     println!("the stage alone {alone:.4} mm, behind four objects {among:.4} mm");
-    // A fifth of it is hidden.
+    // The objects hide a fifth of the stage.
     assert!(among < 2.0 * alone + 0.05, "{among} {alone}");
 }

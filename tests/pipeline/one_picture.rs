@@ -1,4 +1,4 @@
-//! One picture that hangs alone, seen by a webcam: the scene that tells how well a picture can be tracked.
+//! A single picture seen by a webcam: the scene that shows how well a picture can be tracked.
 
 use image::GrayImage;
 use nalgebra::{Point3, Vector3};
@@ -6,16 +6,17 @@ use nalgebra::{Point3, Vector3};
 use stagepose::diagnostics::simulate::{artwork_surface, upright};
 use stagepose::{BodySpec, CameraModel, CameraPath, LightKey, SensorNoise, Spline, VirtualStage};
 
-/// Frames of the webcam, pixels, and its focal length: 60 degrees across.
+/// Frame size of the webcam and its focal length, pixels: 60 degrees horizontally.
 const FRAME_PX: [u32; 2] = [640, 480];
 const FOCAL_PX: f64 = 550.0;
-/// Grey of what is around the picture.
+/// Grey level around the picture.
 const AROUND: f32 = 90.0;
-/// Rays a pixel: marks of a fine picture are smaller than a pixel from afar.
+/// Rays per pixel: from afar, the marks of a fine picture are smaller than a pixel.
 const SAMPLES: u32 = 8;
 
-/// A picture one metre wide around the origin, so that distances are in widths of the picture, seen by a webcam of 640x480 pixels that moves
-/// along `path`. `light`: 1 for the picture's own greys.
+/// Returns the scene: a picture one metre wide around the origin, so that distances are in picture
+/// widths, seen by a webcam of 640x480 pixels that moves along `path`. `light` scales the greys; 1
+/// keeps the picture's own.
 pub fn one_picture(picture: GrayImage, path: CameraPath, light: f32) -> VirtualStage {
     let [width, height] = FRAME_PX;
     let middle = |size: u32| 0.5 * (f64::from(size) - 1.0);
@@ -31,18 +32,20 @@ pub fn one_picture(picture: GrayImage, path: CameraPath, light: f32) -> VirtualS
     scene
 }
 
-/// The place at a distance in widths from the picture's middle, at an angle to its normal.
+/// Returns the point at a distance (in picture widths) from the picture's middle, at an angle to
+/// its normal.
 pub fn in_front(widths: f64, askew_deg: f64) -> Point3<f64> {
     let angle = askew_deg.to_radians();
     Point3::new(angle.sin(), -angle.cos(), 0.0) * widths
 }
 
-/// From one place in front (widths, degrees askew) to another in a number of seconds, at even shares of the way in angle and in the
-/// distance's logarithm: the picture grows and turns evenly, and the camera stops dead.
+/// Moves from one place in front (widths, degrees askew) to another in `seconds`, linearly in angle
+/// and in the logarithm of the distance. The picture grows and turns evenly, and the camera stops
+/// abruptly at the end.
 ///
 /// # Panics
 ///
-/// Where `seconds` is not above 0, or a distance is not a number above 0.
+/// If `seconds` is not above 0, or a distance is not a number above 0.
 pub fn walk(from: (f64, f64), to: (f64, f64), seconds: f64) -> CameraPath {
     const STEPS: u32 = 24;
     let key = |k: u32| {

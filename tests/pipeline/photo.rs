@@ -15,8 +15,8 @@ fn photographer() -> CameraModel {
     CameraModel::new(Intrinsics { width, height, fx: 850.0, fy: 853.0, cx: 470.0, cy: 366.0, skew: 0.001, distortion }).unwrap()
 }
 
-/// A still of the clip may serve as the photograph: nothing between them differs, not even the
-/// noise.
+/// A still of the clip may serve as the photograph; then the frame and the photograph are
+/// identical, even in their noise.
 #[test]
 fn a_clip_that_begins_with_the_very_photograph_is_given_in_that_frame() {
     for place in [Point3::new(0.7, -4.4, -0.2), Point3::new(-0.3, -5.0, 0.3)] {
@@ -56,10 +56,10 @@ fn a_photograph_serves_as_the_stage() {
     let photo = Renderer::new(photo_scene).render(0.0, 0);
     let surface = SurfaceSpec::from_photograph("photo".into(), &photo, corners, photographer(), spec.size_m, spec.pose).unwrap();
     let ReferenceKind::Photograph { h_photo_artwork, pose, .. } = &surface.kind else { panic!("a photograph's kind") };
-    // The camera that took it is found from the corners alone.
+    // The photographing camera's pose is recovered from the corners alone.
     let found = (spec.pose * pose.inverse()).translation;
     assert!((found - stand.translation).norm() < 1e-6, "{found}");
-    // And the flattened picture's corners are the photograph's.
+    // The flattened picture's corners are the photograph's.
     let flat_corner = Homography(*h_photo_artwork).map(Vector2::new(-0.5, -0.5)).unwrap();
     assert!((flat_corner - photographer().undistorted_pixel(seen(outer[0]))).norm() < 1e-6);
 
@@ -79,7 +79,8 @@ fn a_photograph_serves_as_the_stage() {
     assert!(worst.0 < 0.5 && worst.1 < 0.5 && worst.2 < 0.5, "{worst:?}");
 }
 
-/// A print that is 350 pixels wide in its photograph, whose corners are typed as people read them, and a camera that moves before it.
+/// The print is 350 pixels wide in its photograph, its corners have typical reading errors, and the
+/// camera moves in front of it.
 #[test]
 fn corners_that_are_typed_a_pixel_off_accuse_no_lens_and_are_in_the_covariance() {
     let (stage, lens) = (backdrop(), camera(640, 480));
@@ -99,7 +100,8 @@ fn corners_that_are_typed_a_pixel_off_accuse_no_lens_and_are_in_the_covariance()
     let path = CameraPath { position: Spline::new(&keys).unwrap(), target, roll_rad: 0.02, shake: None };
     let scene = quiet(lens, path, stage.clone());
     let rows = rows(&scene, 24);
-    // One corner a pixel off, each up to a pixel, each a pixel, and up to two.
+    // One corner off by a pixel, each by up to a pixel, each by a pixel along both axes, and each
+    // by two.
     let typed = [
         [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.0, 0.0]],
         [[0.0, 0.9], [-0.7, -0.1], [-0.7, -0.2], [0.7, -0.2]],

@@ -1,4 +1,5 @@
-//! Poses of a still and a moving camera, past occluders, and the pictures that must never be taken for the stage.
+//! Poses of a still and of a moving camera, poses past occluders, and pictures that must never be
+//! mistaken for the stage.
 
 use image::imageops;
 use nalgebra::{Point3, Vector3};
@@ -36,7 +37,8 @@ fn surfaces_at_several_depths_make_one_stage() {
 #[test]
 fn an_occluder_over_a_third_of_the_picture_moves_nothing() {
     let mut scene = quiet(camera(640, 360), aside(), backdrop());
-    // 1.3 m from the camera the frame shows 1.4 x 0.8 m: the ellipse covers its full height and half its width.
+    // 1.2 m from the camera, the frame covers 1.4 x 0.8 m: the ellipse has its full height and
+    // almost half its width.
     let centre = Point3::new(-0.75, -2.0, 0.1);
     let (swing, half_size_m) = (Vector3::new(0.1, 0.0, 0.0), [0.32, 0.4]);
     scene.occluders.push(Occluder { centre, swing, period_s: 1.0, half_size_m, grey: 90.0 });
@@ -50,7 +52,7 @@ fn an_occluder_over_a_third_of_the_picture_moves_nothing() {
     assert_tracks_within(&scene, &track_rows(setup(&scene), &rows), 1.5 * SHARE, 1.5 * DEGREES);
 }
 
-/// Share of two frames' pixels that differ by more than noise.
+/// Returns the fraction of two frames' pixels that differ by more than noise.
 fn share_that_differs(a: &stagepose::ClipEntry, b: &stagepose::ClipEntry) -> f64 {
     use stagepose::EntryContent::Frame;
     let (Frame(a), Frame(b)) = (&a.content, &b.content) else { panic!("rendered rows are frames") };

@@ -1,4 +1,5 @@
-//! The poster: tracked from near and far and askew, and told better than natural pictures of the same width.
+//! The poster: tracked from near, from far and askew, with a lower sigma than natural pictures of
+//! the same width.
 
 use nalgebra::Point3;
 use stagepose::diagnostics::calibrate::paint_poster;
@@ -6,8 +7,8 @@ use stagepose::{CameraPath, Frame, Measurement, Renderer, Timestamp, Tracker, Tr
 
 use super::one_picture::{in_front, one_picture, walk};
 
-/// The last of four frames of a still camera with 640x480 pixels, this many widths in front and this far askew; and how far off the
-/// camera's centre is, widths.
+/// Tracks four frames of a still 640x480 camera, this many widths in front and this far askew.
+/// Returns the last measurement, and the error of the camera's centre in widths.
 fn seen(picture: &image::GrayImage, widths: f64, askew_deg: f64, light: f32) -> Option<(Measurement, f64)> {
     let at = in_front(widths, askew_deg);
     let scene = one_picture(picture.clone(), CameraPath::fixed(at, Point3::origin()), light);
@@ -30,7 +31,8 @@ fn the_poster_is_tracked_near_far_askew_and_in_dim_light() {
     }
 }
 
-/// At ten widths it is 55 pixels wide. The camera stops dead there, which no motion filter expects.
+/// At ten widths, the poster is 55 pixels wide. The camera stops abruptly there, which no motion
+/// filter predicts.
 #[test]
 fn it_is_followed_to_ten_widths_and_to_75_degrees() {
     let picture = paint_poster(850, 1200, 7);
@@ -48,7 +50,8 @@ fn it_is_followed_to_ten_widths_and_to_75_degrees() {
                 let off = (m.pose.translation - in_front(to.0, to.1).coords).norm();
                 let sigma = m.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
                 println!("{to:?}: {off:.2e} widths off, sigma {sigma:.2e}");
-                // Who stops dead from 7 widths a second may as well have zoomed: that is in the covariance.
+                // An abrupt stop from 7 widths a second could also be a zoom, and the covariance
+                // includes that.
                 let limit = if to.1 == 0.0 { 0.03 } else { 0.02 };
                 assert!(sigma < limit * to.0 && off < 5.0 * sigma, "{to:?}: {off} widths off, sigma {sigma}, in frame {k}");
             }
@@ -56,8 +59,9 @@ fn it_is_followed_to_ten_widths_and_to_75_degrees() {
     }
 }
 
-/// Needs the pictures of ../shared/data/textures; without them nothing is compared. `cargo bench --bench poster` takes all of them, at all
-/// distances; these are those that tell most.
+/// Needs the pictures in ../shared/data/textures; without them, nothing is compared.
+/// `cargo bench --bench poster` takes all pictures at all distances; these are the most telling
+/// ones.
 #[test]
 fn its_sigma_is_below_that_of_natural_pictures_of_the_same_width() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/textures");
@@ -68,7 +72,7 @@ fn its_sigma_is_below_that_of_natural_pictures_of_the_same_width() {
         let sigma = |picture| seen(picture, widths, 0.0, 1.0).map(|(m, _)| m.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt());
         let of_poster = sigma(&poster).unwrap_or_else(|| panic!("lost at {widths} widths"));
         for (name, picture) in &pictures {
-            // A picture that is not found tells nothing.
+            // A picture that is not found counts as an infinite sigma.
             let natural = sigma(picture).unwrap_or(f64::INFINITY);
             assert!(of_poster < natural, "{widths} widths: {of_poster} against {natural} of {name}");
         }

@@ -1,4 +1,4 @@
-//! What every line of the pose record must hold, whatever the frame showed.
+//! Invariants of every line of the pose record, whatever the frame showed.
 
 use std::collections::BTreeSet;
 
@@ -23,7 +23,7 @@ const KEYS: [&str; 12] = [
 ];
 const MEASURED_ONLY: [&str; 7] = ["measured", "covariance", "model", "homography", "essential", "inliers", "rms_px"];
 
-/// Parses the sample's line and holds it to contract C3.
+/// Parses the sample's line and checks it against contract C3.
 pub fn assert_record_holds(sample: &PoseSample) {
     let text = sample.to_json_line();
     assert!(!text.contains('\n') && !text.contains("NaN") && !text.contains("inf"), "{text}");

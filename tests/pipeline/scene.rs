@@ -15,7 +15,7 @@ use super::record_line::assert_record_holds;
 
 pub const FPS: f64 = 30.0;
 
-/// A webcam's lens of 58 degrees across.
+/// A webcam's lens with a horizontal angle of view of 58 degrees.
 pub fn camera(width: u32, height: u32) -> CameraModel {
     let (w, h) = (f64::from(width), f64::from(height));
     let (fx, fy) = (0.9 * w, 0.902 * w);
@@ -23,13 +23,13 @@ pub fn camera(width: u32, height: u32) -> CameraModel {
     CameraModel::new(Intrinsics { width, height, fx, fy, cx: 0.503 * w, cy: 0.494 * h, skew: 0.0, distortion }).unwrap()
 }
 
-/// The painted backdrop that most tests look at, 4 x 3 m.
+/// Returns the painted backdrop that most tests use, 4 x 3 m.
 pub fn backdrop_art() -> &'static GrayImage {
     static ART: OnceLock<GrayImage> = OnceLock::new();
     ART.get_or_init(|| grey(&paint(1000, 750, 11)))
 }
 
-/// The backdrop's picture of another seed.
+/// Returns a picture like the backdrop, from another seed.
 pub fn other_art() -> &'static GrayImage {
     static ART: OnceLock<GrayImage> = OnceLock::new();
     ART.get_or_init(|| grey(&paint(1000, 750, 12)))
@@ -47,21 +47,21 @@ pub fn body(surfaces: Vec<SurfaceSpec>) -> BodySpec {
     BodySpec::new("stage", surfaces)
 }
 
-/// A path whose camera stands aside and looks at the backdrop.
+/// A camera that stands to the side and looks at the backdrop.
 pub fn aside() -> CameraPath {
     let mut path = CameraPath::fixed(Point3::new(-0.9, -3.2, 0.3), Point3::new(-0.1, 0.0, 0.05));
     path.roll_rad = 0.03;
     path
 }
 
-/// A path that leads past the backdrop at about 1 m/s.
+/// A camera that moves past the backdrop at about 1 m/s.
 pub fn past() -> CameraPath {
     let keys = [(-0.5, [-0.9, -3.3, 0.2]), (0.5, [0.0, -3.0, 0.35]), (1.5, [0.9, -3.2, 0.1])].map(|(t, p)| (t, Vector3::from(p)));
     let targets = [(-0.5, Vector3::new(-0.2, 0.0, 0.0)), (1.5, Vector3::new(0.3, 0.0, 0.1))];
     CameraPath { position: Spline::new(&keys).unwrap(), target: Spline::new(&targets).unwrap(), roll_rad: 0.02, shake: None }
 }
 
-/// A virtual stage with a quiet sensor.
+/// A virtual stage with a low-noise sensor.
 pub fn quiet(camera: CameraModel, path: CameraPath, stage: BodySpec) -> VirtualStage {
     let mut scene = VirtualStage::new(camera, path, stage);
     scene.noise = SensorNoise { read: 0.7, shot: 0.005 };
@@ -69,7 +69,8 @@ pub fn quiet(camera: CameraModel, path: CameraPath, stage: BodySpec) -> VirtualS
     scene
 }
 
-/// Normalised estimation error squared over its six degrees of freedom (C3: p_true = p + δp, R_true = Exp(δθ) R).
+/// Computes the normalised estimation error squared (NEES) over its six degrees of freedom (C3:
+/// p_true = p + δp, R_true = Exp(δθ) R).
 pub fn nees_per_freedom(scene: &VirtualStage, sample: &PoseSample) -> f64 {
     let m = sample.measurement.expect("it tracks");
     let truth = truth_of(scene, sample);
@@ -79,7 +80,7 @@ pub fn nees_per_freedom(scene: &VirtualStage, sample: &PoseSample) -> f64 {
     e.dot(&(m.covariance.try_inverse().expect("positive definite") * e)) / 6.0
 }
 
-/// What the tracker is told of a virtual stage: all that is true.
+/// Returns a setup that matches the virtual stage exactly.
 pub fn setup(scene: &VirtualStage) -> TrackerSetup {
     TrackerSetup::from(scene)
 }
@@ -89,7 +90,7 @@ pub fn rows(scene: &VirtualStage, frames: u64) -> Vec<ClipEntry> {
     std::iter::from_fn(|| source.next_entry()).collect()
 }
 
-/// Tracks rows one by one and holds every record to the contract.
+/// Tracks rows one by one and checks every record against the contract.
 pub fn track_rows(setup: TrackerSetup, rows: &[ClipEntry]) -> Vec<PoseSample> {
     let mut tracker = Tracker::new(setup).expect("a setup that fits");
     let samples: Vec<PoseSample> = rows.iter().map(|row| track_entry(&mut tracker, row)).collect();
@@ -97,7 +98,7 @@ pub fn track_rows(setup: TrackerSetup, rows: &[ClipEntry]) -> Vec<PoseSample> {
     samples
 }
 
-/// Renders and tracks a stage whose truth the tracker knows.
+/// Renders and tracks a stage that is configured exactly.
 pub fn track(scene: &VirtualStage, frames: u64) -> Vec<PoseSample> {
     track_rows(setup(scene), &rows(scene, frames))
 }
@@ -106,7 +107,8 @@ pub fn truth_of(scene: &VirtualStage, sample: &PoseSample) -> Pose<Stage, Camera
     scene.truth(sample.timestamp.seconds())
 }
 
-/// Distance error as a share of the camera's distance from the origin, and angle error in degrees.
+/// Returns the position error as a fraction of the camera's distance from the origin, and the angle
+/// error in degrees.
 pub fn errors(scene: &VirtualStage, sample: &PoseSample) -> (f64, f64) {
     let truth = truth_of(scene, sample);
     let measured = sample.measurement.expect("a tracking sample").pose;
@@ -114,7 +116,8 @@ pub fn errors(scene: &VirtualStage, sample: &PoseSample) -> (f64, f64) {
     (shift, measured.angle_to(&truth).to_degrees())
 }
 
-/// Every sample tracks (the first may await its confirmation), within a share of the distance and an angle in degrees.
+/// Asserts that every sample tracks, within a fraction of the distance and an angle in degrees. The
+/// first sample may await confirmation.
 pub fn assert_tracks_within(scene: &VirtualStage, samples: &[PoseSample], share: f64, degrees: f64) {
     let mut worst = (0.0_f64, 0.0_f64);
     for sample in &samples[usize::from(samples[0].state != State::Tracking)..] {

@@ -1,4 +1,4 @@
-//! A rolling shutter under a shaking hand.
+//! A rolling shutter on a shaking hand-held camera.
 
 use stagepose::{Shake, State};
 
@@ -15,7 +15,7 @@ fn knowing_the_readout_is_worth_much() {
         let mut told = setup(&scene);
         told.shutter.readout_s = Some(readout_s);
         let samples = track_rows(told, &rows);
-        // The first motion is known from the second frame on, its change from the third.
+        // The motion is known from the second frame on, its change from the third.
         let squares: Vec<f64> =
             samples.iter().skip(3).filter(|s| s.state == State::Tracking).map(|s| errors(&scene, s).0.powi(2)).collect();
         (squares.len(), (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt())
@@ -40,7 +40,7 @@ fn a_shaken_camera_whose_shutter_nobody_described_is_followed() {
         let given = samples.iter().filter(|s| s.state == State::Tracking).count();
         let reasons: Vec<_> = samples.iter().filter_map(|s| s.reason).collect();
         println!("shake {seed}: {given} of 30 given, {reasons:?}");
-        // Its rows are displaced as by a lens that was moved, now and then.
+        // Now and then the rows are displaced as if the lens had moved.
         assert!(given >= 27, "shake {seed}: {given} of 30 given, {reasons:?}");
     }
 }
@@ -59,7 +59,8 @@ fn a_readout_that_is_not_configured_is_learnt() {
         let learnt = samples[59].learnt.readout.expect("a readout that was learnt");
         assert!((learnt.seconds - readout_s).abs() < (3.0 * learnt.sigma_s).min(1e-3), "{readout_s}: {learnt:?}");
         assert!(samples[0].learnt.readout.is_none());
-        // Until it is known the covariance has it: no frame is off by more than it says.
+        // Until the readout is known, the covariance includes it: hardly any frame is off by more
+        // than 4 sigma.
         let wrong = samples.iter().filter(|s| {
             s.measurement.as_ref().is_some_and(|m| {
                 let sigma_m = m.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
@@ -70,10 +71,7 @@ fn a_readout_that_is_not_configured_is_learnt() {
     }
 }
 
-/// A NEES beyond 9 per degree of freedom is overconfident, as `../shared/bench/malice` counts it.
-const MAX_NEES: f64 = 9.0;
-
-/// The first followed frame is predicted to stand still, whatever the camera does.
+/// The prediction for the first tracked frame is zero velocity, whatever the camera does.
 #[test]
 fn the_first_poses_of_a_shaken_camera_contain_the_unknown_readout() {
     for seed in [3, 5, 7, 9, 11] {

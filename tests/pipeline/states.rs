@@ -73,15 +73,15 @@ fn undecodable_and_skipped_rows_make_a_line_and_disturb_nothing() {
     for (row, (sample, before)) in rows.iter().zip(samples.iter().zip(&undisturbed)) {
         assert_eq!((sample.sequence, sample.timestamp), (row.sequence, row.timestamp));
         if matches!(row.content, EntryContent::Frame(_)) {
-            // What is known of the motion differs after a gap, and with it the start of the next alignment.
+            // After a gap, the motion estimate differs, and with it the start of the next
+            // alignment.
             let (pose, undisturbed) = (sample.pose.expect("it tracks"), before.pose.expect("it tracks"));
             assert!((pose.translation - undisturbed.translation).norm() < 5e-4 && pose.angle_to(&undisturbed) < 2e-4);
         }
     }
 }
 
-/// A capture card that has no new picture gives the last one again, byte for byte, with a new
-/// stamp.
+/// A capture card without a new picture repeats the last one byte for byte, with a new timestamp.
 #[test]
 fn a_picture_that_comes_again_is_no_measurement() {
     let scene = small();
@@ -94,7 +94,7 @@ fn a_picture_that_comes_again_is_no_measurement() {
     let samples = track_rows(setup(&scene), &rows);
     assert_eq!(states(&samples), [vec![Tracking; 4], vec![Coasting; 6], vec![Lost; 2], vec![Tracking; 2]].concat());
     assert!(samples[4..12].iter().all(|s| s.reason == Some(Reason::Repeated)));
-    // Where the picture gave no pose the first time, the second look may.
+    // If the picture yielded no pose the first time, its repetition may.
     let mut found_late = vec![undecodable(&rows[3]), rows[4].clone()];
     found_late.push(rows[5].clone());
     let states = states(&track_rows(setup(&scene), &found_late));

@@ -1,6 +1,7 @@
-//! A camera that starts and stops at once, at any instant of the exposure: the covariance still says how far off the pose is.
+//! A camera that starts and stops abruptly, at any instant of the exposure: the covariance still
+//! covers the error of the pose.
 //!
-//! `STAGEPOSE_STOPS=2000` asks for more starts and stops than the few of every day.
+//! `STAGEPOSE_STOPS=2000` asks for more starts and stops than a normal run has.
 
 use std::num::NonZero;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,14 +14,15 @@ use stagepose::{CameraPath, EntryContent, FrameSource, PoseSample, SensorNoise, 
 
 use super::scene::{FPS, backdrop, camera, quiet, truth_of};
 
-/// Starts and stops of every day: a dozen for each of three shutters.
+/// Starts and stops of a normal run: a dozen for each of three shutters.
 const USUAL_EVENTS: usize = 36;
-/// In each scene, which costs one tracker: of every day, and where more are asked for.
+/// Events per scene, which costs one tracker: in a normal run, and if more are requested.
 const EVENTS_A_SCENE: [usize; 2] = [12, 40];
-/// Frames from one event on that are scored as its own.
+/// Frames scored as an event's own, from the event on.
 const FRAMES_AFTER: u64 = 2;
 
-/// Squared error in units of the covariance (C3: p_true = p + δp, R_true = Exp(δθ) R), and the distance, metres.
+/// Returns the squared error normalised by the covariance (C3: p_true = p + δp, R_true = Exp(δθ)
+/// R), and the position error in metres; `None` without a measurement.
 fn squared_error(scene: &VirtualStage, sample: &PoseSample) -> Option<(f64, f64)> {
     let m = sample.measurement.as_ref()?;
     let truth = truth_of(scene, sample);
@@ -30,7 +32,7 @@ fn squared_error(scene: &VirtualStage, sample: &PoseSample) -> Option<(f64, f64)
     Some((e.dot(&(m.covariance.try_inverse().expect("positive definite") * e)), shift.norm()))
 }
 
-/// A camera that goes and rests in turn, and the times of its starts and stops.
+/// A camera that alternately moves and rests, and the times of its starts and stops.
 fn stop_and_go(random: &mut Pcg64Mcg, events_a_scene: usize) -> (CameraPath, Vec<f64>) {
     let place = |random: &mut Pcg64Mcg| {
         let mut near = |most: f64| random.random_range(-most..most);
@@ -45,7 +47,7 @@ fn stop_and_go(random: &mut Pcg64Mcg, events_a_scene: usize) -> (CameraPath, Vec
         positions.push((t, position));
         targets.push((t, target));
         if event % 2 == 0 {
-            // Up to a metre a second, panning meanwhile.
+            // Up to a metre a second, panning at the same time.
             let aim = place(random);
             let lasts_s = random.random_range(0.25..0.4);
             let share = (lasts_s * random.random_range(0.2..1.0) / (aim.0 - position).norm()).min(1.0);
@@ -61,7 +63,7 @@ fn stop_and_go(random: &mut Pcg64Mcg, events_a_scene: usize) -> (CameraPath, Vec
     (CameraPath { position: path(&positions), target: path(&targets), roll_rad: 0.02, shake: None }, events)
 }
 
-/// How far off a frame's pose was, and which frame it was.
+/// A frame's squared error and position error, and which frame it was.
 #[derive(Debug, Clone, Copy)]
 struct Scored {
     nees: f64,
@@ -70,10 +72,10 @@ struct Scored {
     frame: u64,
 }
 
-/// The frames of one or more scenes.
+/// The scored frames of one or more scenes.
 #[derive(Debug, Default)]
 struct Scores {
-    /// Touched by a start or a stop, or right after one.
+    /// Frames touched by a start or a stop, or right after one.
     near: Vec<Scored>,
     others: Vec<Scored>,
     withheld: usize,
@@ -94,7 +96,7 @@ fn track_scene(seed: u64, events_a_scene: usize) -> Scores {
     while let Some(row) = source.next_entry() {
         let EntryContent::Frame(frame) = &row.content else { continue };
         let sample = tracker.track(frame).expect("a virtual camera's frame");
-        // The first frame that an event touches, and those after it.
+        // The first frame that an event touches, and the frames after it.
         let t = frame.timestamp.seconds();
         let reach = 0.5 * (scene.shutter.exposure_s + scene.shutter.readout_s);
         let is_near = events.iter().any(|e| t + reach > *e && t - reach < *e + FRAMES_AFTER as f64 / FPS);
@@ -129,7 +131,7 @@ fn track_scenes(scenes: u64, events_a_scene: usize) -> Scores {
     all
 }
 
-/// Mean of NEES / 6, after it was printed with the errors and the worst frames.
+/// Returns the mean of NEES / 6, after printing it with the errors and the worst frames.
 fn printed(what: &str, scored: &mut [Scored]) -> f64 {
     let n = scored.len().max(1) as f64;
     let mean_nees = scored.iter().map(|s| s.nees).sum::<f64>() / 6.0 / n;

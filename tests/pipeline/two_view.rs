@@ -1,4 +1,4 @@
-//! `homography`, `essential` and `model` of the record against what the truth makes of them.
+//! `homography`, `essential` and `model` of the record, compared with the ground truth.
 
 use image::imageops;
 use nalgebra::{Matrix3, Point3, Vector2, Vector3};
@@ -8,7 +8,8 @@ use stagepose::{Camera, CameraPath, EssentialMotion, Normalized, Pose, PoseSampl
 
 use super::scene::{backdrop, backdrop_art, body, camera, other_art, past, quiet, surface, track, truth_of};
 
-/// Where the truth puts an artwork pixel of the first surface, undistorted pixels; `None` outside of the frame.
+/// Returns where an artwork pixel of the first surface is truly seen, in undistorted pixels; `None`
+/// outside the frame.
 pub fn seen_at(scene: &VirtualStage, truth: &Pose<Stage, Camera>, artwork: Vector2<f64>) -> Option<Vector2<f64>> {
     let point = scene.stage.surfaces[0].body_point(artwork);
     let c = truth.inverse().transform(&point);
@@ -18,7 +19,8 @@ pub fn seen_at(scene: &VirtualStage, truth: &Pose<Stage, Camera>, artwork: Vecto
     (c.z > 0.0 && inside).then(|| scene.camera.undistorted_pixel(ray))
 }
 
-/// Largest distance of a homography from the truth over artwork pixels in view. `from` gives the pixel that it starts at.
+/// Returns the largest distance between a homography and the ground truth over the artwork pixels
+/// in view. `from` maps an artwork pixel to the pixel that the homography starts from.
 pub fn worst_transfer(scene: &VirtualStage, sample: &PoseSample, h: &Matrix3<f64>, from: impl Fn(Vector2<f64>) -> Vector2<f64>) -> f64 {
     assert_eq!(h[(2, 2)], 1.0);
     let art = &scene.stage.surfaces[0].artwork;
@@ -26,7 +28,7 @@ pub fn worst_transfer(scene: &VirtualStage, sample: &PoseSample, h: &Matrix3<f64
     let truth = truth_of(scene, sample);
     let mut worst = 0.0_f64;
     let mut compared = 0;
-    // The corners, and a grid between them: a corner may be out of view.
+    // The corners and a grid between them, because a corner may be out of view.
     for i in 0..=8 {
         for k in 0..=8 {
             let p = Vector2::new(f64::from(i) / 8.0 * w - 0.5, f64::from(k) / 8.0 * h_px - 0.5);
@@ -40,14 +42,14 @@ pub fn worst_transfer(scene: &VirtualStage, sample: &PoseSample, h: &Matrix3<f64
     worst
 }
 
-/// Degrees between the record's motion and the truth from a reference camera: rotation, direction.
+/// Returns the errors of the record's motion from a reference camera, degrees: rotation, direction.
 pub fn motion_errors(scene: &VirtualStage, sample: &PoseSample, reference: &Pose<Stage, Camera>, found: &EssentialMotion) -> (f64, f64) {
     let truth: Pose<Camera, Camera> = truth_of(scene, sample).inverse() * *reference;
     let rotation = found.rotation.angle_to(&truth.rotation).to_degrees();
     (rotation, found.translation_direction.angle(&truth.translation).to_degrees())
 }
 
-/// C3: as far in front of the first surface as it is wide.
+/// Returns the reference camera of C3: as far in front of the first surface as that is wide.
 fn reference() -> Pose<Stage, Camera> {
     look_at(Point3::new(0.0, -4.0, 0.0), Point3::origin(), 0.0)
 }

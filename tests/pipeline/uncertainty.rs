@@ -1,4 +1,4 @@
-//! The covariance of the record against the errors that it speaks of.
+//! The record's covariance, compared with the actual errors.
 
 use nalgebra::Vector3;
 use stagepose::{CameraModel, CameraPath, LensGuess, PoseSample, SensorNoise, Spline, State};
@@ -17,7 +17,8 @@ fn errors_are_as_large_as_the_covariance_says() {
     let mean = all.iter().sum::<f64>() / all.len() as f64;
     println!("mean NEES / 6 over {} frames: {mean:.2}", all.len());
     assert_eq!(all.len(), 28);
-    // Less than 1: every covariance has room for the least error that a frame can show, and for a start or stop that its motion may hide.
+    // Expected below 1: every covariance includes a minimum error per frame, and a start or stop
+    // that the frame's motion may hide.
     assert!((0.2..3.0).contains(&mean), "{mean}");
 }
 

@@ -1,18 +1,18 @@
-//! Each constant of the source has a comment, or stands in a group that has one.
+//! Checks that each constant of the source has a comment, or belongs to a group that has one.
 //!
-//! The source is read as lines, for comments are not in the syntax tree. That it is formatted is relied on: an item ends where its
-//! indentation comes back.
+//! The source is read as lines, because comments are not in the syntax tree. The check relies on
+//! the formatting: an item ends where its indentation returns.
 
 use std::path::Path;
 
-/// A constant that nothing says what it is: the number of its line, from 1, and its name.
+/// A constant without a comment: its line number, from 1, and its name.
 type Silent<'a> = (usize, &'a str);
 
 fn indentation(line: &str) -> usize {
     line.len() - line.trim_start().len()
 }
 
-/// The name of the constant or static that a line declares.
+/// Returns the name of the constant or static that a line declares.
 fn declared(line: &str) -> Option<&str> {
     let line = line.trim_start();
     let line = match line.strip_prefix("pub") {
@@ -23,11 +23,12 @@ fn declared(line: &str) -> Option<&str> {
     let rest = line.strip_prefix("const ").or(line.strip_prefix("static "))?;
     let (name, kind) = rest.strip_prefix("mut ").unwrap_or(rest).split_once(':')?;
     let is_name = name.chars().all(|c| c.is_ascii_uppercase() || c.is_ascii_digit() || c == '_');
-    // A comma ends the parameter of something generic.
+    // A trailing comma means a const parameter of a generic item.
     (is_name && !kind.ends_with(',')).then_some(name)
 }
 
-/// Where the item of a line ends: the first line from there that ends it, at its own indentation or by a semicolon of a single value.
+/// Returns the last line of an item: the first one that ends it, at its own indentation or with the
+/// semicolon of a single value.
 fn end(lines: &[&str], begin: usize) -> usize {
     let own = indentation(lines[begin]);
     let is_end = |k: usize| match lines[k].trim_end() {
@@ -43,11 +44,11 @@ fn is_attribute(line: &str) -> bool {
     line.trim_start().starts_with("#[")
 }
 
-/// The number of constants outside of tests, and those among them that nothing says what they are.
+/// Returns the number of constants outside tests, and those among them without a comment.
 fn read(text: &str) -> (usize, Vec<Silent<'_>>) {
     let lines: Vec<&str> = text.lines().collect();
     let (mut count, mut silent) = (0, Vec::new());
-    // The line after the last constant, where that one is spoken of.
+    // The line after the last constant that has a comment, or belongs to a group that has one.
     let mut group_goes_on_at = None;
     let mut at = 0;
     while at < lines.len() {

@@ -1,7 +1,8 @@
-//! The architecture, held to: rooms use only rooms above them, and no two modules beside each other need each other. And what the source
-//! says of itself: each constant has its comment.
+//! Checks the architecture: rooms (top-level modules) use only rooms above them, and no sibling
+//! modules depend on each other in a circle. Also checks what the source says about itself: every
+//! constant has a comment.
 //!
-//! `STAGEPOSE_REMAKE=1 cargo test --test stagepose structure` draws docs/modules.md anew.
+//! `STAGEPOSE_REMAKE=1 cargo test --test stagepose structure` redraws docs/modules.md.
 
 mod constants;
 mod modules;
@@ -55,14 +56,14 @@ const ROOMS: [&str; 36] = [
     "diagnostics",
     "main",
 ];
-/// Rooms of the core: the first of [`ROOMS`].
+/// Number of rooms in the core: the first ones of [`ROOMS`].
 const CORE: usize = 12;
 
 fn read() -> Modules {
     Modules::of(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src/lib.rs"))
 }
 
-/// Which rooms use which.
+/// Returns which rooms use which.
 fn arrows_of_rooms(modules: &Modules) -> BTreeSet<(String, String)> {
     let room = |name: &Name| name.first().cloned();
     let arrows = modules.uses().into_iter().filter_map(|(user, used)| Some((room(&user)?, room(&used)?)));
@@ -129,11 +130,11 @@ fn only_the_codecs_the_two_views_and_the_diagnostics_are_public_modules() {
         _ => None,
     });
     assert_eq!(public.collect::<BTreeSet<_>>(), ["diagnostics", "protocols", "two_views"].map(str::to_owned).into());
-    // A glob would make public whatever a room happens to have.
+    // A glob would publish whatever a room happens to have.
     assert!(!text.contains("::*"), "lib.rs names what it gives on");
 }
 
-/// The sources, relative to `src/`.
+/// Returns the source files, relative to `src/`.
 fn sources() -> Vec<PathBuf> {
     let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     let (mut folders, mut files) = (vec![src.clone()], Vec::new());
@@ -155,7 +156,8 @@ fn no_file_stands_beside_a_folder_of_its_name() {
     assert!(both.is_empty(), "make them mod.rs in their folders: {both:?}");
 }
 
-/// `lanes.rs` calls AVX2 from safe functions, which is sound while nothing but its macro, which asks the processor first, names the type.
+/// `lanes.rs` calls AVX2 from safe functions. That is sound as long as only its macro names the
+/// type, because the macro first checks the processor.
 #[test]
 fn avx2_is_named_only_behind_its_detection() {
     let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
@@ -164,7 +166,8 @@ fn avx2_is_named_only_behind_its_detection() {
     assert_eq!(naming, [Path::new("track/align/lanes.rs")]);
 }
 
-/// A circle among a module's children, or `None`: each is followed along what it uses.
+/// Returns a dependency circle among sibling modules, or `None`, by a depth-first search along what
+/// each uses.
 fn circle(children: &BTreeSet<String>, arrows: &BTreeMap<&String, BTreeSet<&String>>) -> Option<Vec<String>> {
     fn follow<'a>(
         at: &'a String,
@@ -208,7 +211,8 @@ fn no_modules_beside_each_other_need_each_other() {
     assert!(circles.is_empty(), "circles:\n{}", circles.join("\n"));
 }
 
-/// The rooms as a picture that browsers and forges draw (Mermaid), core and the rest apart.
+/// Draws the rooms as a Mermaid diagram, which browsers and code forges render, with the core
+/// separate from the rest.
 fn drawn(arrows: &BTreeSet<(String, String)>) -> String {
     let mut text = String::from(
         "# Modules\n\nWhich room of `src/` uses which; drawn from the source by `STAGEPOSE_REMAKE=1 cargo test --test stagepose structure`. An arrow that\nfollows from others is left out.\n\n```mermaid\ngraph BT\n",
@@ -228,7 +232,7 @@ fn drawn(arrows: &BTreeSet<(String, String)>) -> String {
     text + "```\n"
 }
 
-/// Whether a longer way leads from one room to another.
+/// Whether a longer path leads from one room to another.
 fn is_reached_otherwise(user: &str, used: &str, arrows: &BTreeSet<(String, String)>) -> bool {
     let next = |at: &str| arrows.iter().filter(move |(from, _)| from == at).map(|(_, to)| to.clone()).collect::<Vec<_>>();
     let mut waiting: Vec<String> = next(user).into_iter().filter(|n| n != used).collect();

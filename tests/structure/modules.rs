@@ -1,4 +1,4 @@
-//! The modules of a crate and what they use of each other, read from its source.
+//! Reads the modules of a crate, and what they use of each other, from its source.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -14,9 +14,9 @@ pub type Name = Vec<String>;
 struct Module {
     file: PathBuf,
     children: BTreeSet<String>,
-    /// Names that it gives on, and where they come from.
+    /// Names that it re-exports, and where they come from.
     exports: BTreeMap<String, Name>,
-    /// What it uses, from the crate's root.
+    /// Paths that it uses, from the crate's root.
     used: BTreeSet<Name>,
 }
 
@@ -25,7 +25,7 @@ struct Module {
 pub struct Modules(BTreeMap<Name, Module>);
 
 impl Modules {
-    /// Reads the crate of a `lib.rs`; modules that are only there for tests are left out.
+    /// Reads the crate of a `lib.rs`, without the modules that exist only for tests.
     pub fn of(lib: &Path) -> Self {
         let mut modules = Self::default();
         modules.read(Vec::new(), lib, lib.parent().expect("lib.rs is in a folder"));
@@ -48,7 +48,7 @@ impl Modules {
         }
     }
 
-    /// The module that a path leads to, through re-exports.
+    /// Returns the module that a path leads to, through re-exports.
     fn module_of(&self, path: &[String], steps: usize) -> Name {
         let mut at = Name::new();
         for (k, segment) in path.iter().enumerate() {
@@ -65,24 +65,24 @@ impl Modules {
         at
     }
 
-    /// Which module uses which: (user, used).
+    /// Returns which module uses which: (user, used).
     pub fn uses(&self) -> BTreeSet<(Name, Name)> {
         let arrows = self.0.iter().flat_map(|(name, module)| module.used.iter().map(|path| (name.clone(), self.module_of(path, 8))));
         arrows.filter(|(user, used)| user != used).collect()
     }
 
-    /// The files of all modules.
+    /// Returns the files of all modules.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         self.0.values().map(|module| module.file.as_path())
     }
 
-    /// Modules that have others in them.
+    /// Returns the modules that have child modules, with their children.
     pub fn parents(&self) -> impl Iterator<Item = (&Name, &BTreeSet<String>)> {
         self.0.iter().filter(|(_, module)| !module.children.is_empty()).map(|(name, module)| (name, &module.children))
     }
 }
 
-/// A module in a file of its own that is not only there for tests.
+/// Returns a module in a file of its own, unless it exists only for tests.
 fn declaration(item: &Item) -> Option<&ItemMod> {
     match item {
         Item::Mod(m) if m.content.is_none() && !is_test(&m.attrs) => Some(m),
@@ -90,7 +90,7 @@ fn declaration(item: &Item) -> Option<&ItemMod> {
     }
 }
 
-/// `#[cfg(test)]`, `#[cfg(all(test, …))]` or `#[test]`.
+/// Whether the attributes have `#[cfg(test)]`, `#[cfg(all(test, …))]` or `#[test]`.
 fn is_test(attributes: &[Attribute]) -> bool {
     attributes.iter().any(|a| {
         let condition = a.meta.require_list().ok().filter(|list| list.path.is_ident("cfg")).map(|list| list.tokens.to_string());
@@ -104,7 +104,7 @@ struct Reader {
 }
 
 impl Reader {
-    /// A path of this module from the crate's root; `None` where it leads out of the crate.
+    /// Resolves a path of this module from the crate's root; `None` if it leads out of the crate.
     fn path_from_root(&self, path: &[String]) -> Option<Name> {
         let (first, rest) = path.split_first()?;
         let parent = |name: &Name| name[..name.len().saturating_sub(1)].to_vec();
@@ -145,10 +145,10 @@ impl Reader {
         }
     }
 
-    /// Takes note of a path, and of the name that it is given on by.
+    /// Records a path, and the name under which it is re-exported.
     fn add(&mut self, path: &[String], given_on_as: Option<String>) {
         let Some(path) = self.path_from_root(path) else { return };
-        // What a parent gives on of its own children is no use of them.
+        // A parent that re-exports its own children does not depend on them.
         if given_on_as.is_none() || !path.starts_with(&self.name) || path.len() <= self.name.len() {
             self.module.used.insert(path.clone());
         }

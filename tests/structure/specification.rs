@@ -1,17 +1,19 @@
-//! SPECIFICATION.md names a test for every promise: each must be there. So must the files that other documents send their readers to.
+//! SPECIFICATION.md names a test for every promise, and each must exist. So must the files that
+//! other documents refer to.
 
 use std::collections::BTreeSet;
 use std::path::Path;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
-/// What a row names, as it stands between backquotes in its last column: `path` or `path::name`.
+/// Returns what a row names in backquotes in its last column: `path` or `path::name`.
 fn named(row: &str) -> Vec<&str> {
     let last = row.trim_end_matches(" |").rsplit(" | ").next().unwrap_or_default();
     last.split('`').skip(1).step_by(2).collect()
 }
 
-/// Whether a Rust file has a test of that name; attributes may stand between `#[test]` and the function.
+/// Whether a Rust file has a test of that name; other attributes may stand between `#[test]` and
+/// the function.
 fn has_test(text: &str, name: &str) -> bool {
     let head = format!("fn {name}(");
     let lines: Vec<&str> = text.lines().map(str::trim).collect();
@@ -21,7 +23,7 @@ fn has_test(text: &str, name: &str) -> bool {
     })
 }
 
-/// Why what is named does not show anything, or `None` where it is there.
+/// Returns why a named item proves nothing, or `None` if it exists.
 fn fault(named: &str) -> Option<String> {
     let (path, name) = named.split_once("::").map_or((named, None), |(path, name)| (path, Some(name)));
     let Ok(text) = std::fs::read_to_string(Path::new(ROOT).join(path)) else { return Some(format!("{named}: no file {path}")) };
@@ -45,7 +47,8 @@ fn every_promise_names_tests_that_exist() {
     assert!(faults.is_empty(), "{faults:#?}");
 }
 
-/// Paths of source, tests and benches between backquotes; in a list only the first one is whole.
+/// Returns the paths of source, tests and benches in backquotes; in a list, only the first one is
+/// complete.
 fn paths(text: &str) -> BTreeSet<&str> {
     let quoted = text.split('`').skip(1).step_by(2);
     let is_path = |word: &&str| ["src/", "tests/", "benches/", "docs/", "config/", "examples/"].iter().any(|room| word.starts_with(room));

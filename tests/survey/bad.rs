@@ -1,4 +1,5 @@
-//! What is no walk around this stage: a sentence each, and nothing is overwritten.
+//! Inputs that are not a walk around this stage: each is refused in one sentence, and nothing is
+//! overwritten.
 
 use std::io::{BufRead, BufReader};
 
@@ -43,7 +44,7 @@ fn an_earlier_survey_is_replaced_whole_and_its_shapes_belong_to_their_pictures()
     std::fs::remove_file(walk.path("surveyed/mine.txt")).expect("it is there");
     walk.run(&survey("walk", &[])).assert_success();
     let first = walk.files("surveyed");
-    // A survey that fails leaves the earlier one as it was.
+    // A failing survey leaves the earlier one as it was.
     walk.save("one", &frames()[..1]);
     walk.run(&survey("one", &[])).assert_refused(1, &["the camera came to"]);
     assert_eq!(walk.files("surveyed"), first);
@@ -74,7 +75,7 @@ fn an_interrupted_survey_says_so_leaves_the_earlier_one_as_it_was_and_goes_on_wh
     let walk = Walk::new();
     walk.run(&survey("walk", &[])).assert_success();
     let first = walk.files("surveyed");
-    // What a run that was killed while it wrote has left is no part of the next.
+    // Leftovers of a run that was killed while writing must not enter the next survey.
     std::fs::create_dir(walk.path(".surveyed.new")).expect("it can be made");
     walk.write(".surveyed.new/shape-9.toml", "");
     let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_stagepose"))
@@ -99,7 +100,7 @@ fn an_interrupted_survey_says_so_leaves_the_earlier_one_as_it_was_and_goes_on_wh
     assert!(again.stderr.contains(words), "{}", again.stderr);
     assert_eq!(walk.files("surveyed"), first);
     assert!([".surveyed.new", ".surveyed.old", ".surveyed.walk"].iter().all(|name| !walk.path(name).exists()));
-    // One that is damaged, or of other clips, is as none.
+    // A kept walk that is damaged or belongs to other clips is ignored.
     for (bytes, clip) in [(&kept[..kept.len() / 2], "walk"), (&kept[..], "other")] {
         walk.save("other", frames());
         std::fs::write(walk.path(".surveyed.walk"), bytes).expect("it can be written");

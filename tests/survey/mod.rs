@@ -1,4 +1,5 @@
-//! `stagepose survey` as a user runs it: on a rendered walk past a stage that stands otherwise than its config says, and on what is no walk.
+//! `stagepose survey` as a user runs it: on a rendered walk past a stage that differs from its
+//! config, and on inputs that are not a walk.
 
 mod bad;
 mod rendered;
@@ -31,12 +32,12 @@ const LENS: Intrinsics = Intrinsics {
 const FPS: f64 = 12.0;
 const FRAMES: u64 = 36;
 
-/// A folder with a walk, its stage as measured by hand, and a way to run the program on it.
+/// A folder with a walk and its stage as measured by hand, and a way to run the program on it.
 pub struct Walk {
     folder: tempfile::TempDir,
 }
 
-/// A backdrop, and a flat before it.
+/// The true stage: a backdrop with a flat in front of it.
 fn stage() -> BodySpec {
     let surface = |name: &str, art: &GrayImage, size_m, position, turn| {
         SurfaceSpec::from_artwork(name.to_owned(), art.clone(), size_m, upright(position, turn)).expect("texture enough")
@@ -50,7 +51,8 @@ fn stage() -> BodySpec {
     )
 }
 
-/// A walk of three seconds from one side to the other, nearer and farther, the camera turned on its side a little.
+/// A walk of three seconds from one side to the other, nearer and farther, with the camera rolled
+/// slightly.
 fn path() -> CameraPath {
     let keys = [(-0.5, [-2.2, -2.6, 0.3]), (0.8, [-0.8, -2.4, 0.8]), (1.8, [0.7, -3.4, -0.2]), (3.5, [2.1, -2.5, 0.4])];
     let targets = [(-0.5, [-0.3, 0.0, 0.1]), (1.0, [0.3, 0.0, -0.2]), (2.0, [-0.4, 0.0, 0.2]), (3.5, [0.4, 0.0, 0.0])];
@@ -60,13 +62,13 @@ fn path() -> CameraPath {
     CameraPath { position: spline(&keys), target: spline(&targets), roll_rad: 0.1, shake: None }
 }
 
-/// The frames of the walk, rendered once.
+/// Returns the frames of the walk, rendered once.
 fn frames() -> &'static [GrayImage] {
     static FRAMES_OF_WALK: OnceLock<Vec<GrayImage>> = OnceLock::new();
     FRAMES_OF_WALK.get_or_init(|| filmed(path(), stage()))
 }
 
-/// What the lens shows of a stage along a path.
+/// Renders what the lens shows of a stage along a path.
 fn filmed(path: CameraPath, stage: BodySpec) -> Vec<GrayImage> {
     let mut scene: VirtualStage = quiet(CameraModel::new(LENS).expect("a camera"), path, stage);
     scene.samples = 9;
@@ -88,7 +90,8 @@ fn calibration(lens: &Intrinsics) -> String {
 }
 
 impl Walk {
-    /// The walk, with a config whose flat is 20 mm and a degree off, and whose lens is right.
+    /// Creates the walk with a config whose lens is right and whose flat is off by 20 mm and a
+    /// degree.
     pub fn new() -> Self {
         let walk = Self { folder: tempfile::tempdir().expect("a folder") };
         backdrop_art().save(walk.path("backdrop.png")).expect("it can be written");
@@ -135,7 +138,7 @@ impl Walk {
         Run::from(command.args(arguments).current_dir(self.folder.path()).env_remove("RUST_LOG").output().expect("the program runs"))
     }
 
-    /// All files below a folder, with their bytes.
+    /// Returns all files in a folder, with their bytes.
     pub fn files(&self, name: &str) -> Vec<(String, Vec<u8>)> {
         let entry =
             |path: &Path| (path.file_name().expect("a name").to_string_lossy().into_owned(), std::fs::read(path).expect("it can be read"));

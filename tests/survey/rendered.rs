@@ -1,4 +1,5 @@
-//! A walk past a stage that stands otherwise than it was measured: the survey finds where, and with which lens it was filmed.
+//! A walk past a stage that differs from its measurements: the survey finds where the surfaces are,
+//! and which lens filmed the walk.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde_json::Value;
@@ -11,7 +12,7 @@ fn numbers<const N: usize>(value: &Value) -> [f64; N] {
     numbers.try_into().expect("as many as that")
 }
 
-/// How far surface `k` is from where it stands: millimetres and degrees.
+/// Returns how far surface `k` was found from its true pose: millimetres and degrees.
 pub(super) fn errors(json: &Value, k: usize) -> (f64, f64) {
     let (found, truth) = (&json["surfaces"][k], &stage().surfaces[k].pose);
     let [x, y, z, w] = numbers::<4>(&found["orientation_xyzw"]);
@@ -36,7 +37,7 @@ fn a_flat_that_stands_elsewhere_is_found_and_the_folder_is_complete_by_itself() 
     assert!(json["rms_px"]["surveyed"].as_f64() < Some(0.1), "{}", json["rms_px"]);
     assert_eq!(json["camera"]["fx"], LENS.fx);
     assert!(walk.read("report.html").contains("Heights of flat.png"));
-    // The folder needs nothing else: the rest of the config is as it was.
+    // The output folder is self-contained, and the rest of the config is unchanged.
     for file in ["backdrop.png", "flat.png", "camera.toml", "stage.toml"] {
         std::fs::remove_file(walk.path(file)).expect("it is there");
     }
@@ -49,7 +50,8 @@ fn a_flat_that_stands_elsewhere_is_found_and_the_folder_is_complete_by_itself() 
 #[test]
 fn a_measured_length_mends_sizes_that_are_wrong_and_one_that_contradicts_all_else_is_named() {
     let walk = Walk::new();
-    // All sizes and places two parts in a hundred too small; then the diagonal of the backdrop, and one from it to the flat.
+    // All sizes are two percent too small, and the position of the flat is off as well. The
+    // measured distances are the diagonal and the width of the backdrop.
     let stage = "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"backdrop.png\"\nsize_m = [3.92, 2.94]\n\
                  [[stage.surface]]\nimage = \"flat.png\"\nsize_m = [1.176, 0.882]\nposition_m = [0.89, -0.58, -0.3]\nrotation_deg = [0.0, 0.5, 12.4]\n";
     let length = |surfaces: &str, at: &str, metres: f64| {
@@ -65,7 +67,7 @@ fn a_measured_length_mends_sizes_that_are_wrong_and_one_that_contradicts_all_els
     assert!(run.stdout.contains("[[survey.distance]], line 11: 5.0000 m as measured"), "{}", run.stdout);
     let (mm, degrees) = errors(&json, 1);
     assert!(mm < 2.0 && degrees < 0.1, "{mm} {degrees}");
-    // The camera of the surveyed stage is where it is with the right sizes.
+    // The camera is where it is with the right sizes.
     walk.run(&["replay", "walk", "--config", "surveyed/stage.toml", "--tum", "mended.txt"]).assert_success();
     walk.run(&["replay", "walk", "--config", "stage.toml", "--tum", "right.txt"]).assert_success();
     let apart = |a: &str, b: &str| {
@@ -74,7 +76,7 @@ fn a_measured_length_mends_sizes_that_are_wrong_and_one_that_contradicts_all_els
     };
     let (mended, right_sizes) = (walk.read("mended.txt"), walk.read("right.txt"));
     assert!(mended.lines().zip(right_sizes.lines()).all(|(a, b)| apart(a, b) < 0.03), "{mended}\n{right_sizes}");
-    // A slip of a decimetre in a third length.
+    // A third length is wrong by a decimetre.
     walk.write("slip.toml", &format!("{stage}{right}{}", length("[1, 1]", "[\"top\", \"bottom\"]", 3.1)));
     let before = walk.files("surveyed");
     walk.run(&["survey", "walk", "--config", "slip.toml", "--output", "surveyed"])

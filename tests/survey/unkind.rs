@@ -1,4 +1,5 @@
-//! Walks that are hard but honest: people in front, a lens far from its file, a shutter that nobody told of; and one that cannot tell its lens.
+//! Walks that are hard but valid: people in front, few frames with a surface, a lens far from its
+//! calibration, an unconfigured shutter. Also one walk that cannot determine its lens.
 
 use image::GrayImage;
 use nalgebra::Vector3;
@@ -8,14 +9,14 @@ use stagepose::{BodySpec, CameraPath, Intrinsics, Spline};
 use super::rendered::errors;
 use super::{LENS, Walk, calibration, filmed, frames, path, stage};
 
-/// Two people of some width who walk through a picture.
+/// Draws two people who walk through a picture.
 fn with_people(frame: &GrayImage, at: usize) -> GrayImage {
     let coat = grey(&paint(480, 270, 91));
     let mut picture = frame.clone();
     for (first, speed, top) in [(40, 11, 60), (430, -9, 90)] {
         let left = (first + speed * at as i64).clamp(0, 400);
         for (x, y, pixel) in picture.enumerate_pixels_mut() {
-            // Their pattern goes with them.
+            // The clothes' pattern moves with the person.
             let across = i64::from(x) - left;
             if (0..75).contains(&across) && y >= top {
                 *pixel = *coat.get_pixel(across as u32 + 100, y);
@@ -69,7 +70,7 @@ fn a_lens_with_which_nothing_aligns_is_found_by_features_first() {
     let walk = Walk::new();
     let told = Intrinsics { fx: 1.3 * LENS.fx, fy: 1.3 * LENS.fy, cx: 239.5, cy: 134.5, distortion: [0.0; 5], ..LENS };
     walk.write("camera.toml", &calibration(&told));
-    // Kept as told, it is no survey: a sentence that says what to do, and nothing is written.
+    // With the lens kept as calibrated, the survey is refused with the fix, and nothing is written.
     walk.run(&["survey", "walk", "--config", "stage.toml", "--output", "surveyed"])
         .assert_refused(1, &["--lens refine", "nothing is written"]);
     assert!(!walk.path("surveyed").exists());
@@ -83,7 +84,7 @@ fn a_lens_with_which_nothing_aligns_is_found_by_features_first() {
 #[test]
 fn a_walk_that_cannot_tell_its_lens_is_refused_with_the_view_that_is_missing() {
     let walk = Walk::new();
-    // Along a wall, always square on: a focal length is as good as a distance.
+    // Along a wall and always head-on, focal length and distance cannot be told apart.
     let along = |y: f64| Spline::new(&[(-0.5, Vector3::new(-1.0, y, 0.0)), (3.5, Vector3::new(1.0, y, 0.0))]).expect("keys in order");
     let wall = BodySpec::new("stage", stage().surfaces.into_iter().take(1).collect());
     let square = filmed(CameraPath { position: along(-3.0), target: along(0.0), roll_rad: 0.0, shake: None }, wall);
