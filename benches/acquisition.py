@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
-"""How a stage is found from nothing, and that nothing else is taken for it.
+"""Finding a stage from nothing, without taking anything else for it.
 
     cargo build --release && target/venv/bin/python benches/acquisition.py [cold|decoys|blackouts] [SCENE…]
 
-It needs what benches/clips.py needs, and uses its rendered scenes (--out).
+Needs what benches/clips.py needs, and uses its rendered scenes (--out).
 
-`cold`: ../shared/bench/cold.py on each scene: every third frame by itself.
-`decoys`: twenty unrelated pictures of ../shared/data, one after another, are told to be the stage: no pose may be given in any frame.
-`blackouts`: twenty blackouts of 0.4 s are put into a scene: tracked again in the first lit frame in at least 90 % of them, and no pose wrong.
+`cold`: runs ../shared/bench/cold.py on each scene, every third frame by itself.
+`decoys`: configures twenty unrelated pictures of ../shared/data as the stage, one after another; no
+    frame may report a pose.
+`blackouts`: inserts twenty blackouts of 0.4 s into a scene; at least 90 % must be tracked again in
+    the first lit frame, and no pose may be wrong.
 """
 import argparse
 import json
@@ -31,9 +33,9 @@ DECOYS = [
     "homog-evd/catB.png", "homog-evd/foxB.png", "homog-homogr/BostonB.jpg", "homog-homogr/BostonLibB.png", "homog-oxford-bikes/4.png",
     "homog-oxford-graf/4.png",
 ]  # fmt: skip
-DECOY_EVERY = 15  # of a scene's frames, every so many are shown to the decoys: others look alike
+DECOY_EVERY = 15  # interval of the scene frames shown to the decoys; frames in between look alike
 BLACKOUT_S, BACK, TIMES = 0.4, 0.9, 20
-# Least shares found within three frames and in the first.
+# Minimum fraction found within three frames, and of those, in the first frame.
 FOUND, FIRST = {"d-steep": 0.95, "d-whip": 0.8, "d-actors": 0.92}, 0.85
 FOUND_ELSE = 0.98
 
@@ -62,7 +64,7 @@ def rows_of(clip):
 
 
 def black_like(clip, file):
-    """A black picture of a clip's size, saved."""
+    """Saves a black picture of a clip's size."""
     width, height = clip.size()
     file.parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(file), np.full((height, width), 6, np.uint8))
@@ -95,7 +97,7 @@ def decoys(clip, chosen):
         config = folder / "stage.toml"
         clip.write_config(folder, clip)
         camera = config.read_text().split("\n[[stage.surface]]")[0]
-        # As wide as the stage that is there.
+        # As wide as the real stage.
         width = clip.surfaces()[0]["size_m"][0]
         rows, columns = cv2.imread(str(data / decoy), 0).shape
         height = width * rows / columns
@@ -111,7 +113,7 @@ def blackouts(clip, chosen):
     step_ns = int(rows[1][0]) - int(rows[0][0])
     lit = max(2, len(rows) // (TIMES + 1))
     shown, first, stamp = [], [], 0
-    sources = []  # of each row shown, the stamp that its picture has in the scene
+    sources = []  # for each row shown, the timestamp of its picture in the scene
     for k, (source, name) in enumerate(rows[: lit * (TIMES + 1)]):
         if k and k % lit == 0:
             dark = round(BLACKOUT_S * 1e9 / step_ns)
@@ -133,7 +135,8 @@ def blackouts(clip, chosen):
 
 
 def is_wrong(clip, record, source):
-    """Whether a pose is off by more than 1 % of the distance or 0.3 degrees, or is of a black frame."""
+    """Whether a pose is off by more than 1 % of the distance or 0.3 degrees, or belongs to a black
+    frame."""
     if source is None:
         return True
     truth = {line.split()[0]: line.split()[1:] for line in (clip.folder / "groundtruth.txt").read_text().splitlines() if line[0] != "#"}

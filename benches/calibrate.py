@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
-"""Calibrates the shared sets with stagepose and, where Python has it, with OpenCV (classic finder, cornerSubPix, k3 = 0).
+"""Calibrates the shared sets with stagepose and, if installed, with OpenCV (classic finder,
+cornerSubPix, k3 = 0).
 
     python3 benches/calibrate.py [--program target/release/stagepose] [--data ../shared/data]
 
-Prints a table: boards found, rms per point, fx with 3 sigma, verdict, processor time of the whole run. rms counts the corners that are used; where stagepose leaves
-wild corners out, OpenCV keeps them.
+Prints a table: boards found, rms per point, fx with 3 sigma, verdict, and the processor time of the
+whole run. The rms covers the corners used; stagepose leaves outliers out, OpenCV keeps them.
 """
 import argparse
 import glob

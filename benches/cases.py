@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""The inputs of ../shared/cases, each with its right value.
+"""Checks the inputs of ../shared/cases against their right values.
 
     cargo build --release
     python3 benches/cases.py                # all; needs ffmpeg
     python3 benches/cases.py 01 14 --show   # some, with what they print
     python3 benches/cases.py --except 07    # all but this one
 
-Every folder there has a run.sh, which prints what the program makes of an input that people met, and an expected.txt, which says
-what is right. Here the right value is asserted. Ends with 1 where one is missed, and where a folder has no assertion yet.
-Standard library only.
+Every folder there has a run.sh, which prints what the program makes of an input from the field, and
+an expected.txt, which describes the right result. The right values are asserted here. Ends with 1
+if one is missed, and if a folder has no assertion yet. Uses the standard library only.
 """
 import argparse
 import os
@@ -20,16 +20,17 @@ import time
 
 PROJECT = pathlib.Path(__file__).resolve().parent.parent
 SECONDS = 300  # a case that takes longer hangs
-# Poses of the fixture are right to 0.2 mm; what is read right is within this, what is read wrong is centimetres off.
+# Maximum error of a correctly read input. Poses of the fixture are right to 0.2 mm; a wrongly read
+# input is centimetres off.
 NEAR_MM = 1.0
-# A video of few colours or few bits is a little worse.
+# A video with few colours or few bits is slightly worse.
 FAIR_MM = 2.0
-# A position error over its one sigma: beyond four of three numbers' it is no chance.
+# Maximum position error in sigmas: for a vector of three numbers, more than four is no coincidence.
 MOST_SIGMAS = 4.0
 
 
 class Missed(Exception):
-    """What is not as it should be."""
+    """A result that is not as it should be."""
 
 
 def need(is_right, words):
@@ -41,7 +42,8 @@ def need(is_right, words):
 
 
 def blocks(text):
-    """The parts behind "== NAME" lines, by name; what follows on the same line belongs to the part."""
+    """Returns the parts after "== NAME" lines, by name; text after a colon on that line belongs to
+    the part."""
     found = {}
     for part in re.split(r"^== ", text, flags=re.M)[1:]:
         name, _, rest = part.partition("\n")
@@ -51,7 +53,7 @@ def blocks(text):
 
 
 def block(text, name):
-    """One part, by its name or how that begins."""
+    """Returns one part, by its name or the beginning of its name."""
     parts = blocks(text)
     for key in [name, *(key for key in parts if key.startswith(name))]:
         if key in parts:
@@ -60,7 +62,7 @@ def block(text, name):
 
 
 class Poses:
-    """The line of off.py: how many poses came, how far they are off, and what was said of that."""
+    """The line printed by off.py: the number of poses, their errors, and their stated sigma."""
 
     def __init__(self, text):
         count = re.search(r"measured (\d+)", text)
@@ -116,7 +118,7 @@ def sensor_crop(text):
     for factor in ("0.667", "0.85", "1.1", "1.25"):
         poses = Poses(block(text, f"focal length told {factor} "))
         is_contained = poses.count == 0 or poses.off_mm <= MOST_SIGMAS * (poses.sigma_mm or 0.0)
-        # A twentieth of 240 frames: what is given before it shows that the lens is another.
+        # A twentieth of 240 frames: poses may be reported until the lens is found to differ.
         need(poses.count <= 12 or is_contained, f"{factor}: {poses.count} poses {poses.off_mm} mm off, one sigma {poses.sigma_mm}")
 
 
@@ -201,7 +203,7 @@ CASES = {
 
 
 def printed(folder, binary, fixture):
-    """What a case prints, and the seconds that it takes."""
+    """Returns what a case prints, and its duration in seconds."""
     environment = os.environ | {"STAGEPOSE": str(binary), "FIXTURE": str(fixture), "CACHE_DIRECTORY": "/dev/null"}
     began = time.monotonic()
     done = subprocess.run(["bash", str(folder / "run.sh")], cwd=PROJECT, env=environment, timeout=SECONDS,
@@ -221,7 +223,7 @@ def judged(folder, chosen):
         fault = str(missed)
     except subprocess.TimeoutExpired:
         fault = f"it takes longer than {SECONDS} s"
-    except Exception as error:  # what it prints has another form
+    except Exception as error:  # its output has another format
         fault = f"its output cannot be read ({error!r})"
     print(f"{folder.name:34} {seconds:5.1f} s  {'right' if fault is None else 'MISSED: ' + fault}", flush=True)
     if chosen.show:

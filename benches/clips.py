@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
-"""The score table: rendered clips with exact truth, tracked by stagepose and by OpenCV's own parts in the same run.
+"""The score table: rendered clips with exact ground truth, tracked by stagepose and by OpenCV.
 
-Each scene is rendered (kept below --out and used again), tracked on one thread, and scored against its truth; one Markdown
-table comes out. It needs the renderer and its scenes in ../shared/bench and the Python packages of its requirements.txt:
+Each scene is rendered (kept below --out and reused), tracked on one thread, and scored against its
+ground truth. The result is one Markdown table. The trackers built from OpenCV's parts run in the
+same session. It needs the renderer and its scenes in ../shared/bench and the Python packages of
+its requirements.txt:
 
     python3 -m venv target/venv && target/venv/bin/pip install -r ../shared/bench/requirements.txt
     cargo build --release && target/venv/bin/python benches/clips.py --check
@@ -23,33 +25,40 @@ PROJECT = pathlib.Path(__file__).resolve().parent.parent
 
 
 class Bar:
-    """What a clip must reach. Errors are medians over the frames with a right pose."""
+    """The limits for a clip. Errors are medians over the frames with a right pose."""
 
     def __init__(self, good, wrong="tight", good_of="all", permille=None, peer=None, times_peer=1.0, essential_deg=None,
                  nees=None):  # fmt: skip
-        self.good = good  # least share of frames with a right pose
-        self.wrong = wrong  # which rule says that a pose is wrong; none may be
+        self.good = good  # minimum fraction of frames with a right pose
+        self.wrong = wrong  # rule by which a pose is wrong; none may be
         self.good_of = good_of  # of all frames, or of those that show the stage
-        self.permille = permille  # largest position error, thousandths of the distance
-        self.peer, self.times_peer = peer, times_peer  # the position error in mm is at most so many times this peer's
-        self.essential_deg = essential_deg  # largest error of the essential matrix' rotation and translation direction
-        self.nees = nees  # least and largest mean squared error in units of the covariance, over 6: 1 where that is honest
+        self.permille = permille  # maximum position error, thousandths of the distance
+        # maximum position error, in multiples of this peer's
+        self.peer, self.times_peer = peer, times_peer
+        # maximum error of the essential matrix' rotation and direction
+        self.essential_deg = essential_deg
+        # minimum and maximum mean of NEES/6, the squared error normalised by the covariance; 1 is
+        # honest
+        self.nees = nees
 
 
 BARS = {
     "d-dolly":    Bar(good=0.98, permille=0.8, peer="orb", essential_deg=2.0),
     "d-1080p":    Bar(good=0.98, permille=0.8, peer="orb", nees=(0.5, 2.0)),
     "d-relief":   Bar(good=0.98, permille=0.8, peer="orb", nees=(0.5, 2.0)),
-    "d-blackout": Bar(good=0.91, good_of="visible", peer="orb"),  # 70 % of a clip that shows the stage in 77 % of its frames
+    # 70 % of a clip that shows the stage in 77 % of its frames
+    "d-blackout": Bar(good=0.91, good_of="visible", peer="orb"),
     "d-handheld": Bar(good=0.95, wrong="plain", peer="sift", times_peer=1.3),
     "d-steep":    Bar(good=0.40),
 }
-AGAINST = "before"  # what the older build of --against is called in the table
-RUNS_AGAINST = 3  # runs of each build; the fastest counts, because whatever else runs only slows
-WORSE = 0.02  # share by which error, good and NEES may be worse than the older build's
-SLOWER = 0.03  # share by which a frame may take longer
-DECOY = "decoy"  # d-dolly's clip with d-still's stage: nothing may be given
-TIME_BAR_MS = 40.0  # median compute of a frame of 1280 x 720 on one thread; and below orb's in the same run
+AGAINST = "before"  # name of the --against build in the table
+RUNS_AGAINST = 3  # runs of each build; the fastest counts, because other load only slows it
+WORSE = 0.02  # fraction by which error, good and NEES may be worse than the older build's
+SLOWER = 0.03  # fraction by which a frame may take longer
+DECOY = "decoy"  # d-dolly's clip with d-still's stage: no pose may be reported
+# maximum median time of a 1280 x 720 frame on one thread; it must also be below orb's in the same
+# run
+TIME_BAR_MS = 40.0
 
 COLUMNS = ["clip", "frames", "tracker", "good %", "wrong %", "plain wrong %", "median mm", "permille", "rotation deg",
            "ms p50", "ms p95", "E rotation deg", "E direction deg", "NEES/6"]  # fmt: skip
@@ -83,7 +92,7 @@ def arguments():
 
 
 class Clip:
-    """A rendered scene: the folder that replay reads, and what is known of it."""
+    """A rendered scene: the folder that replay reads, and what is known about it."""
 
     def __init__(self, wanted, chosen, truth_only=False):
         name, *part = wanted.split(":")
@@ -101,10 +110,10 @@ class Clip:
         self.folder = chosen.out / (name + part + ("-truth" if truth_only else ""))
 
     def render(self):
-        """Renders it, unless the same scene is there already."""
+        """Renders the scene, unless the same one is there already."""
         kept = self.folder / "scene.json"
         text = json.dumps(self.scene, indent=1)
-        # surfaces.json comes close to last: it tells a whole clip from one that was interrupted.
+        # The renderer writes surfaces.json near the end, so it marks a complete clip.
         if kept.exists() and kept.read_text() == text and (self.folder / "surfaces.json").exists():
             return
         (self.folder / "surfaces.json").unlink(missing_ok=True)
@@ -120,7 +129,7 @@ class Clip:
         return self.scene["camera"]["width"], self.scene["camera"]["height"]
 
     def share_visible(self):
-        """Share of the frames in which the camera is not covered."""
+        """Returns the fraction of the frames in which the camera is not covered."""
         stamps = np.arange(self.scene["frames"]) / self.scene["fps"]
         covered = np.zeros(len(stamps), bool)
         for first, last in self.scene.get("blackout", []):
@@ -128,7 +137,8 @@ class Clip:
         return 1.0 - covered.mean()
 
     def write_config(self, folder, stage):
-        """Writes camera.toml and stage.toml: this clip's camera before the surfaces of the clip `stage`."""
+        """Writes camera.toml and stage.toml: this clip's camera with the surfaces of the clip
+        `stage`."""
         folder.mkdir(parents=True, exist_ok=True)
         camera = json.loads((self.folder / "camera.json").read_text())
         camera["distortion"] = camera.pop("dist")
@@ -145,14 +155,15 @@ class Clip:
                 if body == "stage":
                     text += f'position_m = {surface["position_m"]}\norientation_xyzw = {surface["orientation_xyzw"]}\n'
                 else:
-                    # The object's frame is its surface's.
+                    # The object's frame is that of its surface.
                     text += "orientation_xyzw = [0, 0, 0, 1]\n"
         (folder / "stage.toml").write_text(text)
         return folder / "stage.toml"
 
 
 def put_together(folder, shown):
-    """A clip of links to pictures, in this order: (stamp in nanoseconds, picture); one picture may be shown several times."""
+    """Makes a clip of links to pictures in this order: (timestamp in nanoseconds, picture). A
+    picture may appear several times."""
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "frames").mkdir(parents=True)
     lines = ["#timestamp [ns],filename"]
@@ -165,7 +176,7 @@ def put_together(folder, shown):
 
 
 def run(command):
-    """Runs a program and gives what it printed; its failure ends this script."""
+    """Runs a program and returns what it printed; its failure ends this script."""
     done = subprocess.run([str(part) for part in command], capture_output=True, text=True)
     if done.returncode != 0:
         sys.exit(f"clips.py: {' '.join(str(part) for part in command)} ended with {done.returncode}\n{done.stdout}{done.stderr}")
@@ -173,7 +184,7 @@ def run(command):
 
 
 def track(binary, clip, config, folder):
-    """Runs replay on one thread and gives the records and the summary."""
+    """Runs replay on one thread and returns the records' file and the summary."""
     poses, summary = folder / "poses.jsonl", folder / "summary.json"
     run([binary, "replay", clip.folder, "--config", config, "--threads", 1, "--poses", poses, "--summary", summary])
     return poses, json.loads(summary.read_text())
@@ -183,19 +194,21 @@ def track(binary, clip, config, folder):
 
 
 def pose(numbers):
-    """Position and rotation of seven numbers, x y z and the quaternion."""
+    """Returns position and rotation from seven numbers, x y z and the quaternion."""
     return np.array(numbers[:3]), Rotation.from_quat(numbers[3:7])
 
 
 def reference_camera(surface):
-    """Position and rotation, in the stage, of the virtual camera on a surface's axis at the distance of its width (C3)."""
+    """Returns the pose in the stage of the virtual camera on a surface's axis, at the distance of
+    its width (C3)."""
     rotation = Rotation.from_quat(surface["orientation_xyzw"])
     looking_back = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
     return np.array(surface["position_m"]) + rotation.apply([0.0, 0.0, surface["size_m"][0]]), rotation * looking_back
 
 
 def consistency(evaluate, clip, poses):
-    """Errors of the essential matrix in degrees (medians), and the mean squared error in units of the covariance, over 6."""
+    """Returns the median errors of the essential matrix in degrees, and the mean NEES/6 (squared
+    error normalised by the covariance)."""
     truth = evaluate.read(clip.folder / "groundtruth.txt")
     reference_position, reference_rotation = reference_camera(clip.surfaces()[0])
     rotation_deg, direction_deg, nees = [], [], []
@@ -221,7 +234,8 @@ def consistency(evaluate, clip, poses):
 
 
 def score(evaluate, clip, tracker, estimate):
-    """A row of the table: errors by the clip's own rule of what is wrong, and both counts of wrong poses."""
+    """Returns a row of the table: errors by the clip's own rule of wrong poses, and the counts of
+    wrong poses by both rules."""
     truth = clip.folder / "groundtruth.txt"
     tight, plain = evaluate.score(truth, estimate, True), evaluate.score(truth, estimate, False)
     rule = plain if clip.name in BARS and BARS[clip.name].wrong == "plain" else tight
@@ -233,12 +247,12 @@ def score(evaluate, clip, tracker, estimate):
 
 
 def score_clip(evaluate, clip, chosen):
-    """The rows of one clip: stagepose first, then the older build, then the peers."""
+    """Returns the rows of one clip: stagepose, then the older build, then the peers."""
     folder = clip.folder / "stagepose"
     config = clip.write_config(folder, clip)
     builds = {"stagepose": chosen.binary} | ({AGAINST: chosen.against} if chosen.against else {})
     times = {name: [] for name in builds}
-    # Both in turn, so that a machine that slows down slows both.
+    # The builds take turns, so that a machine that slows down slows both.
     for _ in range(RUNS_AGAINST if chosen.against else 1):
         for name, binary in builds.items():
             (folder / name).mkdir(exist_ok=True)
@@ -265,7 +279,7 @@ def peers(clip, chosen):
 
 
 def score_decoy(clip, stage, chosen):
-    """A row without errors: there is nothing to be found."""
+    """Returns the decoy's row, which has no errors because there is nothing to find."""
     folder = clip.folder / DECOY
     _, summary = track(chosen.binary, clip, clip.write_config(folder, stage), folder)
     wrong = 100 * summary["tracking"] / summary["frames"]
@@ -278,7 +292,7 @@ def score_decoy(clip, stage, chosen):
 
 
 def missed(clip, rows):
-    """A sentence for each bar that a clip's rows miss."""
+    """Yields a sentence for each bar that a clip's rows miss."""
     bar, ours = BARS.get(clip.name), rows[0]
     if bar is None:
         return
@@ -303,7 +317,7 @@ def missed(clip, rows):
 
 
 def missed_times(clip, rows):
-    """A sentence for each bar of time that a clip's rows miss."""
+    """Yields a sentence for each time bar that a clip's rows miss."""
     if clip.size() != (1280, 720):
         return
     ours = rows[0]["ms p50"]
@@ -315,7 +329,7 @@ def missed_times(clip, rows):
 
 
 def worse(rows):
-    """A sentence for each number that is worse than the older build's."""
+    """Yields a sentence for each number that is worse than the older build's."""
     now, before = rows[0], next((row for row in rows if row["tracker"] == AGAINST), None)
     if before is None:
         return
@@ -327,14 +341,15 @@ def worse(rows):
     if None not in (now["median mm"], before["median mm"]) and now["median mm"] > (1 + WORSE) * before["median mm"]:
         yield f"position is {now['median mm']:.4f} mm off, and was {before['median mm']:.4f}"
     if None not in (now["NEES/6"], before["NEES/6"]):
-        # As far from 1 as before, whichever side: an uncertainty twice too wide is as untrue as one twice too narrow.
+        # Compares the distance from 1 on a logarithmic scale: a sigma twice too wide is as wrong as
+        # one twice too narrow.
         off = lambda row: abs(np.log(row["NEES/6"]))
         if off(now) > off(before) + WORSE:
             yield f"NEES/6 is {now['NEES/6']:.3f}, and was {before['NEES/6']:.3f}"
 
 
 def slower(rows):
-    """A sentence where a frame takes longer than with the older build."""
+    """Yields a sentence if a frame takes longer than with the older build."""
     now, before = rows[0], next((row for row in rows if row["tracker"] == AGAINST), None)
     if before is not None and now["ms p50"] > (1 + SLOWER) * before["ms p50"]:
         yield f"a frame takes {now['ms p50']:.2f} ms, and took {before['ms p50']:.2f}"
@@ -351,7 +366,8 @@ def print_row(cells):
 
 
 def conclude(faults, late, chosen):
-    """Says which bars were missed; ends with 1 where that was asked for, of times apart from the rest."""
+    """Prints the missed bars; ends with 1 if that was requested, for times and for the rest
+    separately."""
     for sentence in faults + late:
         print(f"missed: {sentence}", file=sys.stderr)
     if (chosen.check and faults) or (chosen.check_times and late):
@@ -361,7 +377,7 @@ def conclude(faults, late, chosen):
 def main():
     chosen = arguments()
     chosen.out = chosen.out.resolve()
-    # The renderer's folder may be read-only: compiled code goes elsewhere.
+    # The renderer's folder may be read-only, so compiled code goes elsewhere.
     os.environ.setdefault("NUMBA_CACHE_DIR", str(chosen.out / "numba"))
     sys.path.insert(0, str(chosen.bench))
     sys.dont_write_bytecode = True
@@ -370,7 +386,7 @@ def main():
     clips = [Clip(name, chosen) for name in chosen.scenes if name != DECOY]
     decoy = [Clip("d-dolly", chosen), Clip("d-still", chosen, truth_only=True)] if DECOY in chosen.scenes else []
     with concurrent.futures.ThreadPoolExecutor(chosen.jobs) as pool:
-        # By folder: a clip that is asked for twice is rendered once.
+        # Keyed by folder, so that a clip requested twice is rendered once.
         list(pool.map(Clip.render, {clip.folder: clip for clip in clips + decoy}.values()))
 
     print_row(COLUMNS)

@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
-"""A day of a daemon's work and mishaps in quick time: descriptors, threads and memory must be at the end what they were at the start.
+"""A day of a daemon's work and mishaps in quick succession. Descriptors, threads and memory must
+not grow.
 
     python3 benches/faults.py target/release/stagepose [--rounds 200] [--check]
 
-A played clip is tracked. In each round the ring is saved, a recording begins and ends, a mark is set, bad configs are put, a model is sent and
-deleted, and strangers break off in every way; in each tenth a good config is put, SIGHUP reads it again, and the camera is lent and comes back.
-The counts are taken after half of the rounds and after the last one: the first configs that are read again leave the heap in pieces, which
-later ones use. `--check` fails where descriptors or threads grew by more than 2, or memory by more than a tenth and 16 MB. Nothing leaves the
-machine.
+The daemon tracks a played clip. Each round saves the ring, starts and stops a recording, sets a
+mark, puts bad configs, uploads and deletes a model, and lets strangers break off in every way.
+Every tenth round puts a good config, re-reads it by SIGHUP, and lends the camera and takes it back.
+The counts are taken after half of the rounds and after the last one: the first configs that are
+re-read fragment the heap, and later ones reuse the pieces. `--check` fails if descriptors or
+threads grew by more than 2, or memory by more than a tenth plus 16 MB. Nothing leaves the machine.
 """
 
 import argparse
@@ -40,7 +42,8 @@ def counts(daemon):
 
 
 def settled(daemon, rounds):
-    """The counts once nothing is under way: it tracks, the ring is full, and threads that wait for work (10 s) have ended."""
+    """Returns the counts once the daemon is settled: it tracks, the ring is full, and idle threads
+    (10 s) have ended."""
     daemon.wait_until_it_tracks()
     time.sleep(12)
     least = [min(of_one) for of_one in zip(*(counts(daemon) for _ in range(10) if not time.sleep(0.2)))]
@@ -92,7 +95,7 @@ def main():
             except OSError as error:
                 sys.exit(f"round {k}: {error}\n{daemon.last_words()}")
             daemon.need_alive()
-            # Recordings would fill the disk.
+            # Otherwise, recordings would fill the disk.
             for clip in sorted((daemon.folder / "recordings").glob("clip-*"))[:-2]:
                 shutil.rmtree(clip, ignore_errors=True)
         end = settled(daemon, arguments.rounds)

@@ -1,11 +1,15 @@
-"""Times of finding and describing features against OpenCV's, on one core, in turns: SIFT against SIFT, the live corners against ORB.
+"""Times of finding and describing features on one core, compared with OpenCV's: SIFT with SIFT, the
+live corners with ORB.
 
     python benches/features.py STAGEPOSE [PICTURES…] [--rounds 5] [--check]
 
-Every picture is brought to 640 x 480. In each round `stagepose detectors` and OpenCV have the same picture, right after one another; the fastest of
-the rounds counts, for either. ORB gives as many features as the live detector. Without pictures: the first ones of ../shared's photographs.
-`--check` fails where SIFT takes over 1.5 times OpenCV's time, or the live corners over 0.7 times ORB's. What is over its bar is measured
-again first, up to MORE_ROUNDS times: the fastest of all rounds comes down to what either takes undisturbed, and a slower program stays over it.
+Every picture is resized to 640 x 480. In each round, `stagepose detectors` and OpenCV process the
+same picture right after one another; the fastest round of each counts. ORB detects as many features
+as the live detector. Without pictures, it uses the first ones of ../shared's photographs. `--check`
+fails if SIFT takes more than 1.5 times OpenCV's time, or the live corners more than 0.7 times
+ORB's. A result over its bar is first measured again, up to MORE_ROUNDS times: the fastest round
+converges to the undisturbed time of either program, so a program that really is slower stays over
+the bar.
 """
 
 import argparse
@@ -22,15 +26,18 @@ import cv2
 
 BARS = {"sift": 1.5, "live": 0.7}
 SIZE = (640, 480)
-# Times in a row that either does a picture in one round; the fastest counts. Raised, the bench takes longer; lowered, what else the machine does shows.
+# Repetitions per picture and program in one round; the fastest counts. Raised, the bench takes
+# longer; lowered, other load on the machine shows.
 TRIES = 6
-# Further rounds for what is over its bar. A disturbance of a minute passes in so many; raised, a program that is too slow is only told later.
+# Further rounds for a result over its bar, enough to outlast a disturbance of a minute. Raised, a
+# program that really is too slow is reported later.
 MORE_ROUNDS = 12
 
 
 @dataclass
 class Timed:
-    """The fastest so far, milliseconds, and the keypoints: ours and OpenCV's."""
+    """The fastest times so far in milliseconds, and the keypoint counts, of stagepose and of
+    OpenCV."""
 
     ms: float = float("inf")
     count: int = 0
@@ -43,7 +50,7 @@ class Timed:
 
 
 def ours(program, name, picture, folder):
-    """Milliseconds for one picture, and its keypoints."""
+    """Returns stagepose's milliseconds for one picture, and its keypoint count."""
     table = folder / "table.json"
     command = [program, "detectors", *[picture] * (TRIES + 1), *["--homography", folder / "same"] * TRIES, "--only", name, "--json", table]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env={**os.environ, "RAYON_NUM_THREADS": "1"})
@@ -52,7 +59,7 @@ def ours(program, name, picture, folder):
 
 
 def theirs(name, picture, count):
-    """The same of OpenCV."""
+    """Returns the same for OpenCV."""
     grey = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)
     detector = cv2.SIFT_create() if name == "sift" else cv2.ORB_create(nfeatures=count)
     fastest, found = float("inf"), []
@@ -64,7 +71,7 @@ def theirs(name, picture, count):
 
 
 def measure(program, name, picture, folder, times):
-    """One round of one picture: ours, then OpenCV's."""
+    """Measures one round of one picture: stagepose, then OpenCV."""
     ms, times.count = ours(program, name, picture, folder)
     their_ms, times.their_count = theirs(name, picture, times.count)
     times.ms, times.their_ms = min(times.ms, ms), min(times.their_ms, their_ms)
@@ -88,7 +95,8 @@ def main():
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "same").write_text("1 0 0 0 1 0 0 0 1")
-        # Each round is of all pictures: what else the machine does for some seconds meets no picture in all its rounds.
+        # Each round covers all pictures, so that a disturbance of some seconds hits no picture in
+        # all its rounds.
         timed = {(picture, kind): Timed() for picture in pictures for kind in BARS}
         small = {picture: folder / f"{number}.png" for number, picture in enumerate(pictures)}
         for picture, file in small.items():

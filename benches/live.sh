@@ -1,8 +1,10 @@
 #!/usr/bin/env bash
-# What `run` costs: an MJPG clip of 1280 x 720 at 30 frames a second, paced through the live pipeline while it tracks.
+# Cost of `run`: an MJPG clip of 1280 x 720 at 30 frames a second, paced through the live pipeline
+# while it is tracked.
 #   benches/live.sh [SECONDS] [JPEG QUALITY]
-# The take is rendered first, a third of a second a frame. Prints the share of one core, of the whole and of each thread, the frames tracked and
-# dropped, and their age. On a machine that is busy with other programs frames are dropped, and the milliseconds a frame say more than the share.
+# The take is rendered first, at a third of a second per frame. Prints the fraction of one core in
+# total and per thread, the frames tracked and dropped, and their age. A machine that is busy with
+# other programs drops frames; then the milliseconds per frame say more than the fraction.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 seconds=${1:-20}
@@ -11,7 +13,8 @@ out=target/live-bench/$quality
 mkdir -p "$out"
 rm -f "$out/poses.jsonl"
 program=${STAGEPOSE:-target/release/stagepose}
-# One take from beginning to end: played to and fro, its shutter would run backwards half the time. The spare seconds are for the start.
+# One take from beginning to end: played to and fro, its shutter would run backwards half of the
+# time. The spare seconds are for the start.
 frames=$(((seconds + 8) * 30))
 rm -rf "$out/take"
 "$program" demo --frames $frames --width 1280 --height 720 --jpeg "$quality" --save "$out/take" >/dev/null
@@ -21,7 +24,7 @@ port=18090
 sed "\$a [http]\nlisten = \"127.0.0.1:$port\"" "$out/take/stage.toml" >"$out/take/live.toml"
 "$program" run --config "$out/take/live.toml" --play "$out/clip.mjpeg" --poses "$out/poses.jsonl" &
 pid=$!
-# The reference pictures are prepared once.
+# Waits until the reference pictures are prepared and frames are tracked.
 until [ "$(cat "$out/poses.jsonl" 2>/dev/null | wc -l)" -gt 30 ]; do sleep 0.2; done
 ticks() { # of each thread: its name and its processor time
     local thread stat

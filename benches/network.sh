@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# What a network may do to `listen` and to the HTTP server: 20,000 damaged datagrams of each kind, 2,000 damaged requests, and 200 dead
-# readers beside 64 clients that ask on and on and never read. A health check must be answered within a second throughout.
+# `listen` and the HTTP server under attack: 20,000 damaged datagrams of each kind, 2,000 damaged
+# requests, and 200 dead readers beside 64 clients that send requests endlessly and never read. A
+# health check must be answered within a second throughout.
 #   benches/network.sh [DATAGRAMS OF EACH KIND] [REQUESTS]
 set -euo pipefail
 cd "$(dirname "$0")/.."

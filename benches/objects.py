@@ -1,14 +1,17 @@
 #!/usr/bin/env python3
-"""The score table of tracked objects: rendered clips with exact truth, object by object.
+"""The score table of tracked objects: rendered clips with exact ground truth, object by object.
 
-Each scene is rendered (kept below --out and used again), tracked on one thread, and every object is scored in the frames that show at
-least half of it. It needs the renderer and its scenes in ../shared/bench, and the Python packages that benches/clips.py needs:
+Each scene is rendered (kept below --out and reused), tracked on one thread, and every object is
+scored in the frames that show at least half of it. It needs the renderer and its scenes in
+../shared/bench, and the Python packages that benches/clips.py needs:
 
     cargo build --release && target/venv/bin/python benches/objects.py --check
 
-`given`: share of those frames in which the object is tracking. `wrong`: of all frames, shown or not, those with a pose of the object that is off by
-more than 1 % of its distance from the camera or 0.3 degrees. `back`: the most frames from the one that shows half of it again to the one that
-gives it; 0 is at once. `--misses` names the frames that show an object and do not give it.
+`given`: percentage of those frames in which the object is tracking. `wrong`: number of all frames,
+shown or not, with an object pose that is off by more than 1 % of its distance from the camera or
+0.3 degrees. `back`: maximum number of frames from the one that shows half of the object again to
+the one that reports it; 0 means at once. `--misses` names the frames that show an object and do not
+report it.
 """
 import argparse
 import json
@@ -22,12 +25,13 @@ from scipy.spatial.transform import Rotation
 import clips
 
 SCENES = ["d-props", "d-prop"]
-SHOWN = 0.5  # share of an object from which on it is to be given
-GIVEN, STAGE_GOOD = 97.0, 99.0  # least shares, per cent
-MEDIAN_MM, MEDIAN_DEG = 0.5, 0.1  # largest median errors
-BACK_FRAMES = 2  # most frames until an object that is shown again is given
-WRONG_OF_DISTANCE, WRONG_DEG = 0.01, 0.3  # as evaluate.py --tight has it, by the object's own distance
-FLAT_FRAME_TIME = 2.0  # the 99th percentile of a frame's time is at most so many medians
+SHOWN = 0.5  # visible fraction from which an object must be reported
+GIVEN, STAGE_GOOD = 97.0, 99.0  # minimum percentages of reported frames
+MEDIAN_MM, MEDIAN_DEG = 0.5, 0.1  # maximum median errors
+BACK_FRAMES = 2  # maximum frames until an object that is shown again is reported
+# as in evaluate.py --tight, but by the object's own distance
+WRONG_OF_DISTANCE, WRONG_DEG = 0.01, 0.3
+FLAT_FRAME_TIME = 2.0  # maximum ratio of the 99th percentile to the median of the frame times
 COLUMNS = ["clip", "body", "shown", "given %", "wrong", "median mm", "p95 mm", "median deg", "p95 deg", "NEES/6", "back", "ms p50", "ms p99"]
 
 
@@ -50,12 +54,12 @@ def arguments():
 
 
 def clip_of(wanted, chosen):
-    """A scene of the bench by its name, or one of the caller's by its file."""
+    """Returns a scene of the bench by its name, or one of the caller's by its file."""
     file = pathlib.Path(wanted)
     if file.suffix != ".json":
         return clips.Clip(wanted, chosen)
     own = argparse.Namespace(**vars(chosen))
-    # A clip looks for its scene in the folder `scenes`, and for the renderer beside that.
+    # Clip's constructor reads scenes only from the bench's `scenes` folder, so it is bypassed here.
     clip = clips.Clip.__new__(clips.Clip)
     clip.name, clip.truth_only, clip.bench = file.stem, False, own.bench
     clip.scene = json.loads(file.read_text())
@@ -64,13 +68,14 @@ def clip_of(wanted, chosen):
 
 
 def rows_of(path):
-    """Rows of a text file of numbers by their stamp in milliseconds."""
+    """Returns the rows of a text file of numbers, by their timestamp in milliseconds."""
     lines = (line.split() for line in path.read_text().splitlines() if line.strip() and not line.startswith("#"))
     return {round(float(line[0]) * 1e3): np.array(line[1:], float) for line in lines}
 
 
 def errors(record, truth, distance_m):
-    """Position in metres, rotation in degrees, squared error over covariance over 6, and whether the pose is wrong."""
+    """Returns position error in metres, rotation error in degrees, NEES/6, and whether the pose is
+    wrong."""
     position, rotation = clips.pose(truth)
     found, turned = clips.pose([*record["pose"]["position_m"], *record["pose"]["orientation_xyzw"]])
     error = np.concatenate([position - found, (rotation * turned.inv()).as_rotvec()])
@@ -80,7 +85,9 @@ def errors(record, truth, distance_m):
 
 
 def longest_return(shown, given):
-    """The most frames from the first that shows the object again to the first that gives it, and where that was; frames to the end where none does."""
+    """Returns the longest wait, in frames, from the first frame that shows the object again to the
+    first that reports it, and where it began. Without a report, it counts until the object
+    disappears or the clip ends."""
     worst, where = 0, None
     for k in range(len(shown)):
         if not shown[k] or (k > 0 and shown[k - 1]):
@@ -92,7 +99,8 @@ def longest_return(shown, given):
 
 
 def score_object(clip, name, records):
-    """A row of the table, and the frames that show the object and do not give it."""
+    """Returns a row of the table, the missed frames, the wrong frames, and where the longest wait
+    began."""
     truth, visible = (rows_of(clip.folder / f"object_{name}_{kind}.txt") for kind in ("groundtruth", "visible"))
     camera = rows_of(clip.folder / "groundtruth.txt")
     shown, given, off, wrong, misses = [], [], [], [], []
@@ -121,7 +129,7 @@ def score_object(clip, name, records):
 
 
 def score_stage(evaluate, clip, poses, summary):
-    """The row of the stage itself, with the times of a frame."""
+    """Returns the row of the stage itself, with the times of a frame."""
     row = evaluate.score(clip.folder / "groundtruth.txt", poses, True)
     total = summary["stage_ms"]["total"]
     nees = evaluate.nees6(clip.folder / "groundtruth.txt", poses)
@@ -133,7 +141,7 @@ def score_stage(evaluate, clip, poses, summary):
 
 
 def missed(row):
-    """A sentence for each bar that a row misses."""
+    """Yields a sentence for each bar that a row misses."""
     who = f"{row['clip']}, {row['body']}"
     least = STAGE_GOOD if row["body"] == "stage" else GIVEN
     if row["given %"] is not None and row["given %"] < least:
@@ -148,7 +156,7 @@ def missed(row):
 def main():
     chosen = arguments()
     chosen.out = chosen.out.resolve()
-    # The renderer's folder may be read-only: compiled code goes elsewhere.
+    # The renderer's folder may be read-only, so compiled code goes elsewhere.
     os.environ.setdefault("NUMBA_CACHE_DIR", str(chosen.out / "numba"))
     sys.path.insert(0, str(chosen.bench))
     sys.dont_write_bytecode = True

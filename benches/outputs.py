@@ -1,10 +1,11 @@
-"""Whether outputs slow tracking down: replays of one clip with and without `--outputs`, in turns.
+"""Whether outputs slow tracking down: replays one clip with and without `--outputs`, in turns.
 
     python benches/outputs.py STAGEPOSE CLIP CONFIG [--pairs 7] [--rate 240] [--check]
 
-Both replays of a pair run at the clip's own pace, right after one another, the first of them by turns: whatever else the machine does
-meets both. With outputs there are eight at the clip's rate, to ports of this machine. Prints the medians of the tracker's compute time a frame, and the
-median of the pairs' ratios with its spread. `--check` fails where that ratio is over 1.10.
+Both replays of a pair run at the clip's own pace, right after one another, in alternating order, so
+that other load on the machine affects both. With outputs, eight of them send at the clip's rate to
+ports of this machine. Prints the medians of the tracker's compute time per frame, and the median
+and spread of the pairs' ratios. `--check` fails if the median ratio is over 1.10.
 """
 
 import argparse
@@ -25,7 +26,7 @@ KINDS = [
 
 
 def drain(port):
-    """Takes what arrives, as a receiver would."""
+    """Reads what arrives, as a receiver would."""
     port.settimeout(0.5)
     while True:
         try:
@@ -37,7 +38,8 @@ def drain(port):
 
 
 def with_outputs(config, folder):
-    """The config with eight outputs to ports of this machine, and those ports."""
+    """Writes the config without and with eight outputs to ports of this machine; returns both files
+    and the ports."""
     text, ports = config.read_text(), []
     text = re.sub(r'^((?:calibration|image|photo|photo_calibration|mask) = ")(?!/)', rf"\1{config.parent.resolve()}/", text, flags=re.M)
     plain = folder / "plain.toml"
@@ -53,7 +55,7 @@ def with_outputs(config, folder):
 
 
 def faster(clip, folder, rate):
-    """The clip with its stamps at another rate; pictures are linked."""
+    """Returns the clip with timestamps at another rate; pictures are linked."""
     if rate is None:
         return clip
     made = folder / "clip"
@@ -66,7 +68,7 @@ def faster(clip, folder, rate):
 
 
 def replay(program, clip, config, folder, more):
-    """Median and mean compute time of the tracker a frame, milliseconds."""
+    """Returns the median compute time of the tracker per frame, milliseconds."""
     summary = folder / "summary.json"
     command = [program, "replay", clip, "--config", config, "--realtime", "--summary", summary, *more]
     subprocess.run([str(c) for c in command], check=True, stdout=subprocess.DEVNULL)

@@ -1,12 +1,15 @@
-"""What those who watch the page cost: `run` on a played MJPG clip of 1280 x 720, with WebSocket readers in the place of browsers.
+"""What viewers of the page cost: `run` on a played MJPG clip of 1280 x 720, with WebSocket readers
+in place of browsers.
 
     python benches/page.py STAGEPOSE [--seconds 10] [--rounds 4] [--clip FOLDER] [--check]
 
-A short take is rendered (or the one in FOLDER is taken) and played to and fro. Rounds without and with one viewer take turns, so that whatever else
-the machine does meets both; then come eight viewers, of which one never reads. Each frame's compute time comes from a JSON output, the processor
-time of the threads that serve viewers from /proc, a picture's age from its record's stamp, which is of the same clock. `--check` fails where tracking's
-p99 is over 1.05 times that without a viewer, a viewer of the camera's own JPEGs takes more than 3 % of a core, a frame is copied for nobody, memory
-grows by more than 8 MB with a stalled viewer, or one of the others gets fewer than 95 % of the frames.
+A short take is rendered (or taken from FOLDER) and played to and fro. Rounds without and with one
+viewer take turns, so that other load on the machine affects both; then come eight viewers, one of
+which never reads. Each frame's compute time comes from a JSON output, the processor time of the
+threads that serve viewers from /proc, and a picture's age from its record's timestamp, which uses
+the same clock. `--check` fails if tracking's p99 is over 1.05 times that without a viewer, a viewer
+of the camera's own JPEGs takes more than 3 % of a core, a frame is copied without a viewer, memory
+grows by more than 8 MB with a stalled viewer, or another viewer gets fewer than 95 % of the frames.
 """
 
 import argparse
@@ -24,7 +27,7 @@ import time
 import urllib.request
 from pathlib import Path
 
-# `n`, masked with zeros: the next frame, please.
+# `n`, masked with zeros, requests the next frame.
 NEXT = bytes([0x81, 0x81, 0, 0, 0, 0]) + b"n"
 SERVE = ("http", "view", "encode")
 
@@ -36,7 +39,7 @@ def free_port(kind):
 
 
 class Viewer(threading.Thread):
-    """Asks for frames and takes them, or only asks."""
+    """A viewer that requests frames and reads them, or only requests them."""
 
     def __init__(self, port, reads=True):
         super().__init__(daemon=True)
@@ -63,7 +66,8 @@ class Viewer(threading.Thread):
             pass
 
     def read(self, length):
-        """So many bytes, into the one buffer: eight readers in one process are to cost little, or it is they that are measured."""
+        """Reads `length` bytes into one reused buffer, so that eight readers in one process cost
+        little and do not distort the measurement."""
         if length > len(self.content):
             self.content = bytearray(length)
         view, done = memoryview(self.content), 0
@@ -96,7 +100,7 @@ class Viewer(threading.Thread):
 
 
 class Daemon:
-    """The program that runs, and what it tells of each frame."""
+    """The running program, and the times it reports for each frame."""
 
     def __init__(self, program, take, folder, seconds):
         self.http, udp = free_port(socket.SOCK_STREAM), free_port(socket.SOCK_DGRAM)
@@ -105,7 +109,7 @@ class Daemon:
         clip = folder / "clip.mjpeg"
         once = [picture.read_bytes() for picture in pictures]
         with clip.open("wb") as file:
-            # To and fro, at the 30 frames a second that a clip without stamps has.
+            # To and fro, at the default 30 frames a second of a clip without timestamps.
             for _ in range(1 + int(30 * seconds) // (2 * len(once) - 2)):
                 file.write(b"".join(once + once[-2:0:-1]))
         text = Path(take, "stage.toml").read_text()
@@ -126,7 +130,7 @@ class Daemon:
                 self.lines.append(sum(ms for stage, ms in line["times_ms"].items() if stage in ("acquire", "align", "pose")))
 
     def served_s(self):
-        """Processor time of the threads that serve viewers so far, seconds."""
+        """Returns the processor time so far of the threads that serve viewers, seconds."""
         ticks = 0
         for task in Path(f"/proc/{self.process.pid}/task").iterdir():
             if (task / "comm").read_text().strip() in SERVE:
@@ -144,7 +148,8 @@ class Daemon:
         return int(found[0]) if found else None
 
     def during(self, seconds):
-        """Compute times of this time's frames, and processor time of those who serve as a share of a core."""
+        """Returns the compute times of the frames in this period, and the serving threads'
+        processor time as a fraction of a core."""
         begun, first, served = time.monotonic(), len(self.lines), self.served_s()
         time.sleep(seconds)
         return self.lines[first:], (self.served_s() - served) / (time.monotonic() - begun)
@@ -155,7 +160,7 @@ def p99(values):
 
 
 def in_turns(daemon, seconds, rounds, failures):
-    """Without and with one viewer by turns."""
+    """Measures without and with one viewer, in turns."""
     (alone, alone_share), (watched, watched_share), ages, copied = ([], []), ([], []), [], 0
     for _ in range(rounds):
         before = daemon.copies()
@@ -182,7 +187,7 @@ def in_turns(daemon, seconds, rounds, failures):
 
 
 def with_one_stalled(daemon, seconds, failures):
-    """Eight viewers; one asks and never reads."""
+    """Measures eight viewers, one of which requests and never reads."""
     others = [Viewer(daemon.http) for _ in range(7)]
     daemon.during(2)
     before, first = daemon.memory_mb(), [len(viewer.ages_ms) for viewer in others]
@@ -212,7 +217,7 @@ def main():
         if not Path(take).exists():
             size = ["--frames", "60", "--width", "1280", "--height", "720", "--jpeg", "85"]
             subprocess.run([options.program, "demo", *size, "--save", take], check=True, stdout=subprocess.DEVNULL)
-        # What is measured, and as much again as the start may take.
+        # The measured time, plus a margin for the start.
         daemon = Daemon(options.program, take, Path(folder), options.seconds * (2 * options.rounds + 3) + options.rounds + 60)
         try:
             in_turns(daemon, options.seconds, options.rounds, failures)

@@ -1,4 +1,4 @@
-"""A daemon of this machine that tracks a played clip: what siege.py and faults.py do things to. Standard library only."""
+"""A local daemon that tracks a played clip, for siege.py and faults.py. Standard library only."""
 
 import contextlib
 import pathlib
@@ -11,11 +11,12 @@ import tempfile
 import time
 
 FIXTURE = pathlib.Path(__file__).resolve().parent.parent / "fixtures/dolly"
-START_S = 60  # a daemon that tracks nothing for so long does not track
+START_S = 60  # a daemon that tracks nothing for this long has failed
 
 
 class Daemon:
-    """A running one: its `port`, its `folder` with stage.toml and recordings, the `config` in it, its `process`."""
+    """A running daemon: its `port`, its `folder` with stage.toml and recordings, its `config` and
+    its `process`."""
 
     def __init__(self, program, folder, recorder):
         self.folder = folder
@@ -38,7 +39,7 @@ class Daemon:
             self.process = subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=log)
 
     def wait_until_it_tracks(self):
-        """Until a second's frames have been tracked since."""
+        """Waits until 30 more frames, about a second's worth, have been tracked."""
         begun, first = time.monotonic(), None
         while True:
             self.need_alive()
@@ -52,7 +53,7 @@ class Daemon:
             time.sleep(0.2)
 
     def frames(self):
-        """Frames that it has tracked."""
+        """Returns the number of frames processed so far."""
         text = self.answer("GET", "/metrics").decode()
         return float(re.search(r"^stagepose_frames_total (\S+)$", text, re.M).group(1))
 
@@ -64,7 +65,7 @@ class Daemon:
         return (self.folder / "log").read_text(errors="replace")[-2000:]
 
     def answer(self, method, path, content=b"", headers="", wait_s=60):
-        """The whole answer to a request, its head in front."""
+        """Returns the whole answer to a request, including its head."""
         with socket.create_connection(("127.0.0.1", self.port), timeout=wait_s) as s:
             head = f"{method} {path} HTTP/1.0\r\nHost: localhost\r\nContent-Length: {len(content)}\r\n{headers}\r\n"
             s.sendall(head.encode() + content)
@@ -74,14 +75,15 @@ class Daemon:
         return b"".join(pieces)
 
     def memory_mb(self, which):
-        """VmRSS: memory that it has now; VmHWM: the most that it had."""
+        """Returns memory in MB: VmRSS is the current size, VmHWM the peak."""
         lines = pathlib.Path(f"/proc/{self.process.pid}/status").read_text().splitlines()
         return int(dict(line.split(":", 1) for line in lines)[which].split()[0]) // 1024
 
 
 @contextlib.contextmanager
 def daemon(program, recorder="", prepare=lambda folder: None):
-    """A daemon that tracks, ended at the end. `recorder`: more lines of that section; `prepare`: what else its folder has."""
+    """Runs a daemon that tracks, and ends it afterwards. `recorder` adds lines to that section;
+    `prepare` adds content to its folder."""
     with tempfile.TemporaryDirectory() as name:
         folder = pathlib.Path(name)
         prepare(folder)

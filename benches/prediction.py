@@ -1,11 +1,12 @@
-"""What a prediction is worth: rendered clips are tracked with [filter] kinds and the given poses are held against the exact truth.
+"""What a prediction is worth: [filter] kinds on rendered clips, compared with exact ground truth.
 
     python benches/prediction.py FOLDER [CLIP ...] [--ahead 0.033] [--check]
 
-FOLDER has clips as benches/clips.py leaves them (frames, stage.toml, groundtruth.txt). Printed for each clip and filter: the error of
-the position told for `ahead` seconds after the frame, as a share of the error of sending the measured pose (root mean square and
-median), and for a still clip the scatter of the predicted positions as a share of the measured ones'; the rotation's error in the same
-way. --check fails beyond the bars, which are the positions'.
+FOLDER has clips as benches/clips.py leaves them (frames, stage.toml, groundtruth.txt). For each
+clip and filter, it prints the error of the position predicted for `ahead` seconds after the frame,
+as a multiple of the error of sending the measured pose (rms and median), and the rotation's error
+in the same way. For a still clip, it prints the scatter of the predicted positions as a multiple of
+that of the measured ones. --check fails beyond the bars, which apply to positions only.
 """
 
 import argparse
@@ -20,7 +21,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 ROOT = Path(__file__).resolve().parent.parent
-# Greatest share of the error of the measured pose that a prediction may have; greatest growth of the scatter at rest.
+# Maximum error of a prediction, as a fraction of the measured pose's; and maximum growth of the
+# scatter at rest.
 ERROR_BARS = {"d-dolly": 0.05, "d-handheld": 0.4}
 SCATTER_BAR = 1.5
 SETTLED = 10  # poses: a third of a second until the velocity is known
@@ -31,7 +33,8 @@ def truth_at(folder):
     t, p = rows[:, 0], rows[:, 1:4]
 
     def at(when):
-        """Through the four truths around (Catmull-Rom): at 30 frames a second good to microns."""
+        """Interpolates the four surrounding ground truth positions (Catmull-Rom); accurate to
+        microns at 30 frames a second."""
         k = int(np.clip(np.searchsorted(t, when) - 1, 1, len(t) - 3))
         s = (when - t[k]) / (t[k + 1] - t[k])
         a, b, c, d = p[k - 1 : k + 3]
@@ -41,7 +44,7 @@ def truth_at(folder):
 
 
 def track(binary, folder, kind, ahead):
-    # benches/clips.py keeps the config in a folder of its own.
+    # benches/clips.py keeps the config in a separate folder.
     config = next(c for c in (folder / "stage.toml", folder / "stagepose/stage.toml") if c.exists())
     stage = re.sub(r'(calibration|image|photo|mask) = "', rf'\1 = "{config.parent.resolve()}/', config.read_text())
     with tempfile.TemporaryDirectory() as temporary:
@@ -96,7 +99,7 @@ def main():
                 verdict = s["rms"] <= bar
                 text = f"error x {s['rms']:.3f} rms, x {s['median']:.3f} median of {s['held_mm']:.1f} mm (bar {bar})"
             text += f", rotation x {s['turn']:.3f}"
-            # The bars are for the filter that is made for it.
+            # The bars only apply to the filter that is designed to predict.
             verdict |= kind != "kalman"
             failed |= not verdict
             print(f"{clip:12} {kind:9} +{1e3 * a.ahead:.0f} ms, {s['poses']} poses: {text}{'' if verdict else '  <-- beyond the bar'}", flush=True)

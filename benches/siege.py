@@ -1,12 +1,15 @@
 #!/usr/bin/env python3
-"""What strangers can do to a daemon that tracks: slow ones of each kind, and how long health and session take meanwhile.
+"""What strangers can do to a tracking daemon: slow clients of each kind, and the response times.
 
     python3 benches/siege.py target/release/stagepose [--strangers 64] [--seconds 20] [--check]
 
-A played clip is tracked. By turns nobody and the strangers of one kind are there; each turn says the median, the 99th percentile and the longest
-time of `/healthz`, `/api/v1/health` and `/api/v1/session`, and how many frames a second were tracked. The strangers come from eight addresses of
-this machine (127.0.0.2 to 127.0.0.9) as through a proxy, so that none of them is paired; nothing leaves the machine. `--check` fails where a
-99th percentile is above 100 ms (health) or 300 ms (session) in three turns one after the other, and not with nobody there as well.
+The daemon tracks a played clip. Turns without strangers and with strangers of one kind alternate.
+Each turn prints the median, the 99th percentile and the maximum time of `/healthz`,
+`/api/v1/health` and `/api/v1/session`, and the tracked frames per second. The strangers come from
+eight addresses of this machine (127.0.0.2 to 127.0.0.9) as if through a proxy, so that none of them
+is paired; nothing leaves the machine. `--check` fails if a 99th percentile is above 100 ms (health)
+or 300 ms (session) in three consecutive turns, unless the last turn without strangers is too slow
+as well.
 """
 
 import argparse
@@ -20,15 +23,15 @@ import played
 
 PROBES = {"/healthz": 100, "/api/v1/health": 100, "/api/v1/session": 300}
 HEAD = "Host: localhost\r\nX-Forwarded-For: 192.0.2.7\r\n"
-# Seconds after which an answer counts as none.
+# Timeout of an answer, seconds.
 WAITS = 20
-# A kind that is too slow is tried again: what else the machine does scatters single turns.
+# Maximum turns of a kind that is too slow, because other load scatters single turns.
 TRIES = 3
 UPGRADE = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
 
 
 def long_recording(folder):
-    """A recording of two hours, for timelines."""
+    """Writes a recording of two hours, for timelines."""
     clip = folder / "recordings/clip-1"
     (clip / "frames").mkdir(parents=True)
     covariance = ",".join(["1.234567890123e-7"] * 36)
@@ -41,7 +44,7 @@ def long_recording(folder):
 
 
 async def drip(peer, port, head, byte, pause):
-    """Sends a head, then a byte now and then; let go, it comes again."""
+    """Sends a head, then a byte now and then; reconnects when dropped."""
     while True:
         try:
             reader, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=(peer, 0))
@@ -56,7 +59,7 @@ async def drip(peer, port, head, byte, pause):
 
 
 async def ask(peer, port, head, reads):
-    """Asks on and on; one that does not read keeps its answer waiting."""
+    """Sends requests endlessly; without `reads`, it leaves the answer unread."""
     while True:
         try:
             reader, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=(peer, 0))
@@ -84,7 +87,7 @@ def stranger(kind, peer, port):
 
 
 class Siege:
-    """Strangers of one kind on a thread of their own."""
+    """Strangers of one kind, on their own thread."""
 
     def __init__(self, kind, count, port):
         self.loop = asyncio.new_event_loop()
@@ -102,7 +105,7 @@ class Siege:
 
 
 def measure(daemon, seconds):
-    """Times of each probe in ms, and frames a second."""
+    """Returns the times of each probe in ms, and the frames per second."""
     times = {path: [] for path in PROBES}
     begun, before = time.monotonic(), daemon.frames()
     while time.monotonic() - begun < seconds:
@@ -112,7 +115,7 @@ def measure(daemon, seconds):
                 answer = daemon.answer("GET", path, wait_s=WAITS)
             except OSError:
                 answer = b""
-            # 503 is what the health says of a clip that is over.
+            # 503 is the health's answer once the clip is over.
             is_answered = answer.startswith((b"HTTP/1.0 200", b"HTTP/1.0 503"))
             of_path.append((time.monotonic() - asked) * 1e3 if is_answered else WAITS * 1e3)
         time.sleep(0.02)
@@ -124,7 +127,8 @@ def percentile(values, share):
 
 
 def turn(daemon, kind, arguments):
-    """One turn with strangers of a kind, or with nobody: prints what came of it, and says what is too slow."""
+    """Runs one turn with strangers of a kind, or with none; prints the results and returns what is
+    too slow."""
     strangers = Siege(kind, arguments.strangers, daemon.port) if kind else None
     time.sleep(1)
     times, rate = measure(daemon, arguments.seconds)

@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""The scatter of a real camera that stands still: stagepose beside OpenCV's Lucas-Kanade on the same surface.
+"""The scatter of a real camera at rest: stagepose and OpenCV's Lucas-Kanade on the same surface.
 
-A folder of pictures from a still camera has no picture of a stage. This makes one: a rectangle of the floor in the first
-picture, laid flat, becomes the artwork of a surface of known size and place; then both trackers follow it, and the standard
-deviation of the camera's position is compared. (That the artwork is itself a picture with noise shifts both alike.)
+A folder of pictures from a still camera has no picture of a stage, so this makes one: a rectangle
+of the floor in the first picture is flattened and becomes the artwork of a surface of known size
+and place. Both trackers then follow it, and the standard deviations of the camera's position are
+compared. The artwork's own noise shifts both alike.
 
     python3 -m venv target/venv && target/venv/bin/pip install -r ../shared/bench/requirements.txt
     cargo build --release && target/venv/bin/python benches/still.py
@@ -39,7 +40,7 @@ def arguments():
 
 
 def lay_flat(chosen, grey, matrix, distortion):
-    """The rectangle's artwork, and the share of it that the picture shows."""
+    """Returns the rectangle's artwork, and the fraction of it that the picture shows."""
     normal = np.array(chosen.normal) / np.linalg.norm(chosen.normal)
     ray = np.append(cv2.undistortPoints(np.array([[chosen.corner_px]]), matrix, distortion)[0, 0], 1.0)
     corner = ray * (-chosen.height / (normal @ ray))

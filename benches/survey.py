@@ -1,17 +1,25 @@
 #!/usr/bin/env python3
-"""What a survey is worth: walks with exact truth are surveyed, and places, heights and lens are held against it.
+"""What a survey is worth: surveys walks with exact ground truth, and compares places, heights and
+lens.
 
     cargo build --release
-    python benches/survey.py --out target/clips --check              # all cases
-    python benches/survey.py --out target/clips cloth relief:2        # of a layout the sets of wrong places by their seeds
+    python benches/survey.py --out target/clips --check             # all cases
+    python benches/survey.py --out target/clips cloth relief:2       # a layout takes a seed
 
-Cases: cloth (d-cloth-walk surveyed, d-cloth tracked with it), lens (d-lens-walk, `--lens refine`), relief and set (d-relief and d-set-walk, all
-surfaces but the first told wrong by up to 30 mm and 2 degrees in each axis), shutter (d-cloth-walk read in 18 ms, told 0, `--lens refine`), long (the
-frames of d-set-walk to and fro, two minutes at 30 a second, told wrong as well: the seconds that it takes; errors mean little, as each frame comes a dozen times).
-Clips are rendered below --out as benches/clips.py does, and used again. What is compared with nothing has no bar.
+Cases:
+  cloth: d-cloth-walk is surveyed, then d-cloth is tracked with the result.
+  lens: d-lens-walk with `--lens refine`.
+  relief and set: d-relief and d-set-walk, with all surfaces but the first configured wrongly, by up
+    to 30 mm and 2 degrees in each axis.
+  shutter: d-cloth-walk with a readout of 18 ms, configured as 0, with `--lens refine`.
+  long: the frames of d-set-walk to and fro, two minutes at 30 a second, also configured wrongly.
+    Only the duration counts; errors mean little, as each frame appears a dozen times.
+Clips are rendered below --out as benches/clips.py does, and reused. Columns without a limit in BARS
+are only printed.
 
-Errors of places are in the stage frame itself. NEES/6 of places: (error² / sigma_mm² + turn² / sigma_deg²) / 2, mean over the surfaces, as both
-sigmas are those of the whole vector. Poses after one rigid motion of the clip (evaluate.py --align).
+Errors of places are in the stage frame itself. NEES/6 of places is
+(error² / sigma_mm² + turn² / sigma_deg²) / 2, averaged over the surfaces, as both sigmas are those
+of the whole vector. Poses are compared after one rigid motion of the clip (evaluate.py --align).
 """
 import argparse
 import json
@@ -28,16 +36,17 @@ from scipy.spatial.transform import Rotation
 import clips
 
 CASES = ["cloth", "lens", "relief:1", "relief:2", "set:1", "set:2", "set:3", "shutter", "long"]
-SIDES_DEG = 20.0  # heights are compared where the walk sees a point from directions that far apart
-LARGEST_SLIP = (0.03, 2.0)  # of a told place, metres and degrees, along and about each axis
-# Largest values; pairs are least and largest.
+SIDES_DEG = 20.0  # minimum angle between the walk's views of a point whose height is compared
+# maximum error of a configured place, metres and degrees, along and about each axis
+LARGEST_SLIP = (0.03, 2.0)
+# Maximum values; pairs are minimum and maximum.
 BARS = {
     "cloth": {"median mm": 0.15, "wrong %": 0.0, "NEES/6": (0.4, 3.0), "heights mm": 0.5},
     "lens": {"focal %": 0.03, "centre px": 0.5, "picture px": 0.2, "median mm": 0.3, "wrong %": 0.0},
     "relief": {"places mm": 0.06, "turns deg": 0.01, "NEES/6": (0.3, 3.0)},
     "set": {"places mm": 0.06, "worst mm": 0.3, "NEES/6": (0.3, 3.0)},
     "shutter": {"readout ms off": 0.5, "median mm": 0.3, "wrong %": 0.0},
-    "long": {"seconds": 180.0},  # of two cores that have nothing else to do
+    "long": {"seconds": 180.0},  # on two otherwise idle cores
 }
 LONG_FRAMES = 3600  # two minutes at 30 a second
 SHUTTER_S = 0.018
@@ -61,7 +70,7 @@ def arguments():
 
 
 def rendered(scene, chosen, name=None, changes=None):
-    """The clip of a scene of the bench, or of one that differs from it."""
+    """Returns the clip of a scene of the bench, possibly with changes."""
     clip = clips.Clip(scene, chosen)
     if changes:
         clip.scene |= changes
@@ -73,7 +82,7 @@ def rendered(scene, chosen, name=None, changes=None):
 
 
 def survey(clip, config, folder, chosen, *more):
-    """Surveys a clip; what it says of itself, and the seconds that it took."""
+    """Surveys a clip; returns its result, and its duration in seconds."""
     out = folder / "surveyed.json"
     shutil.rmtree(folder / "surveyed", ignore_errors=True)
     command = [chosen.binary, "survey", clip.folder, "--config", config, "--output", folder / "surveyed", "--json", out, "--report", folder / "report.html"]
@@ -84,7 +93,7 @@ def survey(clip, config, folder, chosen, *more):
 
 
 def tracked(evaluate, clip, folder, chosen):
-    """How a clip is tracked with the surveyed stage."""
+    """Returns the scores of a clip that is tracked with the surveyed stage."""
     poses, _ = clips.track(chosen.binary, clip, folder / "surveyed/stage.toml", folder)
     truth = clip.folder / "groundtruth.txt"
     aligned, raw = evaluate.score(truth, poses, True, True), evaluate.score(truth, poses, True)
@@ -96,7 +105,7 @@ def tracked(evaluate, clip, folder, chosen):
 
 
 def wrong_layout(clip, folder, seed):
-    """The clip's config with the places of all surfaces but the first told wrong."""
+    """Writes the clip's config with wrong places for all surfaces but the first."""
     config = clip.write_config(folder, clip)
     random = np.random.default_rng(seed)
     surfaces = clip.surfaces()
@@ -152,7 +161,7 @@ def case_lens(evaluate, chosen):
 
 
 def case_shutter(evaluate, chosen):
-    """Cloth filmed with a rolling shutter that nobody told of."""
+    """Cloth filmed with an unconfigured rolling shutter."""
     walk = rendered("d-cloth-walk", chosen, "d-cloth-walk-rolling", {"readout_s": SHUTTER_S})
     folder = chosen.work / "d-cloth-walk-rolling"
     config = walk.write_config(folder, walk)
@@ -166,7 +175,7 @@ def case_shutter(evaluate, chosen):
 
 
 def case_long(evaluate, chosen):
-    """A walk of two minutes around fifteen surfaces that are told wrong."""
+    """A walk of two minutes around fifteen wrongly configured surfaces."""
     walk = rendered("d-set-walk", chosen)
     folder = chosen.work / "d-set-walk-long"
     config, _ = wrong_layout(walk, folder, 1)
@@ -182,14 +191,16 @@ def case_long(evaluate, chosen):
 
 
 def apart_mm(found, true):
-    """How far places are from the true ones once one rigid motion of all is taken away (Kabsch, 1976), mm."""
+    """Returns the distances of places from the true ones after one rigid motion of all (Kabsch,
+    1976), mm."""
     centres = found.mean(axis=0), true.mean(axis=0)
     turn, _ = Rotation.align_vectors(true - centres[1], found - centres[0])
     return 1e3 * np.linalg.norm(turn.apply(found - centres[0]) + centres[1] - true, axis=1)
 
 
 def lens_off(true, found):
-    """How far a lens is from the true one: focal lengths, centre, and where it puts the rays of the whole picture."""
+    """Returns the errors of a lens: focal lengths, centre, and where it puts the rays of the whole
+    picture."""
     k = np.array([[x, y] for x in np.linspace(0, true["width"] - 1, 41) for y in np.linspace(0, true["height"] - 1, 23)])
     rays = undistorted(true | {"distortion": true["dist"]}, k)
     moved = np.linalg.norm(projected(found, rays) - k, axis=1)
@@ -216,7 +227,8 @@ def undistorted(lens, pixels):
 
 
 def spline_at(grid, size, points):
-    """Heights of a shape file's grid (src/geometry/bspline.rs) at points of its surface."""
+    """Returns the heights of a shape file's grid (src/geometry/bspline.rs) at points of its
+    surface."""
     counts = grid["intervals"]
     coefficients = np.array(grid["metres"]).reshape(counts[1] + 3, counts[0] + 3)
     where, weights = [], []
@@ -231,12 +243,14 @@ def spline_at(grid, size, points):
 
 
 def heights_off(walk, shape_file):
-    """Root mean square error of the first surface's heights, mm, where the walk sees it from two sides; and the share of it that it so sees."""
+    """Returns the rms error in mm of the first surface's heights where the walk sees it from two
+    sides, and that fraction of it."""
     plane, size = walk.scene["planes"][0], walk.surfaces()[0]["size_m"]
     points = np.array([[((i + 0.5) / 60 - 0.5) * size[0], ((j + 0.5) / 40 - 0.5) * size[1]] for i in range(60) for j in range(40)])
     billow = plane["billow"]
     true = billow["m"] * sum(np.sin(kx * points[:, 0] + ky * points[:, 1] + phase) for kx, ky, _, phase in billow["waves"])
-    # Which plane of a bent surface is its own is a convention: the survey's is that of least squares over the whole of it.
+    # The reference plane of a bent surface is a convention: the survey uses the least-squares plane
+    # over the whole surface.
     basis = np.column_stack([np.ones(len(points)), points])
     true = true - basis @ np.linalg.lstsq(basis, true, rcond=None)[0]
     shape = tomllib.loads(shape_file.read_text())
@@ -246,7 +260,8 @@ def heights_off(walk, shape_file):
 
 
 def widest_angle_deg(walk, points, heights):
-    """Between the directions from which the walk sees each point of the first surface, degrees."""
+    """Returns the widest angle between the walk's views of each point of the first surface,
+    degrees."""
     surface, camera = walk.surfaces()[0], walk.scene["camera"]
     lens = camera | {"distortion": camera["dist"]}
     places = Rotation.from_quat(surface["orientation_xyzw"]).apply(np.column_stack([points, heights])) + surface["position_m"]
@@ -269,7 +284,7 @@ def widest_angle_deg(walk, points, heights):
 
 
 def missed(case, row):
-    """The bars that a row misses, in words."""
+    """Yields a sentence for each bar that a row misses."""
     for name, bar in BARS[case].items():
         least, largest = bar if isinstance(bar, tuple) else (-np.inf, bar)
         value = row.get(name)

@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# Installs the Debian package into bare roots of Debian 12 and 13 and runs the program there.
+# Installs the Debian package in bare roots of Debian 12 and 13 and runs the program there.
 #
 #   tests/packaging/install.sh target/deb/stagepose_*.deb [FOLDER] [SUITE…]
 #
-# Needs root and mmdebstrap (.ci/setup installs it); the roots are kept below FOLDER and used again.
+# Needs root and mmdebstrap (.ci/setup installs it). The roots are kept below FOLDER and reused.
 set -euo pipefail
 deb=$(realpath "$1")
 folder=${2:-target/roots}
@@ -19,17 +19,18 @@ trap leave EXIT
 for suite in "${suites[@]}"; do
     bare=$folder/$suite.tar
     if [ ! -e "$bare" ]; then
-        # Packages are fetched as root, not as _apt: that user cannot write to /dev/null on every machine.
+        # Packages are fetched as root, not as _apt, because that user cannot write to /dev/null on
+        # every machine.
         mmdebstrap --variant=minbase --aptopt='APT::Sandbox::User "root"' "$suite" "$bare.new.tar" >"$folder/$suite.log" 2>&1 ||
             { tail -n 20 "$folder/$suite.log" >&2; echo "install.sh: no bare root of $suite can be made" >&2; exit 1; }
         mv "$bare.new.tar" "$bare"
     fi
-    # Bare again, whatever the last run installed.
+    # Starts from the bare root again, whatever the last run installed.
     root=$folder/$suite
     rm -rf "$root" && mkdir "$root" && tar -C "$root" -xf "$bare"
     cp "$deb" "$root/stagepose.deb"
     [ ! -e /etc/resolv.conf ] || cp -L /etc/resolv.conf "$root/etc/resolv.conf"
-    # How this machine reaches packages (a proxy) holds in the root too.
+    # The root uses this machine's way to packages (a proxy) too.
     apt-config dump | grep -E '^Acquire::(http|https)::' >"$root/etc/apt/apt.conf.d/00host" || true
     mount -t proc proc "$root/proc" && mounted=$root/proc
     in_root() { chroot "$root" env DEBIAN_FRONTEND=noninteractive LC_ALL=C.UTF-8 "$@"; }

@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
-# Broadcast, multicast and an unreachable host, in network namespaces of this script's own: nothing leaves the machine.
+# Broadcast, multicast and an unreachable host, in network namespaces of this script: nothing leaves
+# the machine.
 #   networks.sh STAGEPOSE OUT
-# Two namespaces joined by a veth pair; the sender is in one, `stagepose listen` in the other. Skipped, loudly, where the system does not
-# allow namespaces.
+# A veth pair joins two namespaces; the sender is in one, `stagepose listen` in the other. Skipped
+# with a loud message if the system does not allow namespaces.
 set -euo pipefail
 stagepose=$(realpath "$1")
 out=$2
@@ -22,7 +23,8 @@ EOF
 command -v ip >/dev/null && command -v unshare >/dev/null || skip "ip or unshare is missing."
 if [ "${STAGEPOSE_NAMESPACE:-}" != inside ]; then
     unshare --net --mount true 2>/dev/null || skip "This user may not make network namespaces."
-    # A mount namespace keeps the named namespaces below out of sight of everything else; all ends with this process.
+    # A mount namespace hides the named namespaces below from everything else; all of it ends with
+    # this process.
     exec env STAGEPOSE_NAMESPACE=inside unshare --net --mount --pid --fork --kill-child "$0" "$stagepose" "$out"
 fi
 
@@ -35,7 +37,7 @@ ip link set lo up
 ip -n stage addr add 10.77.0.2/24 broadcast 10.77.0.255 dev stage0
 ip -n stage link set stage0 up
 ip -n stage link set lo up
-# IPv6 addresses are usable at once where nobody looks for another owner first.
+# Without duplicate address detection, IPv6 addresses are usable at once.
 ip addr add fd77::1/64 dev studio0 nodad
 ip -n stage addr add fd77::2/64 dev stage0 nodad
 for _ in $(seq 50); do
@@ -83,7 +85,7 @@ listen unicast6 freed 40006
 listen multicast6 freed 40007 --group ff12::77 --interface stage0
 sleep 0.5
 
-# The all-ones broadcast needs a route here; a real machine has a default one.
+# The all-ones broadcast needs a route here; a real machine has a default route.
 ip route add 255.255.255.255 dev studio0 2>/dev/null || true
 timeout 60 "$stagepose" send-test --config "$out/networks.toml" --seconds 4 --fps 30 --log info 2>"$out/sender.log"
 
@@ -95,7 +97,7 @@ for name in directed limited multicast unicast unicast6 multicast6; do
         echo "$name: FAILED" && failed=yes
     fi
 done
-# A hundred packets could not be sent, and each of the two addresses was complained of once.
+# Over a hundred packets could not be sent, but each of the two addresses is reported only once.
 complaints=$(grep -c 'output unreachable: 1.* cannot be reached' "$out/sender.log" || true)
 echo "unreachable: $complaints complaints for $(grep -o 'output unreachable: .*' "$out/sender.log" | tail -n 1)"
 [ "$complaints" -ge 1 ] && [ "$complaints" -le 2 ] || failed=yes

@@ -1,6 +1,7 @@
-"""Replays a clip with every output on and decodes what arrives with libraries that others wrote.
+"""Replays a clip with every output on and decodes what arrives with third-party libraries.
 
-Each decoded pose must equal the JSON pose of the same frame within the protocol's quantisation. Traffic goes to 127.0.0.1 only.
+Each decoded pose must equal the JSON pose of the same frame within the protocol's quantisation.
+Traffic goes to 127.0.0.1 only.
 
     python receive.py STAGEPOSE FIXTURE OUT [--schema schema.json] [--node NODE_MODULES_PARENT]
 """
@@ -34,7 +35,7 @@ def free_port(kind=socket.SOCK_DGRAM):
 
 
 class Udp:
-    """A port with everything that arrives on it."""
+    """A port that collects everything that arrives on it."""
 
     def __init__(self):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -73,12 +74,13 @@ def times(a, b):
 
 
 def body(pose):
-    """The camera body's rotation matrix (x right, y forward, z up) of a record's optical pose."""
+    """Returns the camera body's rotation matrix (x right, y forward, z up) from a record's optical
+    pose."""
     return times(matrix(pose["orientation_xyzw"]), [[1, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
 def angles(pose):
-    """Pan (+ left), tilt, roll in degrees."""
+    """Returns pan (+ left), tilt and roll in degrees."""
     r = body(pose)
     return [math.degrees(v) for v in (math.atan2(-r[0][1], r[1][1]), math.asin(r[2][1]), math.atan2(-r[2][0], r[2][2]))]
 
@@ -97,7 +99,7 @@ def near(found, wanted, within, what):
 
 
 def single(values):
-    """How far a number may move when it becomes a 32-bit float."""
+    """Returns how much a number may change when it becomes a 32-bit float."""
     return max(abs(v) for v in values) * 2**-23 + 1e-7
 
 
@@ -130,7 +132,7 @@ def freed(packets, rows):
 def opentrackio(packets, rows, schema):
     poses, fixed, size = 0, 0, 0
     for number, packet in enumerate(packets):
-        # Not from 0, which the reference receiver drops.
+        # Numbers do not start at 0, which the reference receiver drops.
         assert packet[:4] == b"OTrk" and int.from_bytes(packet[6:8], "big") == number + 1
         encoding, length = packet[5], int.from_bytes(packet[12:14], "big")
         assert length & 0x8000 and length & 0x7FFF == len(packet) - 16
@@ -182,7 +184,7 @@ def psn(packets, rows):
 
 
 def osc_messages(frame_of, messages, rows):
-    """Checks one bundle as (address, arguments) pairs; gives 1 where it had a pose."""
+    """Checks one bundle of (address, arguments) pairs; returns 1 if it has a pose, otherwise 0."""
     by_address = dict(messages)
     state, confidence, frame = by_address["/stagepose/camera/status"]
     if "/stagepose/camera/pose" not in by_address:
@@ -272,13 +274,13 @@ def ws_client(port, lines, stop):
 
 
 def output(kind, *ports, **keys):
-    """An [[output]] of a config, to these ports of this machine."""
+    """Returns an [[output]] section that sends to these ports of this machine."""
     to = {"to": [f"127.0.0.1:{port}" for port in ports]}
     return "\n".join(["[[output]]", *(f"{key} = {json.dumps(value)}" for key, value in ({"kind": kind} | to | keys).items())]) + "\n"
 
 
 def every_protocol(ports):
-    """One output or more of every protocol, an OSC value and the HTTP server."""
+    """Returns at least one output of every protocol, an OSC value, and the HTTP server."""
     value = {"address": "/axis/{body}/x", "quantity": "x"}
     return "".join([
         output("freed", ports["freed"], spare="frame"),
@@ -293,14 +295,14 @@ def every_protocol(ports):
 
 
 def all_flagging(ports):
-    """One output of every form that can mark a loss, marking it."""
+    """Returns one output of every kind that can mark a loss, configured to do so."""
     kinds = {name: (name, {}) for name in ("freed", "psn", "osc", "json")}
     kinds |= {f"otrk_{encoding}": ("opentrackio", {"encoding": encoding}) for encoding in ("json", "cbor")}
     outputs = (output(kind, ports[name], on_loss="flag", **keys) for name, (kind, keys) in kinds.items())
     return "[safety]\nstale_after_s = 60\n" + "".join(outputs)
 
 
-# What each protocol says of a record's state: status of OpenTrackIO, quality of FreeD, confidence of the others.
+# Marks of a record's state: OpenTrackIO's status, FreeD's quality, the others' confidence.
 MARKS = {
     "tracking": ("Optical Good", 1, 1.0),
     "coasting": ("Optical Unreliable", 2, 0.5),
@@ -310,7 +312,7 @@ MARKS = {
 
 
 def darkened(fixture, out):
-    """The fixture as a clip in which the light fails for a while: frames 15 to 27 are black."""
+    """Writes the fixture as a clip whose light fails for a while: frames 15 to 27 are black."""
     clip = out / "darkened"
     (clip / "frames").mkdir(parents=True, exist_ok=True)
     camera = (fixture / "camera.toml").read_text()
@@ -328,13 +330,14 @@ def darkened(fixture, out):
 
 
 def marks(packets, states):
-    """With `flag` every row makes a packet: the k-th one must have the mark of the k-th state."""
+    """Checks that with `flag` every row makes a packet, and that the k-th packet has the mark of
+    the k-th state."""
     wanted = [MARKS[state] for state in states]
     status = [s["tracker"]["status"] for s in (json.loads(p[16:]) for p in packets["otrk_json"])]
     assert status == [w[0] for w in wanted], f"OpenTrackIO JSON: {status}"
     status = [s["tracker"]["status"] for s in (cbor2.loads(p[16:]) for p in packets["otrk_cbor"])]
     assert status == [w[0] for w in wanted], f"OpenTrackIO CBOR: {status}"
-    # FreeD has nothing to send before the first pose.
+    # FreeD sends nothing before the first pose.
     first = next(n for n, state in enumerate(states) if state == "tracking")
     quality = [p[27] for p in packets["freed"]]
     assert quality == [w[1] for w in wanted[first:]], f"FreeD: {quality}"
@@ -351,7 +354,8 @@ def marks(packets, states):
 
 
 def replay_darkened(a, stage):
-    """Replays the darkened clip with every output flagging; gives what came, and the records' states."""
+    """Replays the darkened clip with every output flagging; returns the packets, and the records'
+    states."""
     udp = {name: Udp() for name in ("freed", "otrk_json", "otrk_cbor", "psn", "osc", "json")}
     config = a.out / "marked.toml"
     config.write_text(stage + all_flagging({name: u.port for name, u in udp.items()}))
@@ -412,7 +416,7 @@ def main():
     assert rows, "nothing was tracked"
     schema = json.loads(a.schema.read_text()) if a.schema else None
     report = Report()
-    # FreeD with a frame counter cannot mark a prediction and does not send it.
+    # FreeD with a frame counter cannot mark a prediction, so it sends none.
     report.check("FreeD (own decoder)", lambda: freed(packets["freed"], {n: r for n, r in rows.items() if r["state"] == "tracking"}))
     report.check("OpenTrackIO JSON (jsonschema)", lambda: opentrackio(packets["otrk_json"], rows, schema))
     report.check("OpenTrackIO CBOR (cbor2, jsonschema)", lambda: opentrackio(packets["otrk_cbor"], rows, schema))
@@ -420,7 +424,7 @@ def main():
     report.check("OSC (python-osc)", lambda: osc(packets["osc"], rows))
     report.check("JSON by UDP", lambda: json_lines(packets["json"], rows, len(records)))
     report.check("JSON in a file", lambda: json_lines((a.out / "sent.jsonl").read_text().splitlines(), rows, len(records)))
-    # Clients that connect to a running program miss what was before.
+    # Clients that connect to a running program miss earlier records.
     late = {n: r for n, r in rows.items() if tcp_lines and n >= json.loads(tcp_lines[0])["sequence"]}
     report.check("JSON by TCP", lambda: json_lines(tcp_lines, late, None))
     report.check("WebSocket (websockets)", lambda: web_socket(ws_lines, all_rows))

@@ -1,16 +1,17 @@
-# What every scenario in the guest begins with. $STAGEPOSE, $RIG (folder of the rig's programs) and $MEDIA are given.
+# Every scenario in the guest starts with this. $STAGEPOSE, $RIG (folder of the rig's programs) and
+# $MEDIA are set.
 set -u
 cd /run
 mkfifo never
 exec 8<>never
-# Waits and looks are the shell's own: in here a new process costs as much as a frame.
+# Waiting and polling use shell builtins: in the guest, a new process costs as much as a frame.
 nap() { read -rt "$1" -u 8; }
 PATH=$RIG:$PATH
 cp "$MEDIA"/{stage.toml,camera.toml,backdrop.png,flat.png} .
 # The guest is slow, and frames more than half a second apart do not confirm each other.
 printf '\n[tracker]\nfeatures = 150\n' >>stage.toml
 
-# As udev would: keeps the by-id link, and that of the port, on the camera, under whatever number it has.
+# Like udev, keeps the by-id link and the by-path link on the camera, whatever number it has.
 links() {
     local class index node link path pass=0
     mkdir -p /dev/v4l/by-{id,path}
@@ -34,7 +35,7 @@ links() {
 by_id=/dev/v4l/by-id/usb-Replay_camera-video-index0
 by_path=/dev/v4l/by-path/platform-vhci_hcd.0-usb-0:
 
-# ports FREE…: only these ports (from 0) take a camera from now on.
+# ports FREE…: from now on, only these ports (from 0) accept a camera.
 ports() {
     local kind number state rest
     umount "$ports" 2>/dev/null
@@ -48,8 +49,9 @@ ports=/sys/devices/platform/vhci_hcd.0/status
 
 plug() { uvcam 192x108 5 MJPG="$MEDIA/slow.mjpeg" YUYV="$MEDIA/slow.yuyv" "$@" 2>>rig.log & rig=$!; }
 
-# As udev does, before another camera can have the number. The pass that is under way may have seen the camera and make
-# its links again, which would lead to the next camera: only the pass after it has not.
+# Unplugs the camera and, like udev, removes its links before another camera can take the number.
+# The pass that is under way may have seen the camera and create its links again, which would lead
+# to the next camera; only the pass after it certainly has not.
 unplug() {
     local before now
     kill $rig
@@ -59,13 +61,14 @@ unplug() {
     rm -f /dev/v4l/by-{id,path}/*
 }
 
-count() { # count FILE PATTERN: its lines with this pattern (an extended regular expression)
+count() { # count FILE PATTERN: counts its lines that match this extended regular expression
     local line
     lines=0
     [ ! -e "$1" ] || while read -r line; do [[ $line =~ $2 ]] && lines=$((lines + 1)); done <"$1"
 }
 
-# until_line FILE PATTERN [MORE]: waits for so many lines (1); the scenario ends where they do not come.
+# until_line FILE PATTERN [MORE]: waits for this many matching lines (1); ends the scenario if they
+# do not come.
 until_line() {
     local deadline=$((SECONDS + 90))
     until count "$1" "$2"; [ "$lines" -ge "${3:-1}" ]; do
@@ -75,12 +78,12 @@ until_line() {
     echo "+ $SECONDS s: $2"
 }
 
-# more FILE PATTERN N: waits for N more of these lines than there are now.
+# more FILE PATTERN N: waits for N more matching lines than there are now.
 more() { count "$1" "$2"; until_line "$1" "$2" $((lines + $3)); }
 
 config() { sed -i "s#^calibration.*#&\n$1#" stage.toml; }
 
-# start COMMAND…: stagepose in the background with its events and records.
+# start COMMAND…: runs stagepose in the background with its events and records.
 start() { "$STAGEPOSE" "$@" --config stage.toml --events events --poses poses --log info 2>>log & pid=$!; }
 
 # finish: ends it as a service manager does.

@@ -1,5 +1,6 @@
-# A webcam: listed, checked, recorded with its controls held, unplugged and back under a new number, stalling, back on another port;
-# then by the name of a port, after a reload; replayed. At last it takes the pictures for a calibration by itself.
+# A webcam: listed, checked, recorded with its controls held, unplugged and back under a new number,
+# stalling, back on another port; then addressed by the name of a port after a reload; replayed.
+# Finally, `calibrate` takes its own pictures from it.
 . "$SCENARIOS/guest.sh"
 links &
 plug
@@ -12,17 +13,17 @@ config "device = \"$by_id\"\nformat = \"mjpeg\"\ncontrols = { auto_exposure = 1,
 start record take
 more poses '"sequence"' 3
 
-exec 9</dev/video0 # a dead number that stays taken
+exec 9</dev/video0 # a dead number that stays in use
 unplug
 until_line events '"event":"stale"'
 until_line events '"event":"camera_waiting"'
-# Long enough that a frame of it is tracked, at some seconds for each.
+# Long enough for a frame to be tracked, which takes seconds here.
 plug stall=60
 until_line events '"event":"resumed"'
 more poses '"sequence"' 1
 
 until_line events 'gave no picture'
-until_line events '"again":true' 2 # it opens again, and gives nothing
+until_line events '"again":true' 2 # it opens again, and delivers nothing
 unplug
 ports 3
 plug
@@ -30,7 +31,8 @@ until_line events '"event":"resumed"' 2
 until_line log 'is now on another port'
 more poses '"sequence"' 2
 
-# Frames in a row come too far apart in here to confirm each other; pairs of them do, with time for each pair.
+# Here, consecutive frames come too far apart to confirm each other. Pairs of frames do confirm each
+# other if each pair has enough time.
 for pair in {1..7}; do
     kill -STOP $rig
     nap 1.8
@@ -38,7 +40,8 @@ for pair in {1..7}; do
     nap .4
 done
 
-# By the name of the port: a camera on another one is not it. A config that is not good changes nothing.
+# Addresses the camera by the name of a port: a camera on another port does not match. A bad config
+# changes nothing.
 sed -i 's/^device/devise/' stage.toml
 kill -HUP $pid
 until_line events '"event":"config_refused"'

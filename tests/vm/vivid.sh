@@ -1,5 +1,5 @@
-# The test driver: held by another program, a fatal driver error, taken away and given back. Then what another program
-# writes into v4l2loopback: YUYV from a file.
+# The test driver: held by another program, a fatal driver error, removed and returned. Then
+# v4l2loopback, into which another program writes YUYV from a file.
 . "$SCENARIOS/guest.sh"
 config 'device = "0"\nwidth = 320\nheight = 180'
 camprobe grab 0 320x180 NV12 25 100000 >/dev/null & grab=$!
