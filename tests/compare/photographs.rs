@@ -27,7 +27,7 @@ fn corner_error_px(found: &Compared, truth: &Matrix3<f64>, picture: &Path) -> f6
 }
 
 /// Oxford sets, the pictures compared with the first one, and the maximum corner error: 1.2 times
-/// that of OpenCV's SIFT with MAGSAC (CATALOG.md), but at least one pixel.
+/// that of OpenCV's SIFT with MAGSAC (../shared/data/CATALOG.md), but at least one pixel.
 const OXFORD: [(&str, &[(u32, f64)]); 4] = [
     ("homog-oxford-graf", &[(2, 1.38), (3, 3.96)]),
     ("homog-oxford-boat", &[(2, 1.0), (3, 1.0), (4, 2.14)]),
