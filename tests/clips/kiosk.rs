@@ -49,7 +49,7 @@ const RIMS: [Rim; 19] = [
 ];
 /// Maximum distance from the rim, pixels. The photograph is blurred, the panel sits behind its rim,
 /// and the shutter is rolling, so a few pixels are no tracking error.
-const LARGEST_ERROR_PX: f64 = 4.0;
+const MAX_ERROR_PX: f64 = 4.0;
 
 fn placed(record: &Record, corner: usize) -> Point2<f64> {
     record.place(CORNERS_PX[corner].into()).unwrap()

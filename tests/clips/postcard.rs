@@ -13,8 +13,8 @@ use super::shared::{PhotographedStage, data_set, extract_first_frame, has_ffmpeg
 /// Minimum fraction of the frames with a corner error of at most 5 pixels. In postcard-67, four of
 /// the 45 frames exceed it: the first two, one that is coasted, and one in which a hand bends the
 /// card (6 pixels).
-const LEAST_SHARE_WITHIN_5_PX: f64 = 0.9;
-const LARGEST_MEDIAN_PX: f64 = 0.6;
+const MIN_SHARE_WITHIN_5_PX: f64 = 0.9;
+const MAX_MEDIAN_PX: f64 = 0.6;
 
 type Corners = [Point2<f64>; 4];
 

@@ -16,9 +16,9 @@ const SIZE_RATIO: f64 = 0.412;
 /// Maximum distance from the corners, pixels. Corners were read to a pixel, the lid is not quite
 /// flat, and the lenses are uncalibrated. Measured: 0.9 to 1.8 pixels, and 2.7 and 3.4 where the
 /// box has half left the picture.
-const LARGEST_ERROR_PX: f64 = 5.0;
+const MAX_ERROR_PX: f64 = 5.0;
 /// Minimum fraction of a clip's frames that report a pose.
-const LEAST_SHARE_GIVEN: f64 = 0.9;
+const MIN_SHARE_GIVEN: f64 = 0.9;
 const FRAMES: usize = 121;
 
 /// A row, and the face's corners in it, clockwise from the top left; `None` for a corner outside

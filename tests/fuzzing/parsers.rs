@@ -21,10 +21,10 @@ use super::{inputs, keep, seed, seeds};
 /// Maximum time for one input; a parser that takes longer hangs.
 const HANG: Duration = Duration::from_secs(60);
 /// Maximum memory for a text, bytes. A config reads pictures; all other texts take less.
-const MOST_OF_TEXT: usize = 256 << 20;
+const MAX_OF_TEXT: usize = 256 << 20;
 /// Maximum memory for a picture, bytes: 67 million pixels of 16-bit RGBA, and what is made from
 /// them.
-const MOST_OF_PICTURES: usize = 1200 << 20;
+const MAX_OF_PICTURES: usize = 1200 << 20;
 
 /// Allows one parser at a time, because the memory count covers the whole process.
 static ALONE: Mutex<()> = Mutex::new(());
@@ -117,7 +117,7 @@ fn packets() {
     let tracker =
         PsnTracker { id: 1, position_m: Some([1.0, 2.0, 3.0]), validity: Some(1.0), timestamp_us: Some(9), ..PsnTracker::default() };
     let psn = PsnPacket::Data(PsnHeader::default(), vec![tracker]).encode().expect("short enough");
-    fuzz("psn", binary(psn), MOST_OF_TEXT, |bytes| drop(PsnPacket::decode(bytes)));
+    fuzz("psn", binary(psn), MAX_OF_TEXT, |bytes| drop(PsnPacket::decode(bytes)));
     // Nothing is read behind a wrong checksum, so the payload is changed, not the datagram.
     let json = br#"{"protocol":{"name":"OpenTrackIO","version":[1,0,1]},"transforms":[{"translation":{"x":1.5,"y":0,"z":2}}]}"#;
     let mut cbor = Vec::new();
@@ -173,7 +173,7 @@ fn timestamps() {
 #[test]
 fn learnt_cameras() {
     LearntCamera::from_bytes(seeds::LEARNT.as_bytes()).expect("the seed is good");
-    fuzz("learnt", text(&[seeds::LEARNT]), MOST_OF_TEXT, |bytes| match LearntCamera::from_bytes(bytes) {
+    fuzz("learnt", text(&[seeds::LEARNT]), MAX_OF_TEXT, |bytes| match LearntCamera::from_bytes(bytes) {
         // What is accepted survives a round trip.
         Ok(learnt) => assert_eq!(LearntCamera::from_bytes(&learnt.to_bytes()), Ok(learnt)),
         Err(e) => assert!(e.to_string().contains("learnt anew"), "{e}"),

@@ -19,9 +19,9 @@ const SHARE: u64 = 40;
 /// Maximum time of a run; one that takes longer hangs.
 const HANG: Duration = Duration::from_secs(60);
 /// Maximum address space of a run, bytes.
-const MOST_MEMORY: u64 = 2 << 30;
+const MAX_MEMORY: u64 = 2 << 30;
 /// Maximum resident memory of a run or of one of its children, bytes.
-const MOST_RESIDENT: u64 = 1 << 30;
+const MAX_RESIDENT: u64 = 1 << 30;
 
 /// Where a changed file goes.
 enum To {
@@ -71,7 +71,7 @@ fn ended(child: &Child) -> Option<(ExitStatus, u64)> {
 #[allow(clippy::zombie_processes)] // `ended` waits for it, by wait4
 fn run(command: &mut Command, stdin: Option<&Vec<u8>>) -> Result<(i32, u64), String> {
     // SAFETY: setrlimit is async-signal-safe, and nothing allocates on the way to it.
-    unsafe { command.pre_exec(|| setrlimit(Resource::RLIMIT_AS, MOST_MEMORY, MOST_MEMORY).map_err(std::io::Error::from)) };
+    unsafe { command.pre_exec(|| setrlimit(Resource::RLIMIT_AS, MAX_MEMORY, MAX_MEMORY).map_err(std::io::Error::from)) };
     let mut child = command.spawn().expect("the program starts");
     let writer = stdin.cloned().zip(child.stdin.take()).map(|(bytes, mut to)| std::thread::spawn(move || to.write_all(&bytes)));
     let mut stderr = child.stderr.take().expect("it is piped");

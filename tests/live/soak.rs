@@ -12,8 +12,8 @@ use stagepose::{Daemon, Reason, State, Tracker};
 use super::faulty::{Faulty, source, take, tracker_setup};
 
 /// Errors above which a pose is wrong.
-const MOST_M: f64 = 0.1;
-const MOST_DEG: f64 = 2.0;
+const MAX_M: f64 = 0.1;
+const MAX_DEG: f64 = 2.0;
 
 /// Returns the resident memory of this process, megabytes.
 fn resident_mb() -> f64 {

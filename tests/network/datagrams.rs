@@ -14,7 +14,7 @@ use super::{inputs, peak_memory_kb};
 
 /// Maximum peak memory of a listener, kB. It needs 10 MB; trusting a length in a datagram takes
 /// much more.
-const MOST_MEMORY_KB: u64 = 64_000;
+const MAX_MEMORY_KB: u64 = 64_000;
 
 struct Listener {
     program: Child,

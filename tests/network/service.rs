@@ -10,7 +10,7 @@ use super::peak_memory_kb;
 use crate::live::program::{config, stagepose};
 
 /// Maximum peak memory, kB; it needs 30 MB.
-const MOST_MEMORY_KB: u64 = 128_000;
+const MAX_MEMORY_KB: u64 = 128_000;
 
 pub struct Service {
     program: Child,
