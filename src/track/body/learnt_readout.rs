@@ -355,7 +355,7 @@ mod tests {
         let mut learnt = LearntReadout::new(None, None);
         for k in 0..BLOCK + 2 {
             learnt.next_doubt();
-            let error_s = if k % 2 == 0 { 1.2e-3 } else { -1.2e-3 };
+            let error_s = if k % 2 == 0 { 6e-4 } else { -6e-4 };
             learnt.hear(&clue(0.008, learnt.used().readout_s, error_s, 300.0), INTERVAL_S);
         }
         let Known { readout_s, sigma_s } = learnt.used();
