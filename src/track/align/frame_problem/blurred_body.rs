@@ -1,6 +1,8 @@
-//! Bodies that were just found: the velocity that their blur shows.
+//! The velocity of bodies that were just found, by their motion blur.
 //!
-//! One frame does not show how a body moves, but how it is smeared. Not every body is asked; where the blur shows a velocity, the finest level is solved once more with it.
+//! One frame does not show how a body moves, only how it is smeared. Blur is estimated only for
+//! bodies where it is likely and useful. Where it shows a velocity, the finest level is solved once
+//! more with it. The estimate itself is `hypotheses::velocity_by_blur`.
 
 use super::super::hypotheses::velocity_by_blur::{KnownBlur, VelocityByBlur, velocity_by_blur};
 use super::super::picture::surface::nearest_centre;
@@ -9,49 +11,54 @@ use super::super::solve::level_problem::Expected;
 use super::{Buffers, CLOSE_SCALE, FrameProblem, LevelFit, PSF_VARIANCE_SIGMA};
 use crate::track::frame::frame_levels::{FINEST, LEVELS};
 
-/// Pixels that are asked for their blur. Chosen: of a body that is just found, an alignment asks six times as many. Raised, the frame that finds it takes
-/// longer; lowered, the velocity is less sure.
+/// Pixels whose blur is estimated. Raised, the frame that finds a body takes longer; lowered, the
+/// velocity is less certain.
 const BLUR_PIXELS: usize = 1500;
-/// Residuals of a body that is blurred, over those of the level above, at least: there the blur is half as long. Of a flag that moved by 7 pixels while the shutter was open they were 1.85 times as
-/// large, of wrong poses 0.9 to 1.3 times. Raised, blurred bodies are refused where they are found; lowered, wrong poses cost more.
+/// Minimum ratio of a blurred body's residuals to the level above's, where blur is half as long.
+/// Raised, blurred bodies are refused where they are found; lowered, wrong poses cost more.
 const BLURRED: f64 = 1.5;
-/// Share of the tiles that take part at the level above, from which on residuals that are about as large as there, or larger, are blur: what is blurred in one tile is blurred in all, and more so at the
-/// finest level. Of 90 alignments of objects the share was 0.69 to 0.96 where a blurred body was found and 0.5 to 0.65 where something else was, or much was covered. Raised and lowered as `BLURRED`.
+/// Ratio of tiles that take part at the level above, from which `BLURRED_WHERE_IT_FITS` replaces
+/// `BLURRED`. Raised and lowered as `BLURRED`.
 const FITS_ABOVE: f64 = 0.67;
-/// Such residuals, over those of the level above, at least. Chosen: a flag whose rim was covered left 3.03 and 3.07 sigmas, and 1.7 once its blur was known. Raised and lowered as `BLURRED`.
+/// Minimum ratio of a blurred body's residuals to those of the level above, where most tiles fit
+/// there. Raised and lowered as `BLURRED`.
 const BLURRED_WHERE_IT_FITS: f64 = 0.75;
-/// Share of the tiles that take part in a pose whose blur is asked: a little more than the half that always does. Raised, strongly blurred bodies are not asked;
-/// lowered, wrong poses cost more.
+/// Minimum ratio of tiles that take part in a pose whose blur is estimated; half always do. Raised,
+/// strongly blurred bodies are not tried; lowered, wrong poses cost more.
 const HOPEFUL_SHARE: f64 = 0.55;
 
-/// Residuals of the tiles that fit of a covered body, sigmas, from which on its blur is asked. Without blur they are 0.9 to 1.2. Raised, quick bodies are found later where they come out from behind
-/// something; lowered, bodies that stand still cost more.
+/// Minimum residuals (sigmas) of an occluded body's fitting tiles for blur to be estimated. Raised,
+/// fast bodies are found later as they reappear; lowered, bodies at rest cost more.
 const COVERED_BLUR_SCALE: f64 = 1.4;
 
 impl FrameProblem<'_> {
-    /// Whether a frame of a body that was just found may be asked for the velocity that its blur shows: where rows are read one after another the pose goes with it.
+    /// Whether the velocity by blur may be estimated in this frame: for a body that was just found,
+    /// under a rolling shutter, where the pose depends on the velocity.
     pub(super) fn may_ask_blur(&self) -> bool {
         !self.is_followed && !self.slow.shutter.is_global()
     }
 
-    /// Solves the finest level once more with the velocity that its blur shows, of a body that was just found; false if it shows none. `None` where there is no
-    /// solution any more.
+    /// Solves the finest level once more with the velocity that the blur of a newly found body
+    /// shows; false if it shows none. `None` if no solution remains.
     pub fn solve_with_blur(&mut self) -> Option<bool> {
-        // What stands still has none. Of a wrong pose the better half takes part, as ever, and its blur says nothing.
+        // A still camera has no blur. In a wrong pose the better half of the tiles takes part as
+        // always, and their blur means nothing.
         let is_global = self.slow.shutter.is_global();
         let scale = self.buffers.fine.solution()?.found.scale;
         let is_blurred = self.is_clearly_blurred(scale);
         if self.buffers.has_kept || (self.buffers.fine.open_share() < HOPEFUL_SHARE && !is_blurred) {
             return Some(false);
         }
-        // Where all rows are exposed together the pose does not need it. A picture that is large enough for the coarsest level is followed without, too, unless it does not fit.
+        // With a global shutter the pose does not depend on the velocity. A picture that is large
+        // enough for the coarsest level can be followed without it, unless it fits badly.
         if is_global && !is_blurred && self.has_pixels(LEVELS - 1) {
             return Some(false);
         }
         self.settle_with_blur()
     }
 
-    /// The same for a body that is covered in part, once it is known what fits; `scale`: of its residuals, sigmas.
+    /// Does the same for a partly occluded body, once it is known which tiles fit. `scale`: its
+    /// residuals, sigmas.
     pub fn solve_covered_with_blur(&mut self, scale: f64) -> Option<bool> {
         let may_be_blurred = self.is_found_again() && self.slow.shutter.is_global() && scale > COVERED_BLUR_SCALE;
         if !may_be_blurred || self.has_pixels(LEVELS - 1) {
@@ -60,10 +67,10 @@ impl FrameProblem<'_> {
         self.settle_with_blur()
     }
 
-    /// Settles with the velocity that the blur shows; false if it shows none.
+    /// Continues to convergence with the velocity that the blur shows; false if it shows none.
     fn settle_with_blur(&mut self) -> Option<bool> {
         let Some(by_blur) = self.velocity_by_blur() else { return Some(false) };
-        // The velocity that is expected, and the blur's, together.
+        // Fuses the predicted velocity with the blur's.
         let (mut expected, mut information) = (self.expected.motion, *self.known.information);
         let mut of_velocity = information.fixed_view_mut::<6, 6>(6, 6);
         let score = of_velocity.clone_owned() * expected.twist() + by_blur.score;
@@ -74,19 +81,20 @@ impl FrameProblem<'_> {
         Some(true)
     }
 
-    /// Whether a body that was just found leaves such residuals at the finest level because it is blurred. Where rows are read one after another, they tell its velocity.
+    /// Whether a newly found body's residuals at the finest level come from blur. Only under a
+    /// global shutter; rows of a rolling one show the velocity themselves.
     pub(super) fn is_clearly_blurred(&self, scale: f64) -> bool {
         !self.is_followed && self.slow.shutter.is_global() && shows_blur(scale, &self.above)
     }
 
-    /// The velocity that the blur of the solved frame shows.
+    /// Returns the velocity that the blur of the solved frame shows, if any.
     fn velocity_by_blur(&mut self) -> Option<VelocityByBlur> {
         let found = self.buffers.fine.solution()?.found;
         let spec = self.spec(FINEST, &found.motion);
         let estimate = self.buffers.fine.solution()?.estimate();
         let middle = nearest_centre(self.surfaces, &found.motion.pose);
         let spec = LevelSpec { count: BLUR_PIXELS, ..spec };
-        // The coarse levels are done with: their buffers are free.
+        // The coarse levels are finished, so their buffers are free.
         let Buffers { coarse: aside, selector, light, .. } = &mut *self.buffers;
         if !aside.lay_out(&spec, self.levels, &found.motion, selector, light) {
             return None;
@@ -100,7 +108,8 @@ impl FrameProblem<'_> {
     }
 }
 
-/// Whether residuals of the finest level, sigmas, are those of a blur, by the fit of the level above.
+/// Whether residuals of the finest level (`scale`, sigmas) come from blur, judged by the fit of the
+/// level above.
 fn shows_blur(scale: f64, above: &LevelFit) -> bool {
     let ratio = if above.open_share > FITS_ABOVE { BLURRED_WHERE_IT_FITS } else { BLURRED };
     scale > CLOSE_SCALE.max(ratio * above.scale)
@@ -115,7 +124,7 @@ mod tests {
         let above = |scale, open_share| LevelFit { scale, open_share };
         assert!(shows_blur(4.2, &above(2.9, 0.88)) && !shows_blur(4.2, &above(2.9, 0.55)));
         assert!(shows_blur(7.8, &above(5.0, 0.5)) && shows_blur(3.0, &above(3.1, 0.85)) && !shows_blur(7.8, &above(11.0, 0.9)));
-        // Noise is no blur, and without a level above nothing is known.
+        // Noise is not blur, and without a level above nothing is known.
         assert!(!shows_blur(1.5, &above(0.8, 0.9)) && !shows_blur(9.0, &LevelFit::NONE));
     }
 }

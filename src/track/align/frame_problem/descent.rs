@@ -1,41 +1,43 @@
-//! The way down through the levels, from nearby and, where that does not do, from further off.
+//! The descent through the pyramid levels, from coarse to fine.
 //!
-//! A level reaches a start that is a few of its pixels off, and costs four times as much as the one above it. So the way begins at the level that usually does. Where what it finds is
-//! not clearly right, another way begins further up. If it comes to where the first one was, it would end there, too, and is left: behind a person a body fits badly wherever the way begins.
+//! A level converges from a start that is a few of its pixels off, and costs four times as much as
+//! the level above it. So the first descent starts at the level that usually suffices. If its
+//! result is not clearly right, a second descent starts from a coarser level. Where that one meets
+//! the first one's path, it would end at the same pose, and stops: an occluded body fits badly from
+//! any starting level.
 
 use super::super::solve::level_problem::Corrected;
 use super::{CLOSE_SCALE, CLOSE_SHARE, FrameProblem, HOPELESS_SCALE, LevelFit, level_for};
 use crate::motion::Motion;
 use crate::track::frame::frame_levels::FINEST;
 
-/// Search radius = `START_ERRORS` x the decaying maximum of the start error, px. Raised, levels are solved that the start does not need; lowered,
-/// more frames are solved twice.
+/// The first descent's search radius, as a multiple of the decaying maximum of the start error.
+/// Raised, levels are solved that the start does not need; lowered, more frames are solved twice.
 const START_ERRORS: f64 = 2.0;
-/// Two ways down have met where a level leaves them nearer to each other than this, pixels of the level: both would end at the same pose. A fifth of the basin of
-/// the level above the finest, and two fifths of the finest's. Of 34 such pairs, eighteen clips long, 32 ended within 0.36 pixels of the finest; in the other two
-/// the way from further up lost the pose. Raised, a better minimum is missed; lowered, frames of covered bodies are solved twice.
+/// Two descents have met if their motions at a level differ by less, pixels of the level. Raised, a
+/// better minimum is missed; lowered, frames of occluded bodies are solved twice.
 const MEETING_PX: f64 = 0.5;
 
-/// Where a way down through the levels led.
+/// Result of a descent through the levels.
 #[derive(Default)]
 struct Descent {
     /// The finest level's solution.
     found: Option<Corrected>,
-    /// The coarsest level that was solved, above the finest, and the motion that it found.
+    /// The coarsest level solved above the finest, and the motion found there.
     coarsest: Option<(usize, Motion)>,
-    /// Whether it ended where it met another way.
+    /// Whether it stopped where it met another descent.
     has_met: bool,
 }
 
 impl FrameProblem<'_> {
-    /// Aligns from the level whose basin holds the usual start error; where the result is not clearly right, from the one that holds all that
-    /// is uncertain.
+    /// Aligns from the level whose basin holds the usual start error. If the result is not clearly
+    /// right, aligns again from the level that holds the whole uncertainty.
     pub(super) fn coarse_to_fine(&mut self) -> Option<Corrected> {
         let far = level_for(self.uncertain_px()).max(FINEST + 1);
         let near = level_for(START_ERRORS * self.slow.start_error_px).min(far);
         let Descent { mut found, coarsest, .. } = self.descend(near, None);
         let mut is_close = found.is_some_and(|f| self.is_close(&f));
-        // What is left beyond `HOPELESS_SCALE` is blurred.
+        // Residuals beyond `HOPELESS_SCALE` mean blur, not occlusion.
         let may_fit = !is_close && found.is_some_and(|f| f.scale < HOPELESS_SCALE);
         if may_fit && self.is_trusted && !self.known.is_sure && self.buffers.fine.may_be_covered() {
             found = self.settle_by_what_fits();
@@ -51,12 +53,13 @@ impl FrameProblem<'_> {
         self.try_enlargement(found)
     }
 
-    /// Whether a level above `near`, up to `far`, has pixels enough: else the way down from there is the same.
+    /// Whether a level above `near`, up to `far`, has enough pixels; otherwise the second descent
+    /// would equal the first.
     fn begins_above(&mut self, near: usize, far: usize) -> bool {
         (near + 1..=far).any(|level| self.has_pixels(level))
     }
 
-    /// Whether a level has pixels enough where the body is expected.
+    /// Whether a level has enough pixels at the predicted motion.
     pub(super) fn has_pixels(&mut self, level: usize) -> bool {
         let motion = self.known.motion;
         let spec = self.spec(level, motion);
@@ -68,7 +71,8 @@ impl FrameProblem<'_> {
         found.scale < CLOSE_SCALE && self.buffers.fine.open_share() > CLOSE_SHARE * self.slow.open_share
     }
 
-    /// Descends from the level that holds all that is uncertain. Where this descent meets the one from nearby, that one's solution stands. `nearby` and `met`: what that one found in the end,
+    /// Descends from the level that holds the whole uncertainty. Where this descent meets the first
+    /// one, the first one's solution is restored. `nearby` and `met`: the first descent's solution,
     /// and its coarsest level with the motion found there.
     fn descend_from_far(&mut self, far: usize, nearby: Option<Corrected>, met: Option<(usize, Motion)>) -> Option<Corrected> {
         let Self { last_step, last_moved_px, above, .. } = *self;
@@ -78,13 +82,15 @@ impl FrameProblem<'_> {
         if !has_met {
             return found;
         }
-        // The coarse levels left the finest as it was.
+        // The coarse levels have not touched the finest, so its solution is still there.
         (self.last_step, self.last_moved_px, self.above, self.known.is_sure) = (last_step, last_moved_px, above, is_sure);
         self.buffers.light.clone_from(&self.buffers.trial_light);
         nearby
     }
 
-    /// Solves each level in turn, from a coarse one down to the finest. `other`: a level that another descent solved, and the motion that it found there; where this one comes to the same motion, it stops.
+    /// Solves each level in turn, from a coarse one down to the finest. `other`: a level that
+    /// another descent solved, with the motion found there; if this descent finds the same motion
+    /// there, it stops.
     fn descend(&mut self, from: usize, other: Option<(usize, Motion)>) -> Descent {
         self.buffers.has_kept = false;
         self.above = LevelFit::NONE;
@@ -131,7 +137,8 @@ mod tests {
     use crate::track::frame::frame_levels::FrameLevels;
     use crate::track::synthetic::{cloth, facing, lens, moving_view, view};
 
-    /// The cloth where the columns are open and another one beside, from a start that is so far off, metres to the side.
+    /// Solves for a cloth, visible in the first `open_columns` and occluded by another cloth
+    /// elsewhere, from a start that is `off_m` metres to the side.
     fn with_problem(open_columns: u32, off_m: f64, ask: impl FnOnce(&mut FrameProblem)) {
         let truth = facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4));
         let [stage, other] = [1, 2].map(|seed| view(&cloth(seed), &truth, &lens(480, 360)));
@@ -156,11 +163,11 @@ mod tests {
             let (found, kept) = (nearby.found.expect("the picture agrees in a third"), problem.verify().expect("solved").0);
             let met = problem.descend(FINEST + 3, nearby.coarsest);
             assert!(met.has_met && met.found.is_none());
-            // Gone on, it ends at the same pose.
+            // If it continued, it would end at the same pose.
             let whole = problem.descend(FINEST + 3, None).found.expect("the picture agrees in a third");
             let spec = problem.spec(FINEST, &found.motion);
             assert!(spec.moved_px(&found.motion, &whole.motion) < 0.05, "{}", spec.moved_px(&found.motion, &whole.motion));
-            // What it leaves of the solution from nearby is all of it.
+            // It must restore the whole solution from nearby.
             let nearby = problem.descend(FINEST + 1, None);
             assert!(problem.descend_from_far(FINEST + 3, nearby.found, nearby.coarsest).is_some());
             let again = problem.verify().expect("solved").0;
@@ -170,7 +177,7 @@ mod tests {
 
     #[test]
     fn a_way_that_leads_elsewhere_is_gone_to_its_end() {
-        // By twenty pixels of the frame: five of the level above the finest.
+        // Off by twenty pixels of the frame: five pixels of the level above the finest.
         with_problem(480, 0.14, |problem| {
             let nearby = problem.descend(FINEST + 1, None);
             let found = problem.descend_from_far(FINEST + 3, nearby.found, nearby.coarsest).expect("reached");
@@ -182,7 +189,7 @@ mod tests {
     fn rows_tell_the_blur_of_a_body_that_was_just_found_before_the_finest_level() {
         let shutter = Shutter { readout_s: 0.02, exposure_s: 0.012 };
         let still = Motion::still(facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4)).inverse());
-        // Twelve pixels of the frame.
+        // A blur of twelve pixels of the frame.
         let truth = Motion { turn_rate: Vector3::new(0.3, 2.0, 0.0), ..still };
         let (mut levels, rays, surfaces) = (FrameLevels::default(), CameraRays::new(lens(480, 360), None), [AlignSurface::new(&cloth(1))]);
         levels.update(&moving_view(&cloth(1), &truth, &shutter, &lens(480, 360)));

@@ -1,7 +1,12 @@
-//! One frame of one body: from where the body is expected to where the frame shows it, coarse to fine.
+//! Solves one frame for one body: from the predicted motion to the motion that the frame shows,
+//! coarse to fine.
 //!
-//! The pixels that the last frame was solved with are solved again where nothing moved; otherwise each level's pixels are selected, predicted and
-//! solved for in turn, from the coarsest that the start's error asks for down to the finest. Nothing that is learnt slowly changes here.
+//! If nothing moved, the pixels of the last frame are solved again (`still_camera`). Otherwise each
+//! level's pixels are selected, predicted and solved for in turn (`descent`), from the coarsest
+//! level that the start error requires down to the finest. [`FrameProblem::solve`] runs first. Then
+//! velocity jumps and motion blur are tried where the result calls for them (`blurred_body` for
+//! bodies that were just found), and [`FrameProblem::verify`] judges the result. The slow estimates
+//! do not change here; what a frame would teach them is in its `Lessons`.
 
 mod blurred_body;
 mod descent;
@@ -29,71 +34,63 @@ use crate::motion::{Continuation, Motion, MotionEstimate, MotionMatrix, UniformM
 use crate::track::frame::frame_levels::{FINEST, FrameLevels, LEVELS};
 use crate::track::frame::rays::CameraRays;
 
-/// One sigma about the slow estimate of the point spread's variance in such frames, and in others, where it must not pass for motion; in
-/// the kernel's unit. The first is 0.04 pixels²: sharp clips had -0.03 to -0.01 in a prototype. Raised, the second lets motion pass for
-/// point spread; lowered, the first takes up a change of focus more slowly.
+/// Sigma about the slow estimate of the point spread's variance (kernel's unit), sharp and blurred.
+/// First lowered, refocusing is followed late; second raised, motion passes for point spread.
 const PSF_VARIANCE_SIGMA: f64 = 0.5;
 const BLURRED_PSF_VARIANCE_SIGMA: f64 = 0.05;
-/// Linearisations at most: of a level above the finest, and of that. Of 1390 alignments that succeeded, nine clips long, all but four needed three at most at the
-/// finest, and one eight. Raised, frames that do not converge cost more; lowered, starts that are far off are given up.
+/// Maximum linearisations at a coarse level, and at the finest. Raised, frames that do not converge
+/// cost more; lowered, distant starts are given up.
 const COARSE_ROUNDS: usize = 8;
 const FINE_ROUNDS: usize = 10;
-/// A level above the finest is left, and the finest, when a step moved no tile by more, pixels of the level. With 0.015 at the finest,
-/// about as few frames are further off than six sigmas as with `MISSING_SHARE`. Raised, more of the last step is missing; lowered, frames
-/// cost more rounds.
+/// A coarse level, and the finest, has converged when a step moves no tile by more, pixels of the
+/// level. Raised, more of the last step is missing from the pose; lowered, frames take more rounds.
 const COARSE_STEP_PX: f64 = 0.1;
 const FINE_STEP_PX: f64 = 0.045;
-/// A pose that still moves by more than this at the end is none, pixels of the level. Chosen well above `FINE_STEP_PX`. Raised, solutions
-/// that creep along outside of their basin are given; lowered, good ones that settle slowly are not.
+/// Maximum last step of a reported pose, pixels of the level. Raised, solutions that creep along
+/// outside their basin are reported; lowered, good ones that converge slowly are not.
 const MAX_LAST_STEP_PX: f64 = 0.15;
-/// A level's steps are no longer than this once it had its first rounds, pixels of the level, or the pose wanders about and is none: of 1936 alignments that
-/// succeeded two had a longer one there, of 475 that failed half. Raised, frames in which a start leads nowhere cost more; lowered, ones that settle slowly are
-/// given up.
+/// Maximum step after `SETTLING_ROUNDS`, pixels of the level; with a longer one the level is given
+/// up. Raised, starts that lead nowhere cost more; lowered, slow convergence is given up.
 const MAX_SETTLED_STEP_PX: f64 = 1.0;
-/// The same where the residuals are beyond `WANDERING_SCALE`, sigmas of noise: the picture shows something else there. Of 1118 alignments that succeeded none had
-/// such a step, of 31 that failed 18. The same at the finest where little more than the half of a body fits that always takes part: 2 of 683 candidates had such a step there, neither led to a pose, and
-/// one of them cost 10 ms. Raised, a start that leads nowhere costs two or three followed frames; lowered, see above.
+/// The same limit for residuals beyond `WANDERING_SCALE` (sigmas), or a barely fitting new body.
+/// Raised, hopeless starts cost 2 to 3 followed frames; lowered, slow convergence is given up.
 const WANDERING_STEP_PX: f64 = 0.3;
 const WANDERING_SCALE: f64 = 10.0;
-/// After `HOPELESS_ROUNDS` at the finest, residuals larger than `HOPELESS_SCALE`, sigmas of noise, where no more than `HOPELESS_SHARE` of the tiles take part (half
-/// always do, unless fewer fit well): the picture shows something else. Of 3091 alignments that led to a pose none had residuals above 2.9, of 175 that did not 43 had more than 6. The level above
-/// the finest cannot tell: there, a followed stage with four fifths covered had 11.5, and at the finest 1.5. A body that was given before may be blurred instead, which leaves 6 to 9: it is asked for that
-/// first. Raised, a start that leads nowhere costs as much as several followed frames;
-/// `HOPELESS_SCALE` lowered, bodies that are half covered are lost.
+/// Rounds, residuals (sigmas) and ratio of tiles by which the finest level is given up. Raised,
+/// hopeless starts cost several frames; the scale lowered, half-occluded bodies are lost.
 const HOPELESS_ROUNDS: usize = 2;
 const HOPELESS_SCALE: f64 = 6.0;
 const HOPELESS_SHARE: f64 = 0.6;
-/// The first rounds of a level, counted anew where its blur turns out to be longer. See above.
+/// First rounds of a level, in which long steps are allowed; counted anew when its blur turns out
+/// to be longer. Raised and lowered as `MAX_SETTLED_STEP_PX`.
 const SETTLING_ROUNDS: usize = 4;
-/// Rounds at the finest level, at most, of a body that was just found, of which little more than the half fits that always takes part, and not well: of 108 alignments of objects that succeeded, seven clips long, three
-/// took more, all of bodies that were less than half in view, and one of them as long as seven followed bodies. Raised, frames of covered bodies cost more; lowered, these are found later.
+/// Maximum rounds at the finest level for a newly found body when barely half its tiles fit, and
+/// those poorly. Raised, frames of occluded bodies cost more; lowered, they are found later.
 const POOR_ROUNDS: usize = 6;
-/// The part of a frame's last step that may still be missing from its pose, one sigma: steps are too short where slopes are too steep, and the
-/// pictures of the tiles were predicted before the step. Raised, covariances are wider than errors; with 0, twice as many frames
-/// of a moving camera are further off than six sigmas.
+/// Sigma of what is still missing from the pose, as a fraction of the frame's last step. Raised,
+/// covariances are wider than the errors; lowered, they are too narrow for a moving camera.
 const MISSING_SHARE: f64 = 0.2;
-/// A level converges from this many of its pixels off: 2.5 to 5 in a prototype. Raised, starts are left to levels that are too fine for
-/// them, and solved twice or lost; lowered, a level more is solved than the start needs.
+/// Start error from which a level converges, pixels of the level. Raised, starts are solved twice
+/// or lost; lowered, levels are solved that the start does not need.
 const BASIN_PX: f64 = 2.5;
-/// The finest level's pixels are chosen with the pose known to this, pixels of the level: seen from a pose that is off they lie beside
-/// their edges, all on one side, where every error of the point spread pulls the same way. Lowered, they are chosen anew more often.
+/// Pose change, pixels of the level, after which the finest level's pixels are selected anew.
+/// Raised, they lie beside their edges and pull the pose; lowered, selection costs more.
 const CHOSEN_PX: f64 = 0.25;
-/// A body is looked for from further off where its residuals are larger than this, sigmas, or the share of its tiles that take part is less
-/// than `CLOSE_SHARE` of the last frame's. With residuals as large, its velocity may also have jumped. Chosen, not tuned. `CLOSE_SCALE`
-/// lowered or `CLOSE_SHARE` raised, more frames are solved twice; the other way, minima nearby are taken for the pose.
+/// Residuals (sigmas), and ratio of tiles against the last frame's, of a clearly right pose. Scale
+/// lowered or share raised, more frames are solved twice; else local minima are taken for the pose.
 const CLOSE_SCALE: f64 = 2.0;
 const CLOSE_SHARE: f64 = 0.8;
-/// Another way of enlarging the pictures is taken where it leaves less than this share of the misfit. Raised to 1, the way changes by chance; lowered,
-/// the wrong way is kept where pictures have little fine detail.
+/// The other enlargement is adopted if it leaves less than this fraction of the misfit. Raised to
+/// 1, it changes by chance; lowered, a wrong one is kept where pictures have little fine detail.
 const BETTER: f64 = 0.97;
-/// Pixels of a trial of either way. Both see the same noise: where the one leaves 3 % less, the difference of their mean squares scatters by 0.6 % over so
-/// many. Raised, the frame of a trial takes longer; lowered, the way changes by chance.
+/// Pixels in a trial of either enlargement. Raised, the frame of a trial takes longer; lowered, the
+/// choice changes by chance.
 const TRIAL_PIXELS: usize = 3000;
-/// Steps of a frame in which the velocity jumped, or is found by its blur, at most: what was found first may be pixels off. With 2, a start at 1 m/s was left a
-/// millimetre from where the picture shows it. Raised, only frames that do not come to rest cost more.
+/// Maximum steps of a frame whose velocity jumped or is found by blur. Raised, only frames that do
+/// not converge cost more; lowered, the pose may stay short of the solution.
 const SETTLING_STEPS: usize = 8;
-/// How likely a camera that left the line it went on was shaken rather than started or stopped, where rows tell the two apart. Chosen, not
-/// tuned. Raised, starts and stops are explained by jerk more often, whose expectation is the wider one.
+/// Prior probability that a camera that left its line was shaken (jerk), rather than started or
+/// stopped. Raised, starts and stops are more often explained by jerk, whose prior is wider.
 const JERK_LIKELIHOOD: f64 = 0.01;
 
 /// Buffers of the hot path, kept from frame to frame.
@@ -104,29 +101,29 @@ pub struct Buffers {
     pub fine: LevelProblem,
     /// Whether the finest level holds the pixels of a still camera.
     pub has_kept: bool,
-    /// Frames in a row in which nothing was expected to have moved.
+    /// Consecutive frames in which no motion was predicted.
     still_frames: u32,
     /// The light of the frame, and of a trial beside it.
     pub light: RememberedLight,
     trial_light: RememberedLight,
     readout_column: SchurComplement,
-    /// How far off each tile of the finest level is shown, pixels of the level.
+    /// Displacement of each tile at the finest level, pixels of the level.
     pub shifts: Vec<Vector2<f64>>,
 }
 
 impl Buffers {
-    /// With room for all that may be selected of the surfaces.
+    /// Allocates room for all pixels that may be selected on the surfaces.
     pub fn with_room_for(surfaces: &[AlignSurface]) -> Self {
         Self { selector: Selector::with_room_for(surfaces), ..Self::default() }
     }
 
-    /// The problem of a level, and what else is needed to work on it.
+    /// Returns a level's problem, with the selector and the light needed to work on it.
     fn at_level(&mut self, level: usize) -> (&mut LevelProblem, &mut Selector, &mut RememberedLight) {
         (if level == FINEST { &mut self.fine } else { &mut self.coarse }, &mut self.selector, &mut self.light)
     }
 }
 
-/// A frame at work.
+/// A frame being solved for one body.
 pub struct FrameProblem<'a> {
     surfaces: &'a [AlignSurface],
     slow: &'a SlowEstimates,
@@ -135,21 +132,23 @@ pub struct FrameProblem<'a> {
     rays: &'a CameraRays,
     expected: &'a MotionEstimate,
     known: Expected<'a>,
-    /// Whether the body was seen just now.
+    /// Whether the body was seen in the frame before.
     is_followed: bool,
-    /// Whether its pose was given before: what differs from it is in front of it, wherever it is found.
+    /// Whether a pose of it was reported before. Then whatever differs from the body is in front of
+    /// it, wherever it is found.
     is_trusted: bool,
     /// See [`Aligner::begin_nearby`](super::aligner::Aligner::begin_nearby).
     pub begins_nearby: bool,
-    /// What the tiles say by the time of their rows.
+    /// The tiles' equations, gathered by the exposure times of their rows.
     bands: RowBands,
-    /// The pose's part of the last step, from where the pictures of the tiles were predicted.
+    /// The pose part of the last step, from where the tiles were predicted.
     last_step: Vector6<f64>,
-    /// By how much the finest level's last step moved a tile at most, pixels of the level.
+    /// The maximum movement of a tile in the finest level's last step, pixels of the level.
     last_moved_px: f64,
-    /// The fit of the level above the finest; none where it was not solved.
+    /// The fit of the level above the finest; `NONE` where it was not solved.
     above: LevelFit,
-    /// Whether the finest level's pose wandered about where little of the body fits: no way from further up finds it there.
+    /// Whether the finest level's pose wandered where little of the body fits; then a coarser start
+    /// does not find it either.
     wanders: bool,
     /// See [`Alignment::has_opposite`].
     has_opposite: bool,
@@ -159,26 +158,27 @@ pub struct FrameProblem<'a> {
 /// How well a level fits.
 #[derive(Clone, Copy)]
 struct LevelFit {
-    /// Residuals, sigmas of noise.
+    /// Robust standard deviation of the residuals, sigmas of noise.
     scale: f64,
-    /// Share of the tiles that take part.
+    /// Ratio of tiles that take part.
     open_share: f64,
 }
 
 impl LevelFit {
-    /// Of a level that was not solved.
+    /// The fit of a level that was not solved.
     const NONE: Self = Self { scale: f64::INFINITY, open_share: 0.0 };
 }
 
-/// Where a level's last linearisation led.
+/// Result of a level's last linearisation.
 struct Iterated {
     motion: Motion,
-    /// `None` where it still moved.
+    /// The solution; `None` if the last step was still long.
     converged: Option<Corrected>,
 }
 
 impl<'a> FrameProblem<'a> {
-    /// A frame as it is expected. `information`: inverse of the expectation's covariance.
+    /// Prepares a frame for solving. `information`: inverse covariance of `expected`, the predicted
+    /// motion.
     pub fn new(
         surfaces: &'a [AlignSurface],
         slow: &'a SlowEstimates,
@@ -218,39 +218,45 @@ impl<'a> FrameProblem<'a> {
         frame
     }
 
-    /// Of a body that was seen just now, or not, and whether it is trusted (see [`Aligner::trust`](super::aligner::Aligner::trust)).
+    /// Sets whether the body was seen in the frame before, and whether it is trusted (see
+    /// [`Aligner::trust`](super::aligner::Aligner::trust)).
     pub fn follows(&mut self, is_followed: bool, is_trusted: bool) {
         (self.is_followed, self.known.is_sure, self.is_trusted) = (is_followed, is_followed, is_trusted);
     }
 
     fn spec(&self, level: usize, motion: &Motion) -> LevelSpec<'a> {
         let spec = LevelSpec::new(self.surfaces, self.slow, self.rays, self.lessons.is_enlarged, level, motion);
-        // A start that features found may lead nowhere, and then as many pixels as these would be asked in vain, for as long as several frames take.
+        // A start found by features may lead nowhere. Filling up the pixels would then take as long
+        // as several frames, in vain.
         LevelSpec { fills_up: level == FINEST && self.is_followed, ..spec }
     }
 
-    /// Whether the body was given before, and was not seen just now.
+    /// Whether the body was reported before but not seen in the frame before.
     fn is_found_again(&self) -> bool {
         self.is_trusted && !self.is_followed
     }
 
-    /// Finds the motion that the frame shows; `None` where too little of the body is in view or nothing converges.
+    /// Finds the motion that the frame shows. `None` where too little of the body is in view or
+    /// nothing converges.
     pub fn solve(&mut self) -> Option<Corrected> {
         self.same_again().or_else(|| self.coarse_to_fine())
     }
 
-    /// Selects the pixels of a level; false where there are too few.
+    /// Selects the pixels of a level; false if there are too few.
     fn lay_out(&mut self, spec: &LevelSpec, motion: &Motion) -> bool {
         let (problem, selector, light) = self.buffers.at_level(spec.level);
         problem.lay_out(spec, self.levels, motion, selector, light)
     }
 
-    /// The finest level is left when a step moved no tile by more, pixels of the level. Where its blur is asked next, the pose settles after that.
+    /// Returns the step below which the finest level has converged, pixels of the level. It is
+    /// larger where the blur is estimated next, as the pose settles after that.
     fn fine_step_px(&self) -> f64 {
         if self.may_ask_blur() { MAX_LAST_STEP_PX } else { FINE_STEP_PX }
     }
 
-    /// Predicts and solves a level's pixels until a step is small. The finest level's are selected anew where the pose moved much.
+    /// Predicts and solves a level's pixels until a step is small. At the finest level it selects
+    /// them anew where the pose moved much. `None` where there are too few pixels, the system is
+    /// singular, or the level is given up.
     fn iterate(&mut self, spec: &LevelSpec, start: Motion, is_first: bool) -> Option<Iterated> {
         let is_finest = spec.level == FINEST;
         let (rounds, small_px) = if is_finest { (FINE_ROUNDS, self.fine_step_px()) } else { (COARSE_ROUNDS, COARSE_STEP_PX) };
@@ -262,7 +268,8 @@ impl<'a> FrameProblem<'a> {
         let (mut blurred, mut settles_from) = (*spec, SETTLING_ROUNDS);
         for round in 0..rounds {
             let is_first = is_first && round == 0;
-            // Rows tell how a body moves that was just found; until then its prediction has no blur.
+            // With a rolling shutter, rows show the motion of a body that was just found. Its
+            // prediction starts without blur and takes it up as the motion becomes known.
             if !is_finest && self.may_ask_blur() {
                 let longer = blurred.blurred_by(&motion);
                 settles_from = if longer.places > blurred.places { round + SETTLING_ROUNDS } else { settles_from };
@@ -293,9 +300,11 @@ impl<'a> FrameProblem<'a> {
             motion = solved.motion;
             converged = Some(solved).filter(|_| moved < MAX_LAST_STEP_PX);
             let is_half_open = is_finest && open_share < HOPELESS_SHARE;
-            // Where little more than the half fits that always takes part, and not well, it need not come to rest: tiles enter and leave by turns.
+            // Where barely half the tiles of a new body fit, and those poorly, full convergence is
+            // not needed: tiles keep entering and leaving.
             let is_poor = is_half_open && !self.is_followed && round >= SETTLING_ROUNDS && solved.scale > CLOSE_SCALE;
-            // A body that is covered settles once it is known what fits, and one that is blurred fits once its velocity is known.
+            // An occluded body converges later, once it is known which tiles fit; a blurred one
+            // fits once its velocity is known.
             let is_covered = is_half_open && self.is_found_again() && solved.scale < CLOSE_SCALE;
             let is_hopeless = is_half_open && round + 1 >= HOPELESS_ROUNDS && solved.scale > HOPELESS_SCALE;
             let is_blurred = is_hopeless && solved.scale < WANDERING_SCALE && self.is_clearly_blurred(solved.scale);
@@ -317,9 +326,10 @@ impl<'a> FrameProblem<'a> {
         Some(Iterated { motion, converged })
     }
 
-    /// Between its pixels the picture may be as smooth as their enlargement has it, or as a straight line (a projector or a wall of LEDs
-    /// that scales it, a print of just these pixels): the frame tells. From time to time both are tried, beside the solution, which stays
-    /// as it is unless the other is clearly better.
+    /// Between its pixels the picture may be smooth, as the enlarged copies have it, or linear (a
+    /// projector or LED wall that scales it, a print of exactly these pixels). The frame shows
+    /// which. From time to time both are tried beside the solution, which is kept unless the other
+    /// is clearly better.
     fn try_enlargement(&mut self, found: Corrected) -> Option<Corrected> {
         let has_copies = self.surfaces.iter().any(|s| s.texture.own_level() > 0);
         if !self.slow.is_trial_due() || !has_copies {
@@ -342,11 +352,12 @@ impl<'a> FrameProblem<'a> {
         })
     }
 
-    /// The misfit that the finest level leaves with the enlarged copies or without, solved aside; infinite where it cannot be solved.
+    /// Returns the finest level's misfit with or without the enlarged copies, solved in separate
+    /// buffers; infinite where it cannot be solved.
     fn misfit_of_trial(&mut self, is_enlarged: bool, found: &Corrected) -> f64 {
         self.lessons.is_enlarged = is_enlarged;
         let spec = LevelSpec { count: TRIAL_PIXELS, ..self.spec(FINEST, &found.motion) };
-        // The coarse levels are done with: their buffers are free.
+        // The coarse levels are finished, so their buffers are free.
         let Buffers { coarse: aside, selector, light, trial_light, .. } = &mut *self.buffers;
         trial_light.clone_from(light);
         if !aside.lay_out(&spec, self.levels, &found.motion, selector, trial_light) {
@@ -356,7 +367,7 @@ impl<'a> FrameProblem<'a> {
         aside.solve(&spec, &self.known, trial_light, false, 2).and_then(|_| aside.solution()).map_or(f64::INFINITY, |mut s| s.misfit())
     }
 
-    /// The finest level solved once more from where it was found.
+    /// Solves the finest level once more from the solution.
     fn solve_again(&mut self, found: &Corrected) -> Option<Corrected> {
         let spec = self.spec(FINEST, &found.motion);
         let (fine, _, light) = self.buffers.at_level(FINEST);
@@ -365,13 +376,15 @@ impl<'a> FrameProblem<'a> {
         fine.solve(&spec, &self.known, light, false, 2)
     }
 
-    /// Whether the velocity may have jumped. A small picture has few pixels: where they contradict the expectation, their residuals are large,
-    /// and large residuals weigh little beside it: the pose stays where it was expected, and only the residuals tell.
+    /// Whether the velocity may have jumped. A small picture has few pixels. Where they contradict
+    /// the prediction, their residuals are large and weigh little beside the prior: the pose stays
+    /// where it was predicted, and only the residuals show the jump.
     pub fn is_surprising(&self, found: &Corrected) -> bool {
         found.scale > CLOSE_SCALE || is_unexpected(squared_mahalanobis(self.expected, &found.motion))
     }
 
-    /// Solves the finest level once more from where it was found, with a velocity that may have jumped since the last frame, `since_s` ago.
+    /// Solves the finest level once more from the solution, with a prior whose velocity may have
+    /// jumped since the last frame, `since_s` seconds ago. `None` if that fails.
     pub fn solve_with_jump(&mut self, found: &Corrected, since_s: f64) -> Option<()> {
         let with_jump = jumped(self.expected, since_s, &self.slow.shutter, distance_m(self.surfaces, &self.expected.motion.pose));
         let information = with_jump.covariance.cholesky()?.inverse();
@@ -397,7 +410,8 @@ impl<'a> FrameProblem<'a> {
         Some(())
     }
 
-    /// Settles what [`Self::solve`] left unsettled for [`Self::solve_with_blur`], where that is not asked or shows no velocity. `None` where there is no solution any more.
+    /// Finishes the iterations that [`Self::solve`] left to [`Self::solve_with_blur`], where that
+    /// was not tried or showed no velocity. `None` if no solution remains.
     pub fn settle_rest(&mut self) -> Option<()> {
         if !self.may_ask_blur() || self.last_moved_px < FINE_STEP_PX {
             return Some(());
@@ -405,22 +419,24 @@ impl<'a> FrameProblem<'a> {
         self.settle_found()
     }
 
-    /// Settles the solution with what is known.
+    /// Continues from the solution to convergence, with the usual prior.
     fn settle_found(&mut self) -> Option<()> {
         let found = self.buffers.fine.solution()?.found.motion;
         let known = self.known;
         self.settle(found, &known)
     }
 
-    /// Settles once more where much of a body is seen that was just found, but less than half of it: so far the better half of its tiles took part, and some of those show what
-    /// covers it. `None` where it does not come to rest.
+    /// Solves again with only the tiles that fit, for a newly found body of which much is visible,
+    /// but less than half. Until then the better half of its tiles took part, and some of those
+    /// show what occludes it. `None` if it does not converge.
     pub fn settle_by_what_fits(&mut self) -> Option<Corrected> {
         self.known.is_sure = true;
         self.settle_found()?;
         self.buffers.fine.solution().map(|solution| solution.found).filter(|_| self.last_moved_px < MAX_LAST_STEP_PX)
     }
 
-    /// Settles what [`Self::solve`] left unsettled of a body that seemed to be covered and is not; whether there was anything. `None` where there is no solution any more.
+    /// Finishes the iterations that [`Self::solve`] skipped because the body looked occluded;
+    /// returns whether any ran. `None` if no solution remains.
     pub fn settle_uncovered(&mut self) -> Option<bool> {
         let is_unsettled = self.is_found_again() && !self.may_ask_blur() && self.last_moved_px >= FINE_STEP_PX;
         if is_unsettled {
@@ -429,12 +445,14 @@ impl<'a> FrameProblem<'a> {
         Some(is_unsettled)
     }
 
-    /// Whether what does not fit takes no part.
+    /// Whether tiles that do not fit are excluded even where they are the majority.
     pub fn is_by_what_fits(&self) -> bool {
         self.known.is_sure
     }
 
-    /// Verifies the solution: how well its tiles agree, and what they leave open. With what the frame says of the exposure.
+    /// Verifies the solution: how well its tiles agree, and its covariance. Returns it with the
+    /// frame's clue on the exposure. `None` where there is no solution or the covariance is
+    /// singular.
     pub fn verify(&mut self) -> Option<(Alignment, Option<Clue>)> {
         self.bands = RowBands::new(self.slow.shutter);
         let Corrected { motion, scale } = self.buffers.fine.solution()?.found;
@@ -467,8 +485,9 @@ impl<'a> FrameProblem<'a> {
         Some((found, exposure))
     }
 
-    /// Adds what the solution leaves open where the velocity may have jumped since the last frame, `since_s` ago, or within this one; corrects pose
-    /// and motion by the jumps that the rows show. `has_jumped`: whether it was solved with a wider expectation.
+    /// Adds the uncertainty from velocity jumps since the last frame, `since_s` seconds ago, or
+    /// within this one, and corrects pose and motion by the jumps that the rows show. `has_jumped`:
+    /// whether the frame was solved with the wider prior.
     pub fn allow_for_jumps(&mut self, found: &mut Alignment, since_s: Option<f64>, has_jumped: bool) {
         let shutter = &self.slow.shutter;
         let Some(since_s) = since_s else {
@@ -486,7 +505,8 @@ impl<'a> FrameProblem<'a> {
             information: *self.known.information,
             error: estimate.motion.error_to(self.known.motion),
             likelihood: JERK_LIKELIHOOD,
-            // Solved with a wider expectation, the motion is less sure than with this one.
+            // A frame solved with the wider prior has a covariance that does not belong to this
+            // one.
             covariance: (!has_jumped).then_some(estimate.covariance),
         };
         let on_line = led.filter(|led| led.has_left && !shutter.is_global()).and_then(|Continuation { expected, .. }| {
@@ -504,7 +524,8 @@ impl<'a> FrameProblem<'a> {
         }
     }
 
-    /// What the frame says of the shutter, beside what it says of the exposure.
+    /// Returns the frame's clues on the shutter, with the clue on the exposure passed through.
+    /// `None` where there is no solution or the picture moves too slowly.
     pub fn shutter_clue(&mut self, question: &ReadoutQuestion, exposure: Option<Clue>) -> Option<ShutterClue> {
         let motion = self.buffers.fine.solution()?.found.motion;
         let spec = self.spec(FINEST, &motion);
@@ -518,12 +539,12 @@ impl<'a> FrameProblem<'a> {
         Some(ShutterClue { readout, speed_px_s, exposure, is_open: question.is_open, may_teach: self.is_followed && question.may_teach })
     }
 
-    /// What the frame would teach.
+    /// Returns what the slow estimates would learn from the frame.
     pub fn into_lessons(self) -> Lessons {
         self.lessons
     }
 
-    /// How far off the start may be in the frame, two sigmas, pixels.
+    /// Returns the uncertainty of the start in the frame: two sigma, pixels.
     fn uncertain_px(&self) -> f64 {
         let focal = self.rays.camera().intrinsics().fx;
         let c = &self.expected.covariance;
@@ -532,7 +553,8 @@ impl<'a> FrameProblem<'a> {
     }
 }
 
-/// The finest level whose basin holds a start this many pixels of the frame off; the coarsest if none does.
+/// Returns the finest level whose basin holds a start error of `off_px` frame pixels; the coarsest
+/// if none does.
 fn level_for(off_px: f64) -> usize {
     if off_px < CHOSEN_PX * f64::from(1u32 << FINEST) {
         return FINEST;
