@@ -1,9 +1,13 @@
-//! Alignment of one body, frame by frame: select -> predict -> gate tiles -> solve -> verify -> learn.
+//! Alignment of one body, frame by frame. [`Aligner`] holds what a body needs between frames: its
+//! surfaces, buffers, and slow estimates (light, noise, exposure, point spread) learnt over many
+//! frames.
 //!
-//! [`Aligner::align`] is the path of a frame. Pixels are selected where the reference is steep (`selection`), their intensity is predicted with
-//! its derivatives (`appearance`), tiles that show something else are left out (`tile_correlation`), pose, motion, light and point spread are
-//! solved for together (`system`), coarse to fine (`frame_problem`), and the tiles say how well the solution agrees (`verdict`). Who
-//! accepts the pose says so with [`Solution::accept`], and only then the slow estimates learn.
+//! [`Aligner::align`] processes one frame in this order. Pixels are selected where the reference is
+//! steep (`selection`). Their intensity is predicted with its derivatives (`appearance`). Tiles
+//! that show something else are excluded (`tile_correlation`). Pose, motion, light and point spread
+//! are solved for together (`system`), coarse to fine (`frame_problem`). Then the tiles are counted
+//! that agree with the solution (`verdict`). The slow estimates learn from the frame only when the
+//! caller accepts the pose with [`Solution::accept`].
 
 use super::frame_problem::{Buffers, FrameProblem};
 use super::learned::slow_estimates::{Lessons, SlowEstimates};
@@ -22,7 +26,8 @@ use crate::track::frame::tile_grid::MAX_TILES;
 use crate::track::scene::reference::PreparedBody;
 use crate::track::scene::surface::SurfaceSpec;
 
-/// Aligns one body. Its state is in three places.
+/// Aligns one body with each frame. Its state is in three places: settings, buffers, and slow
+/// estimates.
 #[derive(Debug)]
 pub struct Aligner {
     settings: Settings,
@@ -30,13 +35,13 @@ pub struct Aligner {
     slow: SlowEstimates,
 }
 
-/// What does not change from frame to frame.
+/// Settings that stay the same from frame to frame, except `question`, which is used once.
 #[derive(Debug)]
 struct Settings {
     surfaces: Vec<AlignSurface>,
-    /// Whether every frame is asked what it says of the shutter.
+    /// Whether every frame is to return a [`ShutterClue`].
     asks_shutter: bool,
-    /// Whether the next frame is asked for its readout, and how.
+    /// The readout question for the next frame, if any.
     question: Option<ReadoutQuestion>,
     /// See [`Aligner::trust`].
     is_trusted: bool,
@@ -44,24 +49,24 @@ struct Settings {
     begins_nearby: bool,
 }
 
-/// A frame that was aligned, and what may be asked of it until the next.
+/// An aligned frame. It can be queried until the next frame is aligned.
 pub struct Solution<'a> {
     aligner: &'a mut Aligner,
     rays: &'a CameraRays,
-    /// What it came to.
+    /// The pose, its covariance, and how well the tiles agree.
     pub alignment: Alignment,
-    /// What the frame says of the shutter; `None` where it is not asked.
+    /// What the frame says of the shutter; `None` where that was not asked.
     pub shutter_clue: Option<ShutterClue>,
     lessons: Lessons,
 }
 
 impl Aligner {
-    /// Prepares a body's pictures.
+    /// Prepares a body's reference pictures for alignment.
     pub fn new(body: &PreparedBody, shutter: Shutter) -> Self {
         Self::of_surfaces(body.surfaces.iter().map(|s| AlignSurface::new(&s.spec)).collect(), shutter)
     }
 
-    /// Of a body whose pictures are prepared.
+    /// Creates an aligner from surfaces that are already prepared.
     pub fn of_surfaces(surfaces: Vec<AlignSurface>, shutter: Shutter) -> Self {
         Self {
             buffers: Buffers::with_room_for(&surfaces),
@@ -70,12 +75,13 @@ impl Aligner {
         }
     }
 
-    /// Most patches that a frame can show: one a tile of each surface.
+    /// Returns the maximum number of patches per frame: one per tile of each surface.
     pub fn most_patches(&self) -> usize {
         self.settings.surfaces.len() * MAX_TILES[0] * MAX_TILES[1]
     }
 
-    /// Takes the surfaces' places and shapes anew; their pictures stay. What frames left of the former ones hardly counts as noise any more.
+    /// Updates the surfaces' places and shapes; their pictures stay. The noise learnt so far keeps
+    /// little weight, as it includes the residuals of the former model.
     pub fn take_places(&mut self, surfaces: &[SurfaceSpec]) {
         for (own, spec) in self.settings.surfaces.iter_mut().zip(surfaces) {
             own.take_place(spec);
@@ -84,72 +90,84 @@ impl Aligner {
         self.slow.noise.doubt();
     }
 
-    /// Distance to the nearest surface's centre, metres.
+    /// Returns the distance to the nearest surface's centre, metres.
     pub fn distance_m(&self, pose: &Pose<Body, Camera>) -> f64 {
         distance_m(&self.settings.surfaces, pose)
     }
 
-    /// Whether all rows are exposed together, so that a frame shows no velocity but by its blur.
+    /// Whether the readout time is 0: a global shutter, or an unknown readout. Then a single frame
+    /// shows velocity only by its blur.
     pub fn is_global(&self) -> bool {
         self.slow.shutter.is_global()
     }
 
-    /// From now on the rows are read in this time; the exposure stays as it is known.
+    /// Sets the readout time from now on, seconds; the exposure is unchanged.
     pub fn take_readout(&mut self, readout_s: f64) {
         self.buffers.has_kept &= self.slow.shutter.readout_s == readout_s;
         self.slow.shutter.readout_s = readout_s;
     }
 
-    /// Its pose was given: from now on what differs from it is in front of it, wherever it is found. Before, its picture or its size may be another than told, and a part of it that fits by
-    /// chance must not be taken for what is seen of it.
+    /// Declares that a pose of the body was reported: from now on, whatever differs from the body
+    /// is taken to be in front of it, wherever the body is found. Before that, its picture or size
+    /// may differ from the configured one, and a part that fits by chance must not be taken for its
+    /// visible part.
     pub fn trust(&mut self) {
         self.settings.is_trusted = true;
     }
 
-    /// From now on alignment begins at the level that holds the usual start error alone, or also, where that does not fit, at the one that holds all that is uncertain.
+    /// Chooses where alignment starts from now on. With `is_alone`, it starts only at the level
+    /// that holds the usual start error; otherwise it starts there and, where that does not fit,
+    /// again at the level that holds the whole uncertainty.
     pub fn begin_nearby(&mut self, is_alone: bool) {
         self.settings.begins_nearby = is_alone;
     }
 
-    /// Begins with an exposure that an earlier session learnt, known to one sigma, seconds; a configured one stays.
+    /// Starts from an exposure learnt in an earlier session, with one sigma, both in seconds. A
+    /// configured exposure is not replaced.
     pub fn take_learnt_exposure(&mut self, exposure_s: f64, sigma_s: f64) {
         self.slow.take_learnt_exposure(exposure_s, sigma_s);
     }
 
-    /// The exposure and one sigma, seconds, where it is learnt and frames told of it.
+    /// Returns the exposure and one sigma, seconds; `None` unless it is learnt and frames have
+    /// informed it.
     pub fn learnt_exposure(&self) -> Option<(f64, f64)> {
         self.slow.learnt_exposure()
     }
 
-    /// The configured exposure and the one that fits, seconds, where frames contradict it.
+    /// Returns the configured exposure and the one that fits, seconds, where frames contradict the
+    /// configured one.
     pub fn contradicted_exposure(&self) -> Option<[f64; 2]> {
         self.slow.contradicted_exposure()
     }
 
-    /// Takes what another body has learnt of the camera that both are seen by, where it knows that better.
+    /// Takes over another body's estimates of the shared camera (exposure, noise) where those are
+    /// more certain.
     pub fn take_camera(&mut self, other: &Self) {
         self.slow.take_camera(&other.slow);
     }
 
-    /// From now on every frame is asked what it says of the shutter, which is taken as given here.
+    /// Makes every later frame return a [`ShutterClue`]. Fixes the shutter to `shutter`: its
+    /// exposure is no longer learnt.
     pub fn ask_shutter(&mut self, shutter: Shutter) {
         self.slow.fix_shutter(shutter);
         self.settings.asks_shutter = true;
     }
 
-    /// The next frame is asked for its readout; the exposure goes on being learnt.
+    /// Sets the readout question for the next frame; the exposure is still learnt.
     pub fn ask_readout(&mut self, question: Option<ReadoutQuestion>) {
         self.settings.question = question;
     }
 
-    /// How fast the picture moves through the frame, pixels per second.
+    /// Returns how fast the picture moves through the frame, pixels per second.
     pub fn speed_px_s(&self, motion: &Motion, rays: &CameraRays) -> f64 {
         LevelSpec::new(&self.settings.surfaces, &self.slow, rays, self.slow.is_enlarged, FINEST, motion).speed_px_s(motion)
     }
 
-    /// Aligns a frame from an expected motion; `None` where too little of the body is in view or nothing converges.
+    /// Aligns a frame from a predicted motion. Returns `None` where too little of the body is in
+    /// view, nothing converges, or a covariance is singular.
     ///
-    /// `since_s`: seconds since the last frame, if the body is followed; its velocity may have jumped meanwhile.
+    /// `since_s`: seconds since the last frame if the body is followed, as its velocity may have
+    /// jumped since; `None` for a body that was just found.
     pub fn align<'a>(
         &'a mut self,
         levels: &mut FrameLevels,
@@ -162,7 +180,8 @@ impl Aligner {
         let question = question.take().or(asks_shutter.then_some(always));
         let is_open = question.is_some_and(|question| question.is_open);
         let is_followed = since_s.is_some();
-        // A velocity that may jump within the frame explains what a wrong readout leaves, and the shutter would be found there.
+        // A velocity jump within the frame would absorb the effect of a wrong readout time, and the
+        // readout would seem confirmed.
         let since_s = since_s.filter(|_| !is_open);
         let information = expected.covariance.cholesky()?.inverse();
         let mut frame = FrameProblem::new(surfaces, slow, buffers, levels, rays, expected, &information);
@@ -196,14 +215,15 @@ impl Aligner {
 }
 
 impl Solution<'_> {
-    /// Adds the pixels that the pose rests on.
+    /// Appends the pixels that the pose is based on.
     pub fn used_pixels(&mut self, out: &mut Vec<UsedPixel>) {
         if let Some(solution) = self.aligner.buffers.fine.solution() {
             solution.used_pixels(FINEST, out);
         }
     }
 
-    /// The pose is accepted: the slow estimates learn what the frame taught. Fills `patches` with those that fit, one a tile.
+    /// Accepts the pose: the slow estimates learn from the frame. Replaces the contents of
+    /// `patches` with the patches that fit, at most one per tile.
     pub fn accept(self, patches: &mut Vec<Patch>) {
         let Aligner { settings, buffers, slow } = self.aligner;
         slow.learn(&self.lessons, &buffers.light);

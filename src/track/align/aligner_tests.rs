@@ -63,12 +63,15 @@ fn a_bent_cloth_is_aligned_as_well_as_a_flat_one() {
     assert!(shifts_m[0] < 5e-4 && shifts_m[1] > 10.0 * shifts_m[0], "{shifts_m:?}");
 }
 
-/// Two thirds of the stage are behind something that has as much detail: what shows the stage is enough, and nothing else may pull.
+/// Up to two thirds of the stage are behind something with as much detail. The visible part is
+/// enough for a pose, and the rest must not pull it.
 #[test]
 fn what_stands_before_most_of_the_stage_does_not_pull_the_pose() {
     let (stage, other) = (view(&cloth(1), &truth(), &lens(480, 360)), view(&cloth(2), &truth(), &lens(480, 360)));
     let start = perturbed(&truth(), &Vector6::new(0.01, -0.008, 0.015, 0.003, -0.0025, 0.0015));
-    // One half, and so much that the better half of the tiles would hold some of what covers the rest; of a body that is followed, and of one that was given before and just found.
+    // First one half is occluded, then so much that the better half of the tiles would include some
+    // of the occluder; each for a followed body, and for one that was reported before and has just
+    // been found again.
     let cases = [(240, Some(1.0 / 30.0)), (165, Some(1.0 / 30.0)), (240, None), (165, None)];
     let shifts_m = cases.map(|(open_columns, since_s)| {
         let covered = GrayImage::from_fn(480, 360, |x, y| *if x < open_columns { &stage } else { &other }.get_pixel(x, y));
@@ -89,8 +92,9 @@ fn what_stands_before_most_of_the_stage_does_not_pull_the_pose() {
     assert!(shifts_m.iter().all(|shift| *shift < 2e-3), "{shifts_m:?}");
 }
 
-/// A surface, where columns are open, as a camera sees it that moves aside by so many pixels while the shutter is open; another cloth stands before the other columns. At more instants than `moving_view`
-/// has, which lie a pixel apart under the longest blur.
+/// Renders a surface, visible in the first `open_columns`, as seen by a camera that moves sideways
+/// by `blur_px` pixels during the exposure. Another cloth occludes the other columns. It averages
+/// more instants than `moving_view` does: under the longest blur they lie a pixel apart.
 fn smeared(surface: &SurfaceSpec, truth: &Pose<Camera, Body>, blur_px: f64, open_columns: u32) -> FrameLevels {
     let way_m = blur_px * 3.4 / 480.0;
     let along = |k: i32| perturbed(truth, &Vector6::new(way_m * (f64::from(k) / 20.0 - 0.475), 0.0, 0.0, 0.0, 0.0, 0.0));
@@ -103,8 +107,10 @@ fn smeared(surface: &SurfaceSpec, truth: &Pose<Camera, Body>, blur_px: f64, open
     levels
 }
 
-/// A body that is large in the frame is asked for its blur where it does not fit: one of fine detail, which a blur of 9 pixels takes away, whole and covered by a third; and one of 12 pixels, with which more
-/// than half of its tiles do not fit at all. Whether it was given before makes no difference.
+/// A body that is large in the frame has its blur estimated where it does not fit. The first has
+/// fine detail, which a blur of 9 pixels removes; it is seen whole, and occluded by a third. The
+/// last has a blur of 12 pixels, with which more than half of its tiles do not fit. Whether it was
+/// reported before makes no difference.
 #[test]
 fn a_body_is_found_though_it_is_blurred() {
     let stage = SurfaceSpec::from_artwork("fine".into(), texture(1440, 1080, 1), [4.0, 3.0], Pose::identity()).expect("texture enough");
@@ -128,7 +134,8 @@ fn a_body_is_found_though_it_is_blurred() {
     }
 }
 
-/// A small body that is covered by more than half is asked for its blur once it is known what fits: 3 pixels. `open_columns` leave 0.4 to 0.5 of its tiles.
+/// A small body that is occluded by more than half has its blur (3 pixels) estimated once it is
+/// known which tiles fit. `open_columns` leave 0.4 to 0.5 of its tiles.
 #[test]
 fn what_is_seen_of_a_covered_body_is_asked_for_its_blur() {
     let truth = facing(0.03, -0.05, Vector3::new(0.1, 0.05, 3.4));
@@ -180,10 +187,11 @@ fn patches_lie_where_the_pose_puts_them() {
     assert!(patches.iter().all(|p| p.on_surface_m.x.abs() < 2.0 && p.on_surface_m.y.abs() < 1.5));
 }
 
-/// After a jump within a frame, the motion that is given is that of its last rows: the patches of the others lie elsewhere.
+/// After a jump within a frame, the reported motion is that of its last rows; the other rows'
+/// patches lie elsewhere.
 #[test]
 fn patches_are_those_of_the_motion_that_was_solved_for() {
-    // Told to hang in folds, which it does not: patches are followed.
+    // Configured with folds that it does not have, so that patches must be followed.
     let bent = SurfaceSpec { shape: folds(), ..cloth(1) };
     let expected = MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003);
     let rays = CameraRays::new(lens(480, 360), None);
@@ -219,7 +227,8 @@ fn a_still_camera_keeps_its_pixels_and_gives_the_same_pose() {
     assert!(drift < 2e-5, "{drift}");
 }
 
-/// Follows a camera that glides past a display of `picture`, knowing only the coarse picture that it was made from.
+/// Follows a camera that glides past a display of `picture`; the aligner has only the coarse
+/// picture that it was made from.
 fn followed(coarse: &SurfaceSpec, picture: GrayImage) -> Aligner {
     let display = SurfaceSpec::from_artwork("display".into(), picture, [4.0, 3.0], Pose::identity()).expect("texture enough");
     let mut aligner = Aligner::new(&prepared(vec![coarse.clone()]), Shutter { readout_s: 0.0, exposure_s: 1e-6 });
@@ -238,7 +247,7 @@ fn followed(coarse: &SurfaceSpec, picture: GrayImage) -> Aligner {
 #[test]
 fn the_frame_tells_how_the_picture_was_enlarged() {
     let coarse = SurfaceSpec::from_artwork("coarse".into(), texture(160, 120, 4), [4.0, 3.0], Pose::identity()).expect("texture enough");
-    // Linear between its pixels, as `view` looks at it; and smooth.
+    // First linear between its pixels, as `view` samples it; then smooth.
     assert!(!followed(&coarse, coarse.artwork.clone()).slow.is_enlarged);
     let smooth = image::imageops::resize(&coarse.artwork, 1280, 960, image::imageops::FilterType::Lanczos3);
     assert!(followed(&coarse, smooth).slow.is_enlarged);
@@ -253,7 +262,8 @@ fn pixels_that_were_laid_out_anew_leave_nothing_to_conclude() {
     let Aligner { settings, buffers, slow } = &mut aligner;
     let Buffers { fine, selector, light, .. } = buffers;
     assert!(fine.solution().is_some());
-    // Seen from much further away the same frame's pixels have another grid, with fewer nodes than the light that was solved for.
+    // From much farther away the pixels have another grid, with fewer nodes than the light that was
+    // solved for.
     let away = Motion::still(facing(0.2, -0.3, Vector3::new(0.1, 0.05, 30.0)).inverse());
     let (runs, nodes) = (fine.pixels().runs().len(), fine.pixels().light().gains().len());
     let spec = LevelSpec::new(&settings.surfaces, slow, &rays, true, FINEST, &away);
@@ -276,7 +286,7 @@ fn a_frame_whose_pose_is_not_accepted_teaches_nothing() {
     assert_eq!(learnt(&aligner), before);
     let first = aligner.align(&mut levels(1), &rays, &expected(0.03), None).expect("the picture agrees").alignment.pose;
     assert_eq!(learnt(&aligner), before);
-    // Nothing is left of them for the frames to come.
+    // The unaccepted frames leave no trace in later ones.
     let again = accepted(&mut aligner, &mut levels(1), &rays, &expected(0.03)).pose;
     assert_eq!(first, again);
     assert_ne!(learnt(&aligner), before);
@@ -305,12 +315,12 @@ fn a_trial_that_changes_nothing_leaves_the_solution() {
 fn a_start_far_off_is_not_reached_from_nearby_alone() {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 0.0 });
     let (mut frame, rays) = (levels(1), CameraRays::new(lens(480, 360), None));
-    // Starts have been off by a fifth of a pixel so far.
+    // Up to here, starts are off by a fifth of a pixel.
     for k in 0..20 {
         let start = perturbed(&truth(), &(Vector6::x() * if k % 2 == 0 { 0.0015 } else { -0.0015 }));
         accepted(&mut aligner, &mut frame, &rays, &MotionEstimate::unseen(start.inverse(), 3.4, 0.002, 0.0006));
     }
-    // By twenty pixels.
+    // Off by twenty pixels.
     let start = perturbed(&truth(), &(Vector6::x() * 0.14));
     let mut is_found = |is_alone: bool| {
         aligner.begin_nearby(is_alone);
