@@ -1,10 +1,14 @@
-//! The aperture problem of a whole picture: along the stripes of a curtain next to nothing tells where the camera is, and a pose may slide.
+//! The aperture problem of a whole picture: along the stripes of a curtain almost nothing shows
+//! where the camera is, so a pose may slide along them.
 //!
-//! Nearly all tiles of a pose that slid agree: across the stripes all is right, and along them there is next to nothing to see. What there is -
-//! grain, a small picture amidst - disagrees, and is outvoted. So directions are asked one by one: of a right pose the gradients of what is seen
-//! are those of what is expected in each direction; of one that slid they have nothing to do with each other along the stripes.
+//! Nearly all tiles of a pose that slid agree. Across the stripes everything fits, and along them
+//! there is almost nothing to see. The little there is (grain, a small picture in between)
+//! disagrees and is outvoted. So each direction is tested on its own, by a regression of observed
+//! on expected gradients. For a right pose the two are equal in each direction. For one that slid
+//! they are unrelated along the stripes.
 //!
-//! Somebody in front of a part of the picture has the same effect: there, what is seen has nothing to do with what is expected. So a pose is not refused where the tiles that agree support each
+//! Somebody in front of a part of the picture has the same effect: there, observed gradients are
+//! unrelated to the expected ones. So a pose is not refused if the tiles that agree support each
 //! direction on their own. Those of a pose that slid do not.
 
 use std::ops::Range;
@@ -15,52 +19,53 @@ use crate::track::align::pixels::appearance::Appearance;
 use crate::track::align::pixels::runs::{Pixels, Run};
 use crate::track::frame::frame_levels::Level;
 
-/// Where this share of the tiles agrees, what stands in front of the others does not hide all that tells of one direction. Chosen: poses that slid have above 0.59. Raised,
-/// poses slide along stripes behind people; lowered, what is in front may by chance look like the opposite of what it hides.
+/// Ratio of agreeing tiles above which an occluder cannot hide all evidence of a direction. Raised,
+/// poses slide along stripes behind people; lowered, an occluder may look like a slide.
 const MIN_SHARE: f64 = 0.4;
-/// The direction that is borne out least must be by this share of the one that is borne out best. Chosen: right poses have above 0.42, behind people too (lines a pixel
-/// wide are as steep as differences of neighbours can tell); poses that slid have less than 0.1, strongly blurred ones up to 0.3. Raised, stages of fine level lines
+/// Minimum support of the worst direction relative to the best. Raised, stages of fine level lines
 /// are lost; lowered, poses slide along stripes.
 const MIN_BORNE_OUT: f64 = 0.3;
-/// Where a direction is not borne out, that must be known so well, standard deviations: of plain stripes nothing is expected along them, and chance says anything.
-/// Chosen, not tuned. Raised, poses slide along stripes with faint grain; lowered, plain stripes are lost by chance.
+/// Standard deviations by which a direction must be unsupported, or supported. Raised, poses slide
+/// along stripes with faint grain; lowered, plain stripes are lost by chance.
 const SURE_SIGMAS: f64 = 3.0;
-/// Every third chosen pixel is compared. Chosen, not tuned: some 3000 remain of 9000, enough for a regression. Raised, its deviation grows; lowered, frames cost more.
+/// One of so many selected pixels is compared. Raised, the regression's deviation grows; lowered,
+/// frames cost more.
 const STRIDE: usize = 3;
 
-/// How the gradients that are seen go with those that are expected.
+/// How the observed gradients agree with the expected ones.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct GradientAgreement {
-    /// Wherever the picture is expected.
+    /// Over all pixels where the picture is expected.
     everywhere: GradientSums,
-    /// In the tiles that agree.
+    /// Over the tiles that agree.
     where_agreeing: GradientSums,
 }
 
-/// Products of the gradients that are seen and expected, summed over pixels.
+/// Products of the observed and the expected gradients, summed over pixels.
 #[derive(Debug, Clone, Copy, Default)]
 struct GradientSums {
-    /// Sum of the outer products of what is expected with itself.
+    /// Sum of the outer products of the expected gradient with itself.
     expected: Matrix2<f64>,
-    /// Sum of the outer products of what is seen with what is expected.
+    /// Sum of the outer products of the observed with the expected gradient.
     both: Matrix2<f64>,
-    /// Sum of the outer products of what is seen with itself.
+    /// Sum of the outer products of the observed gradient with itself.
     seen: Matrix2<f64>,
-    /// Pixels.
+    /// Number of pixels.
     count: f64,
 }
 
-/// How well a direction is borne out: 1 where what is seen is what is expected, 0 where they have nothing to do with each other.
+/// How well a direction is supported: 1 where the observed gradients equal the expected ones, 0
+/// where the two are unrelated.
 #[derive(Debug, Clone, Copy)]
 pub struct BorneOut {
-    /// The regression of what is seen on what is expected.
+    /// Coefficient of the regression of observed on expected gradients.
     pub share: f64,
-    /// Its standard deviation, were what is seen nothing but noise.
+    /// Its standard deviation if the observed gradients were only noise.
     pub sigma: f64,
 }
 
 impl GradientAgreement {
-    /// Takes the pixels of a run of a solved level; `agrees`: whether its tile does.
+    /// Adds the pixels of a run of a solved level; `agrees`: whether its tile does.
     pub fn add(&mut self, run: &Run, agrees: bool, pixels: &Pixels, appearance: &Appearance, level: &Level) {
         let sums = GradientSums::of(run.range(), pixels, appearance, level);
         self.everywhere.join(&sums);
@@ -69,12 +74,13 @@ impl GradientAgreement {
         }
     }
 
-    /// How well the directions are borne out, the worst and the best. `None` where a direction expects nothing at all.
+    /// Returns how well the worst and the best direction are supported. `None` where a direction
+    /// has no expected gradient.
     pub fn borne_out(&self) -> Option<[BorneOut; 2]> {
         self.everywhere.borne_out()
     }
 
-    /// Whether a pose may have slid along stripes, of whose tiles this share agrees.
+    /// Whether a pose may have slid along stripes. `share`: ratio of tiles that agree.
     pub fn may_have_slid(&self, share: f64) -> bool {
         let is_refuted = |[worst, best]: [BorneOut; 2]| worst.share + SURE_SIGMAS * worst.sigma < MIN_BORNE_OUT * best.share;
         let is_borne_out = |[worst, best]: [BorneOut; 2]| worst.share - SURE_SIGMAS * worst.sigma > MIN_BORNE_OUT * best.share;
@@ -84,7 +90,7 @@ impl GradientAgreement {
 }
 
 impl GradientSums {
-    /// Of every third of these pixels of a solved level.
+    /// Sums over every third of these pixels of a solved level.
     fn of(range: Range<usize>, pixels: &Pixels, appearance: &Appearance, level: &Level) -> Self {
         let mut sums = Self::default();
         let first = range.start.next_multiple_of(STRIDE);
@@ -111,15 +117,16 @@ impl GradientSums {
         self.count += 1.0;
     }
 
-    /// How well the directions are borne out, the worst and the best: the eigenvalues of the products of seen and expected, measured by what is expected. `None` where a
-    /// direction expects nothing at all.
+    /// Returns how well the worst and the best direction are supported: the eigenvalues of the
+    /// products of observed and expected gradients, whitened by the expected ones. `None` where a
+    /// direction has no expected gradient.
     fn borne_out(&self) -> Option<[BorneOut; 2]> {
         let root = self.expected.cholesky()?.l();
         let both = 0.5 * (self.both + self.both.transpose());
         let whitened = root.solve_lower_triangular(&root.solve_lower_triangular(&both)?.transpose())?;
         let SymmetricEigen { eigenvalues, eigenvectors } = whitened.symmetric_eigen();
         let of = |n: usize| {
-            // In this direction the sum of squares of what is expected is 1.
+            // In this direction the sum of squares of the expected gradient is 1.
             let direction = root.tr_solve_lower_triangular(&eigenvectors.column(n))?;
             let sigma = (direction.dot(&(self.seen * direction)) / self.count).sqrt();
             Some(BorneOut { share: eigenvalues[n], sigma })
@@ -141,7 +148,8 @@ mod tests {
         GradientAgreement { everywhere: sums, where_agreeing: sums }
     }
 
-    /// Stripes with grain, in any direction: gradients that are expected, and those that are seen with noise; of a pose that slid the grain is another.
+    /// Gradients of stripes with grain, at an angle: the expected ones, and the observed ones with
+    /// noise. For a pose that slid, the grain is another.
     fn striped(degrees: f64, grain: f64, has_slid: bool) -> GradientSums {
         let mut random = Pcg64Mcg::seed_from_u64(1);
         let mut draw = |size: f64| size * (random.random::<f64>() - 0.5);
@@ -175,7 +183,8 @@ mod tests {
 
     #[test]
     fn people_and_plain_stripes_refuse_nothing() {
-        // What is covered is borne out in no direction; here it has more of the one than of the other.
+        // An occluded part supports no direction; this one has more expected gradients in one
+        // direction than in the other.
         let mut sums = striped(30.0, 30.0, false);
         sums.expected += striped(60.0, 30.0, true).expected;
         assert!(!agreeing(sums).may_have_slid(0.5));
@@ -188,7 +197,7 @@ mod tests {
     #[test]
     fn what_stands_before_a_part_of_the_picture_does_not_refute_what_agrees_beside_it() {
         let agree = striped(30.0, 30.0, false);
-        // Its own stripes lie across what is expected behind it.
+        // The occluder's own stripes run across those expected behind it.
         let mut everywhere = agree;
         let covered = striped(120.0, 3.0, false);
         everywhere.expected += striped(30.0, 3.0, false).expected;
@@ -197,7 +206,7 @@ mod tests {
         everywhere.count += covered.count;
         assert!(agreeing(everywhere).may_have_slid(0.5));
         assert!(!GradientAgreement { everywhere, where_agreeing: agree }.may_have_slid(0.5));
-        // Stripes that slid agree but across themselves, and plain ones do not tell.
+        // Stripes that slid agree only across themselves, and plain ones say nothing.
         for grain in [3.0, 0.01] {
             assert!(GradientAgreement { everywhere, where_agreeing: striped(30.0, grain, true) }.may_have_slid(0.5), "{grain}");
         }

@@ -1,11 +1,14 @@
-//! When the velocity jumped, and by how much: several instants are tried beside none, and their mixture is the answer.
+//! When the velocity jumped, and by how much: jumps at several instants are tried beside no jump,
+//! and the mixture of all of them is the result.
 //!
-//! A camera that starts or stops while a frame is exposed and read bends the path of the picture: rows exposed after the jump are
-//! shifted by it, those before are not. Pose, velocity and acceleration cannot follow that bend, and where the jump is small
-//! the pose is off by a tenth of a pixel at a small Mahalanobis distance. The residuals that a step leaves still ask for the jump: for every instant
-//! it has a score and, the motion being eliminated (the Schur complement), an information, and so an evidence. The mixture over expectations,
-//! instants, sizes and no jump gives the pose at the stamp, the motion after the frame, and their covariances
-//! (Bar-Shalom, Li and Kirubarajan 2001, section 11.6).
+//! A camera that starts or stops while a frame is exposed and read bends the path of the picture:
+//! rows exposed after the jump are shifted by it, earlier ones are not. Pose, velocity and
+//! acceleration cannot follow that bend. Where the jump is small, the pose is off by a tenth of a
+//! pixel although its Mahalanobis distance is small. But the residuals that a step leaves still
+//! contain the jump. Each instant has a score and, with the motion eliminated (Schur complement),
+//! an information, and so an evidence. The mixture over priors, instants, sizes and no jump gives
+//! the pose at the stamp, the motion after the frame, and their covariances (Bar-Shalom, Li and
+//! Kirubarajan 2001, section 11.6).
 
 use nalgebra::{Matrix6, SMatrix, Vector6};
 
@@ -14,26 +17,27 @@ use crate::motion::{MotionError, MotionMatrix, unseen};
 use crate::track::align::kernel::columns::{POSE_ENTRIES, entry};
 use crate::track::align::kernel::tile_equations::{TileEquations, TileScore};
 
-/// Bands of rows that tiles are gathered in: about as many as a frame has rows of tiles. Raised, nearby instants differ no more than
-/// before; lowered, the instants of `WITHIN` fall into the same band.
+/// Bands of rows in which tiles are gathered. Raised, nearby instants differ no more than before;
+/// lowered, the instants of `WITHIN` fall into the same band.
 const BANDS: usize = 12;
-/// Instants that are tried while the frame is exposed and read, and between the last frame and this one, where a jump looks like another
-/// velocity. Chosen: fewer than `BANDS`, which cannot tell more apart. Raised, the cost of a frame grows.
+/// Instants tried within a frame's exposure and readout, and between the last frame and this one,
+/// where a jump looks like another velocity. Raised, frames cost more.
 const WITHIN: usize = 9;
 const BEFORE: usize = 3;
-/// How large a jump may be, one sigma, as shares of the velocity that is usual: a single large one would hold small jumps for unlikely.
-/// Chosen, not tuned. The smaller one raised, small starts are taken for noise again; more sizes cost more.
+/// Sigmas of a jump, as fractions of the usual velocity. The smaller one raised, small starts are
+/// taken for noise; more sizes cost more.
 const SIZES: [f64; 2] = [1.0, 0.25];
-/// How likely a jump is in the time of a frame: one in ten seconds at 30 frames a second. Raised, the covariance of every frame grows: with
-/// 0.1, that of a still camera by half, and of 625 frames near starts and stops 12 instead of 16 are further off than six sigmas.
+/// Prior probability of a jump in the time of a frame. Raised, the covariance of every frame grows;
+/// lowered, more frames near starts and stops are off.
 const LIKELIHOOD: f64 = 0.003;
-/// Expectations that are mixed at most: with jerk, and with the even motion before.
+/// Maximum number of priors in the mixture: with jerk, and with the uniform motion before.
 pub const EXPECTATIONS: usize = 2;
-/// Members of the mixture less likely than this, beside the likeliest, are left out. A round figure far below `LIKELIHOOD`. Raised, jumps
-/// that the covariance should allow for are dropped; lowered, frames cost more and nothing changes.
+/// Members less likely than this, relative to the likeliest, are dropped. Raised, jumps are dropped
+/// that the covariance should include; lowered, frames cost more and nothing changes.
 const NEGLIGIBLE: f64 = 1e-6;
 
-/// What the tiles of a band of rows say of the pose, and what of it the step left, by powers of the time from the band's middle.
+/// The equations of the tiles in a band of rows, by powers of the time from the band's middle:
+/// normal matrix of the pose, and the part of the right side that the step left.
 #[derive(Debug, Clone, Copy)]
 struct Band {
     by_pose: [[f64; POSE_ENTRIES]; 3],
@@ -41,7 +45,7 @@ struct Band {
     is_empty: bool,
 }
 
-/// The tiles of a frame by the time of their rows.
+/// The tiles of a frame, gathered by the exposure times of their rows.
 #[derive(Debug)]
 pub struct RowBands {
     bands: [Band; BANDS],
@@ -51,41 +55,43 @@ pub struct RowBands {
 /// Value and slope in time of a factor of the pose, at the middle of a band.
 type Profile = [f64; 2];
 
-/// A motion that may be expected.
+/// A prior of the motion.
 #[derive(Debug, Clone, Copy)]
 pub struct Expectation {
     /// Its information.
     pub information: MotionMatrix,
-    /// From the solved motion to it.
+    /// Error from the solved motion to its mean.
     pub error: MotionError,
-    /// How likely it is beforehand, where there is another.
+    /// Its prior probability, where there is a second one.
     pub likelihood: f64,
-    /// Covariance of the motion that was solved with it and without a jump; `None` where that was solved with another.
+    /// Covariance of the motion that was solved with it, without a jump; `None` if the motion was
+    /// solved with another prior.
     pub covariance: Option<MotionMatrix>,
 }
 
-/// What the mixture makes of a solved motion.
+/// The mixture's correction of a solved motion.
 #[derive(Debug, Clone, Copy)]
 pub struct Mixture {
     /// Correction of the pose at the stamp.
     pub pose: Vector6<f64>,
-    /// To be added to its covariance.
+    /// To be added to the pose's covariance.
     pub pose_covariance: Matrix6<f64>,
     /// Correction of the motion after the frame, carried back to the stamp.
     pub motion: MotionError,
-    /// Its covariance.
+    /// Covariance of the corrected motion.
     pub motion_covariance: MotionMatrix,
 }
 
 impl RowBands {
-    /// No tiles yet.
+    /// Creates bands without tiles.
     pub fn new(shutter: Shutter) -> Self {
         let band = Band { by_pose: [[0.0; POSE_ENTRIES]; 3], left: [[0.0; 6]; 2], is_empty: true };
         Self { bands: [band; BANDS], shutter }
     }
 
-    /// Adds a tile whose middle is exposed `delay_s` after the stamp. `left`: what the step leaves of its equations; `weight`: inverse of
-    /// the residuals' variance beyond what their whitener says.
+    /// Adds a tile whose middle is exposed `delay_s` seconds after the stamp. `left`: the part of
+    /// its right side that the step left; `weight`: inverse of the residuals' variance after
+    /// whitening.
     pub fn add(&mut self, tile: &TileEquations, left: &TileScore, delay_s: f64, weight: f64) {
         let readout_s = self.shutter.readout_s;
         let share = if readout_s == 0.0 { 0.5 } else { delay_s / readout_s + 0.5 };
@@ -112,15 +118,16 @@ impl RowBands {
         }
     }
 
-    /// The mixture over all expectations, and for each over all instants and none. `dt_s`: since the last frame. `None` where something is
-    /// singular.
+    /// Returns the mixture over all priors, and for each over all instants and no jump. `dt_s`:
+    /// seconds since the last frame; `distance_m`: to the nearest surface, for the usual velocity.
+    /// `None` where a matrix is singular or a result is not finite.
     pub fn mixture(&self, expectations: [Option<Expectation>; EXPECTATIONS], dt_s: f64, distance_m: f64) -> Option<Mixture> {
         let is_alone = expectations.iter().flatten().count() < 2;
         let part = |expected: Expectation| Some(self.with_jumps(&self.without_jump(&expected, is_alone)?, dt_s, distance_m));
         mix(&expectations.map(|expected| expected.and_then(part)))
     }
 
-    /// The mixture over jumps at all instants, of all sizes, and none.
+    /// Mixes jumps of all sizes at all instants, and no jump.
     fn with_jumps(&self, without: &WithoutJump, dt_s: f64, distance_m: f64) -> Part {
         let [speed, turn_rate, ..] = unseen(distance_m);
         let usual = Vector6::new(speed, speed, speed, turn_rate, turn_rate, turn_rate);
@@ -134,10 +141,11 @@ impl RowBands {
         members.part(without)
     }
 
-    /// The instants that are tried, seconds from the stamp, and how likely a jump of each size is there.
+    /// Returns the instants that are tried, seconds from the stamp, each with the prior probability
+    /// of a jump of each size there.
     fn instants(&self, dt_s: f64) -> impl Iterator<Item = (f64, f64)> {
         let half_s = 0.5 * (self.shutter.readout_s.abs() + self.shutter.exposure_s);
-        // From the last stamp on: what came later in that frame may not have shown in it.
+        // Starts at the last stamp: a jump later in that frame may not have shown in it.
         let gap_s = (dt_s - half_s).max(0.0);
         let whole_s = (2.0 * half_s + gap_s).max(f64::MIN_POSITIVE);
         let spans = [(-half_s, 2.0 * half_s, WITHIN), (-half_s - gap_s, gap_s, BEFORE)];
@@ -147,23 +155,23 @@ impl RowBands {
         })
     }
 
-    /// Middle of a band, seconds from the stamp.
+    /// Returns the middle of a band, seconds from the stamp.
     fn middle_s(&self, band: usize) -> f64 {
         self.shutter.readout_s * ((band as f64 + 0.5) / BANDS as f64 - 0.5)
     }
 
-    /// The bands that have tiles, with their places.
+    /// Returns the bands that have tiles, with their indices.
     fn filled(&self) -> impl Iterator<Item = (usize, &Band)> {
         self.bands.iter().enumerate().filter(|(_, band)| !band.is_empty)
     }
 
-    /// How position, velocity and acceleration change the pose of a band.
+    /// Returns how position, velocity and acceleration change the pose of a band.
     fn profiles(&self, band: usize) -> [Profile; 3] {
         let t = self.middle_s(band);
         [[1.0, 0.0], [t, 1.0], [0.5 * (t * t + self.shutter.exposure_s.powi(2) / 12.0), t]]
     }
 
-    /// How a jump changes the pose of a band.
+    /// Returns how a jump changes the pose of a band.
     fn profile_of_jump(&self, band: usize, instant_s: f64) -> Profile {
         let (t, exposure_s) = (self.middle_s(band), self.shutter.exposure_s);
         let quarter_s = 0.25 * self.shutter.readout_s / BANDS as f64;
@@ -172,7 +180,8 @@ impl RowBands {
         [at(t), slope]
     }
 
-    /// The motion where it did not jump, as expected and as the bands show it. `is_alone`: there is no other to weigh it against.
+    /// Solves for the motion without a jump, from the prior and the bands. `is_alone`: there is no
+    /// other prior, so its evidence is not needed.
     fn without_jump(&self, expected: &Expectation, is_alone: bool) -> Option<WithoutJump> {
         let Expectation { information: known, error, likelihood, covariance } = expected;
         let (mut information, mut pull) = (*known, known * error);
@@ -207,7 +216,7 @@ impl RowBands {
         Some(WithoutJump { correction, solved, covariance: covariance.unwrap_or(solved), evidence })
     }
 
-    /// What the bands say of a jump at an instant.
+    /// Sums what the bands say of a jump at an instant.
     fn jump_sums(&self, instant_s: f64) -> JumpSums {
         let mut sums = JumpSums { instant_s, own: Matrix6::zeros(), shared: SMatrix::zeros(), score: Vector6::zeros() };
         for (k, band) in self.filled() {
@@ -227,20 +236,21 @@ impl RowBands {
 }
 
 impl Band {
-    /// Information that two profiles share.
+    /// Information shared by two profiles.
     fn product(&self, [a, da]: Profile, [b, db]: Profile) -> Matrix6<f64> {
         let [once, timed, squared] = &self.by_pose;
         let entries: [f64; POSE_ENTRIES] = std::array::from_fn(|e| a * b * once[e] + (a * db + da * b) * timed[e] + da * db * squared[e]);
         Matrix6::from_fn(|i, j| entries[entry(i, j)])
     }
 
-    /// What is left that a profile would explain.
+    /// The remaining right side that a profile would explain.
     fn score(&self, [a, da]: Profile) -> Vector6<f64> {
         Vector6::from(self.left[0]) * a + Vector6::from(self.left[1]) * da
     }
 }
 
-/// Mean time since an instant over an exposure about `t`, none before it: seconds.
+/// Returns the mean time since an instant over an exposure about `t`, seconds; times before the
+/// instant count as 0.
 fn mean_since(t: f64, instant_s: f64, exposure_s: f64) -> f64 {
     let (first, last) = (t - 0.5 * exposure_s - instant_s, t + 0.5 * exposure_s - instant_s);
     if last <= 0.0 {
@@ -255,13 +265,13 @@ fn mean_since(t: f64, instant_s: f64, exposure_s: f64) -> f64 {
 /// A motion that did not jump.
 #[derive(Debug)]
 struct WithoutJump {
-    /// Of the solved motion.
+    /// Correction of the solved motion.
     correction: MotionError,
-    /// Covariance where the light is known.
+    /// Covariance with the light taken as known.
     solved: MotionMatrix,
-    /// Covariance of the motion.
+    /// Covariance of the motion; with the light free where that is known.
     covariance: MotionMatrix,
-    /// Logarithm of likelihood times evidence of the frame.
+    /// Logarithm of the prior probability times the evidence of the frame.
     evidence: f64,
 }
 
@@ -274,29 +284,31 @@ struct JumpSums {
     score: Vector6<f64>,
 }
 
-/// Those equations where the motion is eliminated.
+/// The same equations with the motion eliminated.
 #[derive(Debug)]
 struct WithoutMotion {
     instant_s: f64,
-    /// What the motion changes by for a jump that the frame is held to.
+    /// How much the estimated motion gives way per unit of jump, for the same frame.
     by_motion: SMatrix<f64, 18, 6>,
     information: Matrix6<f64>,
     pull: Vector6<f64>,
 }
 
-/// A jump of a size at an instant: how well it explains the frame, and what it comes to.
+/// A jump of a given prior size at an instant: how well it explains the frame, and its estimate.
 #[derive(Debug, Clone, Copy)]
 struct Tried {
-    /// Logarithm of likelihood times evidence, against none.
+    /// Logarithm of the prior probability times the evidence, relative to no jump.
     evidence: f64,
-    /// Whether the frame speaks for it at all. Otherwise the next frame is asked about it again, and the motion stays as sure as it is.
+    /// Whether the frame supports it at all. If not, the motion stays as certain as it is, and the
+    /// next frame tests it again.
     is_seen: bool,
     jump: Vector6<f64>,
     covariance: Matrix6<f64>,
 }
 
 impl JumpSums {
-    /// Eliminates the motion. That the light is free as well is left out: gains and a bend of the path hardly look alike.
+    /// Eliminates the motion. The light is free as well, which is ignored: gains and a bent path
+    /// hardly look alike.
     fn beside(&self, without: &WithoutJump) -> WithoutMotion {
         let by_motion = without.solved * self.shared;
         WithoutMotion {
@@ -309,7 +321,7 @@ impl JumpSums {
 }
 
 impl WithoutMotion {
-    /// Solves for the jump, of which `prior` is the information.
+    /// Solves for the jump. `prior`: its information.
     fn tried(&self, prior: &Vector6<f64>, likelihood: f64) -> Option<Tried> {
         let factor = (self.information + Matrix6::from_diagonal(prior)).cholesky()?;
         let jump = factor.solve(&self.pull);
@@ -318,13 +330,13 @@ impl WithoutMotion {
         Some(Tried { evidence: gain + likelihood.ln(), is_seen: gain > 0.0, jump, covariance: factor.inverse() })
     }
 
-    /// The pose at the stamp by the jump.
+    /// Returns the derivative of the pose at the stamp by the jump.
     fn pose_by_jump(&self) -> Matrix6<f64> {
-        // At the stamp, only a jump before it has moved the camera.
+        // At the stamp, only an earlier jump has moved the camera.
         Matrix6::from_diagonal_element((-self.instant_s).max(0.0)) - self.by_motion.fixed_rows::<6>(0)
     }
 
-    /// The motion after the frame by the jump.
+    /// Returns the derivative of the motion after the frame by the jump.
     fn motion_by_jump(&self) -> SMatrix<f64, 18, 6> {
         let mut motion_by_jump = -self.by_motion;
         for k in 0..6 {
@@ -338,7 +350,7 @@ impl WithoutMotion {
 /// Weighted sums over the members of a mixture, about the motion that did not jump.
 #[derive(Debug)]
 struct Members {
-    /// Logarithm of the evidence that has weight 1: the largest so far, against none.
+    /// Logarithm of the evidence that has weight 1: the largest so far, relative to no jump.
     largest: f64,
     weight: f64,
     pose: Vector6<f64>,
@@ -354,7 +366,7 @@ struct Moments {
 }
 
 impl Moments {
-    /// Of nothing.
+    /// Sums of nothing.
     fn zero() -> Self {
         Self { sum: Vector6::zeros(), squares: Matrix6::zeros() }
     }
@@ -366,7 +378,7 @@ impl Moments {
 }
 
 impl Members {
-    /// The motion that did not jump is the only one.
+    /// Starts with the motion that did not jump as the only member.
     fn none_jumped() -> Self {
         Self {
             largest: (1.0 - LIKELIHOOD).ln(),
@@ -378,7 +390,8 @@ impl Members {
         }
     }
 
-    /// Adds jumps at an instant, which differ in size: those more likely than [`NEGLIGIBLE`] beside the likeliest so far.
+    /// Adds the jumps at an instant, one per size. Those less likely than [`NEGLIGIBLE`], relative
+    /// to the likeliest so far, are dropped.
     fn add(&mut self, at: &WithoutMotion, tried: &[Option<Tried>; SIZES.len()]) {
         self.rescale(tried.iter().flatten().map(|t| t.evidence).fold(self.largest, f64::max));
         let (mut all, mut seen) = (Moments::zero(), None);
@@ -417,7 +430,7 @@ impl Members {
         self.motion_squares *= factor;
     }
 
-    /// Mean and covariance of them all. The negligible ones are as the mean of the others.
+    /// Returns mean and covariance of all members. Dropped members count as the mean of the others.
     fn part(&self, without: &WithoutJump) -> Part {
         let (pose, motion) = (self.pose / self.weight, self.motion / self.weight);
         Part {
@@ -430,7 +443,7 @@ impl Members {
     }
 }
 
-/// What one expectation makes of the pose at the stamp and of the motion after it, each with its covariance.
+/// One prior's result for the pose at the stamp and the motion after it, each with its covariance.
 #[derive(Debug)]
 struct Part {
     evidence: f64,
@@ -440,7 +453,7 @@ struct Part {
     motion_covariance: MotionMatrix,
 }
 
-/// Mean and covariance of the mixture of all expectations.
+/// Returns mean and covariance of the mixture of all priors.
 fn mix(parts: &[Option<Part>; EXPECTATIONS]) -> Option<Mixture> {
     let parts = || parts.iter().flatten();
     let largest = parts().map(|part| part.evidence).fold(f64::NEG_INFINITY, f64::max);

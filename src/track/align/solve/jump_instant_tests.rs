@@ -1,4 +1,4 @@
-//! Jumps of known instants and sizes, seen by rows that show exactly where they are.
+//! Jumps of known instants and sizes, in rows that show exactly where they are.
 
 use super::*;
 use crate::geometry::Pose;
@@ -9,10 +9,11 @@ const DISTANCE_M: f64 = 4.0;
 const ROLLING: Shutter = Shutter { readout_s: 0.014, exposure_s: 0.008 };
 const GLOBAL: Shutter = Shutter { readout_s: 0.0, exposure_s: 0.012 };
 const FRAME_S: f64 = 1.0 / 30.0;
-/// All bands together tell each coordinate of the pose to 0.1 mm or mrad.
+/// All bands together determine each coordinate of the pose to 0.1 mm or mrad.
 const INFORMATION: f64 = 1e8 / BANDS as f64;
 
-/// At rest, as known from the frames before: 0.1 mm and mrad, 20 mm/s and mrad/s, 1 m/s² and rad/s².
+/// At rest, as known from the frames before: 0.1 mm and mrad, 20 mm/s and mrad/s, 1 m/s² and
+/// rad/s².
 fn known() -> MotionMatrix {
     let sigma = |k: usize| [1e-4, 0.02, 1.0][k / 6];
     MotionMatrix::from_diagonal(&MotionError::from_fn(|k, _| f64::powi(sigma(k), -2)))
@@ -22,7 +23,8 @@ fn alone(information: MotionMatrix, error: MotionError) -> [Option<Expectation>;
     [Some(Expectation { information, error, likelihood: 1.0, covariance: None }), None]
 }
 
-/// What the bands of a camera show that rests and moves sideways from an instant on; nothing of it is explained yet.
+/// The bands of a camera that rests, and moves sideways from an instant on. No step has explained
+/// any of it yet.
 fn bands(shutter: Shutter, instant_s: f64, speed: f64) -> RowBands {
     let mut bands = RowBands::new(shutter);
     let filled = if shutter.readout_s == 0.0 { BANDS / 2..BANDS / 2 + 1 } else { 0..BANDS };
@@ -65,7 +67,7 @@ fn a_jump_is_found_at_its_instant() {
                     "{shutter:?} {instant_s} {speed}: {off} {sigma}"
                 );
                 if instant_s > 0.0 && speed.abs() < 0.5 {
-                    // Too small and too late to be seen: the next frame will show it.
+                    // Too small and too late to be seen; the next frame will show it.
                     continue;
                 }
                 assert!((found.motion[6] - speed).abs() < 0.1 + 0.15 * speed.abs(), "{instant_s} {speed}: {}", found.motion[6]);
@@ -104,7 +106,8 @@ fn a_camera_that_rests_stays_sure() {
 
 #[test]
 fn an_even_motion_before_tells_a_small_start_from_jerk() {
-    // A start at 0.05 m/s in the middle of the frame, a fifth of a millimetre, where jerk explains a whole one; the truth is no shift.
+    // A start at 0.05 m/s in the middle of the frame: a shift of a fifth of a millimetre, where
+    // jerk explains a whole one. The true shift at the stamp is zero.
     let jerky = MotionMatrix::from_diagonal(&MotionError::from_fn(|k, _| f64::powi([1e-3, 0.1, 5.0][k / 6], -2)));
     let shown = bands(ROLLING, 0.0, 0.05);
     let by_jerk = shown.mixture(alone(jerky, MotionError::zeros()), FRAME_S, DISTANCE_M).expect("regular");
@@ -113,7 +116,8 @@ fn an_even_motion_before_tells_a_small_start_from_jerk() {
     let by_both = shown.mixture(expectations, FRAME_S, DISTANCE_M).expect("regular");
     let off = |found: &Mixture| found.pose[0].abs();
     assert!(off(&by_both) < 0.7 * off(&by_jerk), "{} {}", off(&by_both), off(&by_jerk));
-    // Where the camera rests, jerk is hardly believed, and the pose is as sure as the even motion has it.
+    // Where the camera rests, jerk gets hardly any weight, and the pose is as certain as the
+    // uniform motion makes it.
     let rests = bands(ROLLING, 0.0, 0.0);
     let [wide, sure] = [alone(jerky, MotionError::zeros()), expectations]
         .map(|e| rests.mixture(e, FRAME_S, DISTANCE_M).expect("regular").motion_covariance[(6, 6)]);
@@ -133,11 +137,11 @@ fn what_is_no_motion_is_no_panic() {
     }
 }
 
-/// The mixture member by member, each from the normal equations of motion and jump together.
+/// The mixture computed member by member, each from the joint normal equations of motion and jump.
 fn member_by_member(bands: &RowBands, expectations: [Option<Expectation>; EXPECTATIONS], dt_s: f64) -> Mixture {
     type Both = SMatrix<f64, 24, 24>;
     let [speed, turn_rate, ..] = unseen(DISTANCE_M);
-    // Logarithm of likelihood times evidence; pose and motion with their covariances.
+    // Logarithm of prior probability times evidence; pose and motion with their covariances.
     let mut members = Vec::new();
     for expected in expectations.iter().flatten() {
         let without = bands.without_jump(expected, false).expect("regular");
@@ -160,7 +164,8 @@ fn member_by_member(bands: &RowBands, expectations: [Option<Expectation>; EXPECT
                 let spread: Matrix6<f64> = covariance.fixed_view::<6, 6>(18, 18).into();
                 let gain = 0.5 * (right.dot(&solved) - pull.dot(&without.correction))
                     + 0.5 * (spread.determinant().ln() + prior.map(f64::ln).sum());
-                // What the jump has moved: the pose at the stamp, and position and velocity after the frame.
+                // What the jump has moved: the pose at the stamp, and position and velocity after
+                // the frame.
                 let mut moved = SMatrix::<f64, 18, 24>::identity();
                 for k in 0..6 {
                     moved[(k, k + 18)] = -instant_s;
@@ -170,7 +175,7 @@ fn member_by_member(bands: &RowBands, expectations: [Option<Expectation>; EXPECT
                 for k in 0..6 {
                     at_stamp[(k, k + 18)] = (-instant_s).max(0.0);
                 }
-                // Beyond what the pose is unsure by without a jump.
+                // In excess of the pose's covariance without a jump.
                 let pose_covariance = at_stamp * covariance * at_stamp.transpose() - without.solved.fixed_view::<6, 6>(0, 0);
                 let (motion, motion_covariance) = if gain > 0.0 {
                     (moved * solved, moved * covariance * moved.transpose())
@@ -208,7 +213,7 @@ fn it_is_the_mixture_of_its_members() {
             let found = shown.mixture(expectations, FRAME_S, DISTANCE_M).expect("regular");
             let truth = member_by_member(&shown, expectations, FRAME_S);
             let sigma = truth.motion_covariance.diagonal().map(f64::sqrt);
-            // Members that are left out weigh NEGLIGIBLE each, and are some sigmas off.
+            // Each dropped member has at most the weight NEGLIGIBLE, and is off by some sigmas.
             let off = (found.motion - truth.motion).component_div(&sigma).amax();
             assert!(off < 1e-3, "{shutter:?} {instant_s} {speed}: motion off by {off} sigmas");
             let relative = |found: f64, truth: f64| ((found - truth) / truth).abs();

@@ -1,10 +1,10 @@
-//! One level is solved: all tiles together, for motion, light and point spread.
+//! Solves one pyramid level: all tiles together, for motion, light and point spread.
 //!
 //! - `system`: the linear system of one step
-//! - `level_problem`: linearise, weight, solve and judge one level
+//! - `level_problem`: linearises, weights, solves and judges one level
 //! - `tile_correlation`, `aperture`, `verdict`: whether tiles show the picture, and whether the
 //!   result may be reported
-//! - `jump_instant`: when a velocity that jumped did so
+//! - `jump_instant`: when a velocity jump happened
 //! - `shutter_clue`: what the solution says of the shutter
 //!
 //! Uses `align::kernel`.

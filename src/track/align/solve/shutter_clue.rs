@@ -1,44 +1,50 @@
-//! What aligned frames say of the shutter: clues that are gathered over many frames, never used within one.
+//! What aligned frames say of the shutter (readout and exposure). A clue is one frame's estimate
+//! with its information; clues are gathered over many frames and never used within one.
 
 use crate::motion::MotionError;
 use crate::track::align::learned::clue::Clue;
 
-/// What a frame says of the shutter it was taken with.
+/// One frame's clues on the shutter it was taken with.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ShutterClue {
     /// On the readout, seconds.
     pub readout: ReadoutClue,
-    /// How fast the picture moves through the frame, pixels per second: what the model is off shows in the rows beside that.
+    /// How fast the picture moves through the frame, pixels per second. An error of the model that
+    /// displaces rows by x pixels looks like a readout error of x over this speed.
     pub speed_px_s: f64,
-    /// On the exposure, as a share of itself; `None` where the frame is too sharp to tell.
+    /// On the exposure, relative to itself; `None` where the frame is too sharp to tell.
     pub exposure: Option<Clue>,
-    /// Whether the frame was solved as one of an unknown readout: its motion must not explain what a wrong one does.
+    /// Whether the frame was solved with the readout taken as unknown, so that no velocity jump
+    /// could absorb the effect of a wrong one.
     pub is_open: bool,
     /// Whether the readout may be learnt from it: the motion of the frame was predicted, and
     /// predicted fast enough.
     pub may_teach: bool,
 }
 
-/// What a frame says of the readout that it was solved with.
+/// One frame's clue on the readout that it was solved with.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReadoutClue {
-    /// The change that the rows ask for where the expected motion is taken as given, seconds.
+    /// The change of readout that the rows ask for with the predicted motion taken as given,
+    /// seconds.
     pub clue: Clue,
-    /// Share of a change that shows in that: the expected motion, learnt with the same readout, hides the rest.
+    /// Fraction of a readout change that shows in `clue`. The predicted motion was estimated with
+    /// the same readout and hides the rest.
     pub shown: f64,
-    /// Derivative of the motion that was found by the readout, per second.
+    /// Derivative of the solved motion by the readout, per second.
     pub motion_by_readout: MotionError,
 }
 
-/// How a frame is asked for its readout.
+/// A request for a frame's clue on its readout.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReadoutQuestion {
-    /// Derivative of the expected motion by the readout that the frames before were solved with, per second.
+    /// Derivative of the predicted motion by the readout that the frames before were solved with,
+    /// per second.
     pub expected_by_readout: MotionError,
-    /// Whether the readout may be so far off that a velocity which jumps would explain it.
+    /// Whether the readout may be so far off that a velocity jump would explain it.
     pub is_open: bool,
     /// Whether the readout may be learnt from the answer. Otherwise it only widens the covariance.
     pub may_teach: bool,
-    /// There is no answer from a frame that moves more slowly, pixels per second.
+    /// Minimum speed of the picture, pixels per second; a slower frame gives no answer.
     pub min_speed_px_s: f64,
 }

@@ -1,25 +1,25 @@
-//! How a tile compares with its prediction when its gain and bias are left open: what tells tiles that show the stage from those that
-//! show something else, before anything is solved.
+//! How well a tile correlates with its prediction while its gain and bias are free. This separates
+//! tiles that show the stage from those that show something else, before anything is solved.
 
 use crate::track::align::learned::noise::Noise;
 
 /// A run compared with its prediction, gain and bias free.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct TileCorrelation {
-    /// Correlation, corrected for what noise takes of it.
+    /// Correlation, corrected for the attenuation by noise.
     pub correlation: f32,
-    /// Mean grey predicted.
+    /// Mean predicted grey.
     pub predicted: f32,
-    /// Mean grey seen.
+    /// Mean observed grey.
     pub seen: f32,
-    /// Of the line between them.
+    /// Intercept of the regression line of observed on predicted grey.
     pub bias: f32,
-    /// Whether the run takes part.
+    /// Whether the run takes part in the solution.
     pub is_open: bool,
 }
 
 impl TileCorrelation {
-    /// From the sums of a run.
+    /// Computes it from a run's sums: count, predicted, observed, their squares, and their product.
     pub fn new(moments: &[f64; 6], noise: &Noise) -> Self {
         let n = moments[0].max(1.0);
         let [_, p, s, pp, ss, ps] = moments.map(|m| m / n);
@@ -32,7 +32,7 @@ impl TileCorrelation {
     }
 }
 
-/// The upper median; `None` of nothing. The values are left in another order.
+/// Returns the upper median; `None` if there are no values. Reorders the values.
 pub fn median(values: &mut [f32]) -> Option<f64> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1))

@@ -1,8 +1,8 @@
-//! What the blur of a level's pixels says of a velocity.
+//! Solves for a velocity by the motion blur of a level's pixels.
 //!
-//! A step of alignment takes its slopes from where the picture is; this takes them from how it is smeared. How the pixels' grey changes with the velocity stands
-//! where the columns of the pose stand in the step of an alignment, so that light and point spread are solved for beside it, and what stands in front
-//! weighs as little.
+//! An alignment step takes its slopes from where the picture is; this one takes them from how it is
+//! smeared. The derivatives by the velocity replace the columns of the pose in the system of an
+//! alignment. So light and point spread are solved for as well, and occluders get as little weight.
 
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3, Vector6};
 
@@ -15,34 +15,36 @@ use crate::track::align::pixels::level_spec::LevelSpec;
 use crate::track::align::pixels::level_spec::TileTime;
 use crate::track::align::solve::system::Prior;
 
-/// Reweightings of a step. Chosen: as many as an alignment's.
+/// Reweightings of a step, as many as an alignment's. Raised, a step costs more; lowered, occluders
+/// weigh more.
 const PASSES: usize = 2;
-/// Prior information of the unknowns that are not asked, and of the squared blur. It keeps the system regular; of the squared blur it is less than a few pixels
-/// have. Raised, blur is found too short.
+/// Prior information of the unknowns that are not asked, and of the squared blur; they keep the
+/// system regular. Raised, blur is found too short.
 const UNASKED: f64 = 1.0;
 const SQUARED_BLUR_INFORMATION: f64 = 1e-6;
 
-/// What is known of a velocity before its blur is asked.
+/// What is known before a velocity is estimated by its blur.
 pub struct KnownVelocity {
     /// Information of [v, ω] about the linearisation.
     pub information: Matrix6<f64>,
-    /// The point spread, and one sigma of it.
+    /// The point spread's variance, and one sigma of it.
     pub psf_variance: f64,
     /// See `psf_variance`.
     pub psf_variance_sigma: f64,
 }
 
-/// Where blur leads a velocity.
+/// A step of a velocity by its blur.
 pub struct VelocityStep {
-    /// Correction of [v, ω].
+    /// Correction of [v, ω], m/s and rad/s.
     pub step: Vector6<f64>,
-    /// Covariance of the corrected velocity by noise, with what was known of it.
+    /// Covariance of the corrected velocity: noise, with the prior.
     pub covariance: Matrix6<f64>,
 }
 
 impl LevelProblem {
-    /// A step towards the velocity that the pixels' blur shows, from that of `motion`. Those of [v, ω] that are not `asked` stay. Nothing can be asked of the pixels'
-    /// solution after.
+    /// Returns a step towards the velocity that the pixels' blur shows, from that of `motion`.
+    /// Components of [v, ω] that are not `asked` stay. Invalidates the level's solution. `None`
+    /// where the system is singular.
     pub fn velocity_step(
         &mut self,
         spec: &LevelSpec,
@@ -59,8 +61,9 @@ impl LevelProblem {
         self.blur_step(spec, &information, known)
     }
 
-    /// The squared blur that is missing from a prediction without any: second moments of the turn rate across and down the frame, in units of `turn_rate`
-    /// squared, and their covariance (xx, yy, xy).
+    /// Returns the squared blur that a prediction without blur lacks: second moments (xx, yy, xy)
+    /// of the angular velocity across and down the frame, in units of `turn_rate` (rad/s) squared,
+    /// and their covariance. `None` where the system is singular.
     pub fn missing_blur(
         &mut self,
         spec: &LevelSpec,
@@ -90,7 +93,7 @@ impl LevelProblem {
         Some((step.fixed_rows::<3>(0).into_owned(), covariance.fixed_view::<3, 3>(0, 0).into_owned()))
     }
 
-    /// A step with what stands in the place of the pose's columns.
+    /// Solves for a step with the columns that replace the pose's.
     fn blur_step(&mut self, spec: &LevelSpec, information: &MotionMatrix, known: &KnownVelocity) -> Option<VelocityStep> {
         (self.at, self.solved) = (None, None);
         let prior = Prior {
@@ -116,7 +119,8 @@ impl LevelProblem {
     }
 }
 
-/// The turn rate that moves the picture along a direction of the frame (x right, y down), camera axes.
+/// Returns the angular velocity, in camera axes, that moves the picture along a direction of the
+/// frame (x right, y down).
 pub fn along_frame(direction: &Vector2<f64>) -> Vector3<f64> {
     Vector3::new(direction.y, -direction.x, 0.0)
 }

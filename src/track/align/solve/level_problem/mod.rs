@@ -1,7 +1,12 @@
-//! One level at work: its pixels, what they should look like, what they say, and the system that they make.
+//! The problem of one pyramid level: its selected pixels, their prediction, their residuals, and
+//! the linear system that they form.
 //!
-//! All that is known of a choice of pixels lives and ends with it: [`LevelProblem::lay_out`] begins anew, and there is nothing to conclude until
-//! these pixels were predicted and solved.
+//! The order is [`LevelProblem::lay_out`], then [`predict`](LevelProblem::predict), then
+//! [`solve`](LevelProblem::solve), then [`solution`](LevelProblem::solution). `solve` gates the
+//! tiles, linearises, and reweights. Everything that depends on a selection of pixels ends with it:
+//! `lay_out` discards it, and there is no solution until the new pixels were predicted and solved.
+//! `blur` solves for a velocity by motion blur, `solution` draws conclusions from a solved level,
+//! and `patches` finds correspondences.
 
 use nalgebra::Vector3;
 
@@ -28,45 +33,44 @@ use crate::track::align::pixels::selection::Selector;
 use crate::track::frame::frame_levels::{FINEST, FrameLevels};
 use solution::LevelSolution;
 
-/// Fewest pixels that a level is solved with. Chosen, not tuned: three for each of a motion's 18 unknowns. Raised, pictures seen small are
-/// given up, or begun at finer levels; lowered, the expectation decides what is found.
+/// Minimum pixels of a level. Raised, pictures seen small are given up or started at finer levels;
+/// lowered, the prior decides the result.
 const MIN_PIXELS: usize = 60;
-/// Runs that correlate less with their prediction show something else; the better half takes part even so, unless others bear the pose out. The same limit as
-/// that of tiles that agree (`verdict`). Raised, tiles in haze or glare are left out; lowered, people in front of the stage pull the pose.
+/// Minimum correlation of a run with its prediction; the better half always takes part. Raised,
+/// tiles in haze or glare are excluded; lowered, people in front of the stage pull the pose.
 const MIN_CORRELATION: f32 = 0.9;
-/// Runs that correlate better tell of the bias in the first guess of the light, and of what is covered. Chosen, not tuned: below `MIN_CORRELATION`, as nothing
-/// correlates well from a start that is off, and as high as something else by chance. Raised, too few runs are left; lowered, runs of something else take part.
+/// Correlation of runs that count for the bias of the first guess, and for occlusion. Raised, too
+/// few runs are left; lowered, runs of something else take part.
 const TELLING_CORRELATION: f32 = 0.8;
-/// Largest bias of that guess, grey levels: one sigma of the solution's (`BIAS_SIGMA` in `system`). Raised, a line through runs with little
-/// contrast can leave nearly no gain.
+/// Maximum bias of that guess, grey levels. Raised, a line through runs with little contrast can
+/// leave almost no gain; lowered, haze is guessed too thin.
 const MAX_BIAS: f64 = 60.0;
-/// Fewest residuals that their robust spread is taken from, where there are as many: it is then known to 3 %. Raised, the median costs
-/// more.
+/// Minimum residuals from which their robust spread is taken, if there are as many. Raised, the
+/// median costs more; lowered, the spread is less certain.
 const SCALE_SAMPLES: usize = 1500;
-/// Pixels that a rough step rests on, from which only the next one's weights are taken, and the estimate of the noise. Runs are stepped
-/// over by at most `MAX_STRIDE` groups of them, so that long ones keep some. `ROUGH_PIXELS` raised, frames cost more; lowered, the
-/// weights are worse. Chosen: a quarter of the usual pixels.
+/// Pixels of a rough step, used only for weights and noise, and maximum stride over groups of
+/// pixels. Raised, frames cost more; lowered, the weights are worse.
 const ROUGH_PIXELS: usize = 2500;
 const MAX_STRIDE: usize = 16;
 
-/// Runs that correlate less show something else. Where half of those that do not tell do so, and enough others bear the pose out, the body is covered. Chosen: people before d-actors
-/// are below it, and what a lens that is a little off displaces (postcard-67) is above. Raised, the latter passes for covers, and the pose follows the runs that fit
-/// from frame to frame; lowered, people in front of the stage pull the pose.
+/// Correlation below which a run shows something else. Raised, a lens error passes for occlusion;
+/// lowered, people in front of the stage pull the pose.
 const COVERED_CORRELATION: f32 = 0.5;
 
-/// What is expected of the motion.
+/// The prior of the motion and of the point spread.
 #[derive(Clone, Copy)]
 pub struct Expected<'a> {
-    /// Best guess.
+    /// The predicted motion.
     pub motion: &'a Motion,
     /// Its information.
     pub information: &'a MotionMatrix,
-    /// The slow average of the point spread, and one sigma about it.
+    /// The slow average of the point spread's variance, and one sigma about it.
     pub psf_variance: f64,
     /// See `psf_variance`.
     pub psf_variance_sigma: f64,
-    /// Whether what differs from the body is in front of it: it was seen there just now, or much of it is seen where it was found. Else it may be another, or of another size, and a part
-    /// of it that fits by chance must not be taken for what is seen of it.
+    /// Whether whatever differs from the body is in front of it: it was seen there in the frame
+    /// before, or much of it is seen where it was found. Otherwise it may be another body, or of
+    /// another size, and a part that fits by chance must not be taken for its visible part.
     pub is_sure: bool,
 }
 
@@ -79,7 +83,7 @@ struct Picture {
 }
 
 impl Picture {
-    /// When a run was exposed.
+    /// Returns when a run was exposed.
     fn time(&self, spec: &LevelSpec, run: &Run) -> TileTime {
         let middle = (run.start + run.end) / 2;
         let delay_s = f64::from(self.pixels.delay_s[middle as usize]);
@@ -91,32 +95,32 @@ impl Picture {
     }
 }
 
-/// A run of the pixels with all that it came to so far.
+/// A run of pixels with its results so far.
 #[derive(Debug, Default)]
 pub struct RunAtWork {
-    /// Its place.
+    /// Its pixels.
     pub run: Run,
-    /// What it showed at the solution.
+    /// Its evidence at the solution.
     pub evidence: RunEvidence,
     /// The light of its residuals.
     light: TileLight,
-    /// How it correlates with its prediction, and whether it takes part.
+    /// Its correlation with its prediction, and whether it takes part.
     gate: TileCorrelation,
     /// The last step of its columns.
     step: TileStep,
-    /// What it said in the last pass; of open runs.
+    /// Its equations in the last pass; only of open runs.
     equations: TileEquations,
 }
 
-/// A level: its pixels, where they are linearised, and what they were solved to.
+/// A level: its pixels, where they are linearised, and their solution. Keeps its buffers.
 #[derive(Debug, Default)]
 pub struct LevelProblem {
     picture: Picture,
     /// The runs of the pixels.
     runs: Vec<RunAtWork>,
-    /// Where the pixels were predicted.
+    /// The motion that the pixels were predicted for.
     at: Option<Motion>,
-    /// Where that prediction led.
+    /// The solution of that prediction.
     solved: Option<Corrected>,
     products: Box<ProductBuffer>,
     system: System,
@@ -124,24 +128,26 @@ pub struct LevelProblem {
     sorted: Vec<f32>,
 }
 
-/// Whether tiles that correlate like this show a body of which more than half may be covered: enough tell of it, and most others show something else.
+/// Whether tiles with these correlations show a body of which more than half may be occluded:
+/// enough tiles fit, and most others show something else.
 fn is_covered(correlations: &[f32]) -> bool {
     let telling = correlations.iter().filter(|correlation| **correlation > TELLING_CORRELATION).count();
     let others = correlations.iter().filter(|correlation| **correlation < COVERED_CORRELATION).count();
     are_sure(telling, correlations.len()) && 2 * others >= correlations.len() - telling
 }
 
-/// Where the linearisation led.
+/// The result of a linearisation.
 #[derive(Debug, Clone, Copy)]
 pub struct Corrected {
-    /// The motion.
+    /// The corrected motion.
     pub motion: Motion,
-    /// Robust standard deviation of the residuals, in sigmas.
+    /// Robust standard deviation of the residuals, in sigmas of noise.
     pub scale: f64,
 }
 
 impl LevelProblem {
-    /// Chooses and lays out the pixels of the level, in the light that is remembered; false where there are too few.
+    /// Selects and lays out the pixels of the level, in the remembered light. Returns false if
+    /// there are too few.
     pub fn lay_out(
         &mut self,
         spec: &LevelSpec,
@@ -165,28 +171,28 @@ impl LevelProblem {
         true
     }
 
-    /// The pixels.
+    /// Returns the pixels.
     pub fn pixels(&self) -> &Pixels {
         &self.picture.pixels
     }
 
-    /// Where the last prediction of these pixels led; `None` before it is solved.
+    /// Returns the solution of the last prediction; `None` before it is solved.
     pub fn solution(&mut self) -> Option<LevelSolution<'_>> {
         Some(LevelSolution { found: self.solved?, problem: self })
     }
 
-    /// Goes back to a light that is remembered.
+    /// Restores a remembered light.
     pub fn recall_light(&mut self, light: &RememberedLight) {
         self.picture.pixels.recall_light(light);
     }
 
-    /// Predicts all pixels.
+    /// Predicts all pixels for a motion.
     pub fn predict(&mut self, spec: &LevelSpec, motion: &Motion) {
         self.predict_each(spec, motion, predict);
         self.at = Some(*motion);
     }
 
-    /// Predicts all pixels, and how they change with the velocity.
+    /// Predicts all pixels, and their derivatives by the velocity.
     fn predict_by_velocity(&mut self, spec: &LevelSpec, motion: &Motion) {
         self.picture.appearance.make_room_for_velocity();
         self.predict_each(spec, motion, predict_by_velocity);
@@ -202,7 +208,8 @@ impl LevelProblem {
         }
     }
 
-    /// Predicts the same pixels once more after a step, and says what that changed beside what the slopes predicted.
+    /// Predicts the same pixels again after a step. Returns how much the intensities changed,
+    /// against the change that the slopes predicted.
     pub fn predict_again(&mut self, spec: &LevelSpec, motion: &Motion) -> ChangeSums {
         self.predicted_change.resize(self.pixels().len());
         let appearance = &self.picture.appearance;
@@ -214,7 +221,7 @@ impl LevelProblem {
         self.predicted_change.compare(&self.picture.appearance.intensity, &self.picture.pixels.counts)
     }
 
-    /// Residuals of all runs in the light of their pixels.
+    /// Computes the residuals of all runs in the light of their pixels.
     fn residuals_all(&mut self, noise: &Noise) {
         let Picture { pixels, appearance, residuals: out } = &mut self.picture;
         for r in &mut self.runs {
@@ -224,24 +231,27 @@ impl LevelProblem {
         }
     }
 
-    /// How far the picture moved since the prediction, pixels of the level; infinite where there is none.
+    /// Returns how far the picture moved since the prediction, pixels of the level; infinite before
+    /// the first one.
     pub fn moved_since(&self, spec: &LevelSpec, motion: &Motion) -> f64 {
         self.at.map_or(f64::INFINITY, |at| self.moved_px(spec, &at, motion))
     }
 
-    /// The motion that the pixels' prediction is of; `None` before the first.
+    /// Returns the motion that the pixels were predicted for; `None` before the first prediction.
     pub fn predicted_at(&self) -> Option<Motion> {
         self.at
     }
 
-    /// Keeps the pixels and their prediction for a new frame.
+    /// Keeps the pixels and their prediction for a new frame, and reads its intensities.
     pub fn renew(&mut self, spec: &LevelSpec, frame: &mut FrameLevels) {
         self.solved = None;
         self.picture.pixels.see(spec.level, frame.level(spec.level));
     }
 
-    /// Solves the linearised problem, iteratively reweighted, and corrects the light, which is remembered. `passes`: reweightings; the first
-    /// with weights that never vanish if `is_first`.
+    /// Solves the linearised problem, iteratively reweighted, and corrects the light, which is
+    /// remembered in `light`. `passes`: number of reweightings; if `is_first`, the first one has
+    /// weights that never vanish. `None` where nothing was predicted, the system is singular or the
+    /// motion is not finite.
     pub fn solve(
         &mut self,
         spec: &LevelSpec,
@@ -258,7 +268,8 @@ impl LevelProblem {
             psf_variance: expected.psf_variance,
             psf_variance_sigma: expected.psf_variance_sigma,
         };
-        // From a start that is off, nothing correlates well yet: at the finest level it hardly is.
+        // From a start that is off, nothing correlates well yet. At the finest level it is hardly
+        // off.
         let may_be_covered = expected.is_sure && !is_first && spec.level == FINEST;
         self.gate_tiles(&spec.noise, may_be_covered);
         let scale = self.reweight(spec, &prior, spec.same_time(), is_first, passes)?;
@@ -270,8 +281,9 @@ impl LevelProblem {
         self.solved
     }
 
-    /// Solves for the step of the gated tiles from the linearisation, iteratively reweighted, and gives the robust standard deviation of the residuals that it leaves, in
-    /// sigmas. `same_time`: of all tiles, where it is the same.
+    /// Solves for the step of the gated tiles from the linearisation, iteratively reweighted.
+    /// Returns the robust standard deviation of the residuals that it leaves, in sigmas.
+    /// `same_time`: the time of all tiles, where it is the same.
     fn reweight(&mut self, spec: &LevelSpec, prior: &Prior, same_time: Option<TileTime>, is_first: bool, passes: usize) -> Option<f64> {
         self.residuals_all(&spec.noise);
         let mut scale = self.scale();
@@ -282,7 +294,7 @@ impl LevelProblem {
             let light = picture.pixels.light();
             system.begin(light, prior, same_time);
             let weight = scale.powi(-2) * stride as f64;
-            // A rough step, which only weights are taken from, needs no times of rows.
+            // A rough step is used only for weights, so it ignores the times of rows.
             let is_rolling = same_time.is_none() && pass + 1 == passes;
             for r in runs.iter_mut().filter(|r| r.gate.is_open) {
                 let (time, step) = (same_time.unwrap_or_else(|| picture.time(spec, &r.run)), &r.step.columns);
@@ -299,24 +311,25 @@ impl LevelProblem {
         Some(scale)
     }
 
-    /// Whether the solution shows a body of which more than half may be covered.
+    /// Whether the solution shows a body of which more than half may be occluded.
     pub fn may_be_covered(&mut self) -> bool {
         self.sorted.clear();
         self.sorted.extend(self.runs.iter().map(|r| r.gate.correlation));
         is_covered(&self.sorted)
     }
 
-    /// Share of the runs that take part.
+    /// Returns the ratio of runs that take part.
     pub fn open_share(&self) -> f64 {
         self.runs.iter().filter(|r| r.gate.is_open).count() as f64 / self.runs.len().max(1) as f64
     }
 
-    /// Stride over groups of pixels that is fine enough for weights and for the noise.
+    /// Returns the stride over groups of pixels that is fine enough for weights and for the noise.
     fn rough_stride(&self) -> usize {
         (self.pixels().len() / ROUGH_PIXELS).clamp(1, MAX_STRIDE)
     }
 
-    /// Squared whitened residuals that the last step left in the open runs, of one group of pixels in `stride`.
+    /// Returns the squared whitened residuals that the last step left in the open runs, of one
+    /// group of pixels in `stride`.
     fn squares(&mut self, stride: usize) -> &mut [f32] {
         self.sorted.clear();
         for r in self.runs.iter().filter(|r| r.gate.is_open) {
@@ -325,14 +338,15 @@ impl LevelProblem {
         &mut self.sorted
     }
 
-    /// Robust standard deviation of the residuals that the last step left, in sigmas.
+    /// Returns the robust standard deviation of the residuals that the last step left, in sigmas.
     fn scale(&mut self) -> f64 {
         let stride = (self.pixels().len() / SCALE_SAMPLES).max(1);
         median(self.squares(stride)).map_or(1.0, |middle| (middle.sqrt() * 1.4826).max(0.7))
     }
 
-    /// Gates the tiles: those that correlate too little with their prediction, whatever its gain and bias, show something else and are left out.
-    /// `may_be_covered`: whether so few may show the body that the better half does not.
+    /// Gates the tiles: those that correlate too little with their prediction, at any gain and
+    /// bias, show something else and are excluded. `may_be_covered`: whether more than half of the
+    /// tiles may be excluded.
     fn gate_tiles(&mut self, noise: &Noise, may_be_covered: bool) {
         let Picture { pixels, appearance, .. } = &self.picture;
         self.sorted.clear();
@@ -341,7 +355,8 @@ impl LevelProblem {
             self.sorted.push(r.gate.correlation);
         }
         let is_covered = may_be_covered && is_covered(&self.sorted);
-        // The better half. But where more than that is covered, what covers it pulls the pose, and the tiles beside it that show some of both do.
+        // At least the better half takes part. But if more than that is occluded, the occluder
+        // pulls the pose, and so do the tiles at its edge.
         let least = median(&mut self.sorted).map_or(MIN_CORRELATION, |middle| MIN_CORRELATION.min(middle as f32));
         let least = if is_covered { least.max(TELLING_CORRELATION) } else { least };
         for r in &mut self.runs {
@@ -349,7 +364,8 @@ impl LevelProblem {
         }
     }
 
-    /// The light from the open runs: the median of their biases, then each tile's mean grey. Means do not mind a start that is off.
+    /// Guesses the light from the open runs: the median of their biases, then each tile's mean
+    /// grey. Means are insensitive to a start that is off.
     pub fn guess_light(&mut self, spec: &LevelSpec, psf_variance: f64) {
         self.gate_tiles(&spec.noise, false);
         let Self { picture, runs, sorted, .. } = self;
@@ -366,7 +382,7 @@ impl LevelProblem {
         picture.pixels.guess_light(bias, psf_variance, usual, tiles);
     }
 
-    /// Largest movement of a tile's middle between two motions, pixels of the level.
+    /// Returns the maximum movement of a tile's middle between two motions, pixels of the level.
     pub fn moved_px(&self, spec: &LevelSpec, before: &Motion, after: &Motion) -> f64 {
         let focal = spec.rays.camera().intrinsics().fx / f64::from(1u32 << spec.level);
         let pixels = self.pixels();

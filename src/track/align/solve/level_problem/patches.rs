@@ -1,4 +1,6 @@
-//! Patches: where on its surface each tile's detail lies, and how far from where the solution puts it the frame shows it.
+//! Patches: for each tile, where its detail lies on its surface, and how far the frame shows it
+//! from where the solution puts it. They are the correspondences that later checks of the model
+//! use.
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
@@ -12,26 +14,25 @@ use crate::track::align::picture::surface::AlignSurface;
 use crate::track::align::pixels::appearance::predict;
 use crate::track::align::pixels::level_spec::SHARP_FRAME_PX;
 
-/// Patches are sampled again, shifted, where their mean shift exceeds this, pixels of the level; and until a round corrects them by less than the second in the mean; and how often at most. Chosen:
-/// below the first one linear step is right. Following them made the corner error of `homography` on postcard-161 0.35 instead of 0.60 pixels. Of each correction a fifth is missing: with 0.03 for the
-/// second, shifts are a tenth too short, and NEES/6 of d-cloth is 3.0 instead of 2.4. Lowered, or `PATCH_ROUNDS` raised, frames of a camera whose calibration is off cost more.
+/// Mean shift from which patches are sampled again, correction that ends it (pixels of the level),
+/// maximum rounds. First two lowered, or rounds raised, miscalibrated cameras cost more.
 const SMALL_SHIFT_PX: f64 = 0.05;
 const SMALL_CORRECTION_PX: f64 = 0.015;
 const PATCH_ROUNDS: usize = 3;
-/// Fewest fitting pixels of a patch: as many as a tile needs to agree (`verdict`). Raised, pictures seen small have fewer correspondences;
+/// Minimum fitting pixels of a patch. Raised, pictures seen small have fewer correspondences;
 /// lowered, some of them are chance.
 const MIN_PATCH_PIXELS: f64 = 12.0;
 
 /// A patch of the reference and where the frame shows it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Patch {
-    /// Surface index in the body.
+    /// Index of the surface in the body.
     pub surface: u32,
     /// Its middle on the surface, metres from the centre (x right, y up).
     pub on_surface_m: Vector2<f64>,
-    /// Its middle in the frame, where the pose puts it, pixels.
+    /// Its middle in the frame as the pose has it, pixels.
     pub centre_px: Vector2<f64>,
-    /// How far from where the pose puts it the frame shows it, pixels of the frame.
+    /// Its displacement in the frame from there, pixels.
     pub shift_px: Vector2<f64>,
     /// Information of the shift, pixels^-2.
     pub information: Matrix2<f64>,
@@ -42,14 +43,16 @@ pub struct Patch {
 }
 
 impl LevelSolution<'_> {
-    /// Adds the patches that fit, one a tile. Looking for them changes the pixels' rays, so that nothing can be asked of the solution after.
-    /// `shifts`: a buffer.
+    /// Appends the patches that fit, at most one per tile. Consumes the solution, as sampling them
+    /// changes the pixels' rays. `shifts`: a buffer.
     pub fn patches(self, spec: &LevelSpec, shifts: &mut Vec<Vector2<f64>>, patches: &mut Vec<Patch>) {
-        // Not the motion that is given: after a jump within the frame that is the one of its last rows.
+        // Not the reported motion: after a jump within the frame that is the motion of its last
+        // rows.
         let Self { found: Corrected { motion, scale: mut sigmas }, problem } = self;
         shifts.clear();
         shifts.extend(problem.runs.iter().map(|r| patch_shift(&r.evidence).map_or(Vector2::zeros(), |(shift, _)| shift)));
-        // One linear step is right for small shifts. Where the calibration or the survey is off, patches must be followed.
+        // One linear step is right for small shifts. Where the calibration or the survey is off,
+        // patches must be followed.
         let runs = problem.runs.len().max(1) as f64;
         let mut moved_px = shifts.iter().map(|s| s.norm()).sum::<f64>() / runs;
         let mut least_px = SMALL_SHIFT_PX;
@@ -68,7 +71,8 @@ impl LevelSolution<'_> {
             least_px = SMALL_CORRECTION_PX;
         }
         let scale = spec.frame_px();
-        // Blur that is not quite as predicted scatters the pixels of a patch as noise does. What a sharp frame leaves is of the model.
+        // An error in the predicted blur scatters the pixels of a patch as noise does. The
+        // residuals of a sharp frame come from the model.
         let is_blurred = spec.blur_px * scale > SHARP_FRAME_PX;
         let scatter = if is_blurred { sigmas.max(1.0).powi(-2) } else { 1.0 };
         for (r, shift) in problem.runs.iter().zip(shifts) {
@@ -78,7 +82,8 @@ impl LevelSolution<'_> {
             patches.push(Patch {
                 surface: r.run.surface,
                 on_surface_m,
-                // A pixel of the level covers so many of the frame's, whose centres are at whole numbers.
+                // A pixel of the level covers `scale` by `scale` of the frame's, whose centres are
+                // at whole numbers.
                 centre_px: Vector2::new(u, v) * (scale / weight) + Vector2::repeat(0.5 * (scale - 1.0)),
                 shift_px: *shift * scale,
                 information: structure * (scatter / (scale * scale)),
@@ -90,8 +95,8 @@ impl LevelSolution<'_> {
 }
 
 impl LevelProblem {
-    /// Predicts every run as if the frame showed it shifted (pixels of the level), and looks at it again. Gives the robust standard deviation of the residuals,
-    /// in sigmas.
+    /// Predicts every run as if the frame showed it shifted (pixels of the level), and updates its
+    /// evidence. Returns the robust standard deviation of the residuals, in sigmas.
     fn sample_shifted(&mut self, spec: &LevelSpec, motion: &Motion, shifts: &[Vector2<f64>]) -> f64 {
         self.at = None;
         let pixels = &mut self.picture.pixels;
@@ -113,9 +118,10 @@ impl LevelProblem {
         scale
     }
 
-    /// Where the middle of a run's detail lies on its surface, metres from the centre.
+    /// Returns where the middle of a run's detail lies on its surface, metres from the centre.
+    /// `None` if its ray misses the surface.
     fn middle_on_surface(&self, r: &RunAtWork, surface: &AlignSurface, motion: &Motion) -> Option<Vector2<f64>> {
-        // The pixel nearest to the middle stands for it: its ray is known exactly.
+        // The pixel nearest to the middle represents it, as its ray is known exactly.
         let [weight, u, v] = r.evidence.place;
         let (u, v) = ((u / weight) as f32, (v / weight) as f32);
         let pixels = self.pixels();
@@ -131,14 +137,15 @@ impl LevelProblem {
     }
 }
 
-/// How far off the frame shows a tile (pixels of the level), and the information of that; `None` where too little of it fits or its
-/// detail runs one way only.
+/// Returns a tile's displacement in the frame (pixels of the level) and its information. `None`
+/// where too little of the tile fits, or its detail runs in one direction only.
 fn patch_shift(e: &RunEvidence) -> Option<(Vector2<f64>, Matrix2<f64>)> {
     let [aa, ab, bb, ra, rb] = e.shift;
     if e.inliers < MIN_PATCH_PIXELS || 2.0 * e.inliers < e.count || aa * bb - ab * ab < 0.02 * (aa + bb).powi(2) {
         return None;
     }
     let structure = Matrix2::new(aa, ab, ab, bb);
-    // Predicted intensity at u shows what the frame has at u + shift: the residual is -gradient times shift.
+    // Predicted intensity at u shows what the frame has at u + shift: the residual is -gradient
+    // times shift.
     Some((-(structure.try_inverse()? * Vector2::new(ra, rb)), structure))
 }

@@ -1,4 +1,5 @@
-//! A level that was solved: what only a solution can be asked.
+//! A solved level, with the queries that only a solution can answer: the estimate and its
+//! covariance, agreement of tiles, noise, gradients, the clue on the readout, and the pixels used.
 
 use nalgebra::{Matrix6, Vector6};
 
@@ -17,37 +18,39 @@ use crate::track::align::solve::system::schur_complement::{SchurComplement, Solv
 use crate::track::align::solve::verdict::agreement;
 use crate::track::frame::frame_levels::Level;
 
-/// Largest squared residual that counts, sigmas²: beyond three sigmas a pixel shows something else, and its size says nothing of the fit.
-/// Raised, what stands in front of the stage has a say in how pictures were enlarged.
+/// Maximum squared residual, sigmas²; larger ones count as this. Raised, occluders influence the
+/// choice of enlargement; lowered, fewer pixels decide it.
 const MAX_MISFIT: f32 = 9.0;
 
 /// A solved level.
 pub struct LevelSolution<'a> {
-    /// Where its linearisation led.
+    /// The result of its linearisation.
     pub found: Corrected,
     pub(super) problem: &'a mut LevelProblem,
 }
 
-/// What the tiles of a solved level say of it.
+/// Conclusions from the tiles of a solved level.
 #[derive(Debug, Clone, Copy)]
 pub struct Conclusion {
-    /// The motion, and what noise and expectation leave open of it.
+    /// The motion, with its covariance by noise and prior.
     pub estimate: MotionEstimate,
-    /// Covariance of the pose: by noise, or by the scatter of the tiles' votes where that is larger.
+    /// Covariance of the pose: by noise, or by the scatter of the tiles' votes where that is
+    /// larger.
     pub covariance: Matrix6<f64>,
-    /// Pixels that fit, and their squared residuals over squared gradients, pixels².
+    /// Number of pixels that fit, and the sum of their squared residuals over squared gradients,
+    /// pixels² of the level.
     pub inliers: f64,
     /// See `inliers`.
     pub squared_px: f64,
-    /// Tiles with detail, and those that agree.
+    /// Number of tiles with detail, and of those that agree.
     pub tiles: usize,
     /// See `tiles`.
     pub agreeing: usize,
-    /// Sums of what the tiles say of blur and point spread, as in their evidence.
+    /// Sums over the tiles' evidence on blur and point spread.
     pub blur: [f64; 5],
 }
 
-/// How far the votes of single tiles scatter, which are not as independent as their pixels.
+/// The scatter of single tiles' votes. Tiles are less independent than their pixels suggest.
 #[derive(Debug, Default)]
 pub struct VoteScatter {
     squares: Matrix6<f64>,
@@ -61,7 +64,8 @@ impl VoteScatter {
         self.votes += 1.0;
     }
 
-    /// Covariance of what was voted on: by noise, or by the scatter where that is larger. `None` where that by noise is singular.
+    /// Returns the covariance of what was voted on: by noise, or by the scatter where that is
+    /// larger. `None` where that by noise is singular.
     pub fn or_noise(&self, by_noise: &Matrix6<f64>) -> Option<Matrix6<f64>> {
         let n = self.votes;
         let factor = if n > 7.0 { n / (n - 6.0) } else { 7.0 };
@@ -69,26 +73,26 @@ impl VoteScatter {
     }
 }
 
-/// A pixel that alignment asked, as the solution left it.
+/// A pixel used by alignment, with its residual at the solution.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct UsedPixel {
     /// Its centre, pixels of the frame (it covers two by two of them).
     pub centre_px: [f32; 2],
-    /// Size of its residual in robust standard deviations; beyond 4.7 it counts nothing.
+    /// Absolute residual in robust standard deviations; beyond 4.7 the pixel has no weight.
     pub sigmas: f32,
-    /// Whether its tile takes part: tiles that show something else do not.
+    /// Whether its tile takes part; tiles that show something else do not.
     pub takes_part: bool,
 }
 
 impl LevelSolution<'_> {
-    /// The motion, and what noise and expectation leave open of it.
+    /// Returns the motion, with its covariance by noise and prior.
     pub fn estimate(&mut self) -> MotionEstimate {
         let (covariance, _) = self.problem.system.covariance();
         MotionEstimate { motion: self.found.motion, covariance }
     }
 
-    /// Concludes from all tiles; keeps each one's evidence with it, and fills `bands` with what the open ones say. `None` where the covariance is
-    /// singular.
+    /// Concludes from all tiles. Stores each one's evidence with it, and fills `bands` with the
+    /// equations of the open ones. `None` where the covariance is singular.
     pub fn conclude(&mut self, spec: &LevelSpec, bands: &mut RowBands) -> Option<Conclusion> {
         let Corrected { motion, scale } = self.found;
         let weighting = RobustWeighting { scale, is_first_pass: false, stride: 1 };
@@ -118,13 +122,14 @@ impl LevelSolution<'_> {
         Some(Conclusion { estimate, covariance, inliers, squared_px, tiles, agreeing, blur })
     }
 
-    /// Mean squared residual that the last step left, sigmas squared; each counts as [`MAX_MISFIT`] at most.
+    /// Returns the mean squared residual that the last step left, sigmas²; each counts as
+    /// [`MAX_MISFIT`] at most.
     pub fn misfit(&mut self) -> f64 {
         let squares = self.problem.squares(1);
         squares.iter().map(|s| f64::from(s.min(MAX_MISFIT))).sum::<f64>() / squares.len().max(1) as f64
     }
 
-    /// What the open runs say of the noise, as the last step leaves them.
+    /// Returns the open runs' sums for learning the noise, with the residuals of the last step.
     pub fn noise_sums(&self) -> NoiseSums {
         let LevelProblem { picture, runs, .. } = &*self.problem;
         let weighting = RobustWeighting { scale: self.found.scale, is_first_pass: false, stride: self.problem.rough_stride() };
@@ -135,7 +140,8 @@ impl LevelSolution<'_> {
         sums
     }
 
-    /// How the gradients go together at the chosen pixels, once it is [concluded](Self::conclude) which tiles agree; `level`: the frame's.
+    /// Returns how observed and expected gradients agree at the selected pixels. Requires
+    /// [`conclude`](Self::conclude), which determines the tiles that agree. `level`: the frame's.
     pub fn gradient_agreement(&self, level: &Level) -> GradientAgreement {
         let LevelProblem { picture, runs, .. } = &*self.problem;
         let mut gradients = GradientAgreement::default();
@@ -145,15 +151,17 @@ impl LevelSolution<'_> {
         gradients
     }
 
-    /// What the frame says of the time in which the sensor's rows are read. `pull`: the information of the expected motion, times the derivative of that motion by the
-    /// readout.
+    /// Returns the frame's clue on the readout time. `pull`: the information of the predicted
+    /// motion, times the derivative of that motion by the readout.
     ///
-    /// The expectation comes from frames that were solved with the same readout: with another one they would have led elsewhere. So a change of the readout moves the
-    /// rows and the expectation at once (Friedland 1969, "Treatment of bias in recursive filtering"), and only a part of it shows.
+    /// The prediction comes from frames that were solved with the same readout; with another one it
+    /// would be different. So a change of the readout moves the rows and the prediction at once
+    /// (Friedland 1969, "Treatment of bias in recursive filtering"), and only a part of it shows.
     pub fn readout_clue(&self, spec: &LevelSpec, pull: &MotionError, column: &mut SchurComplement) -> ReadoutClue {
         let Corrected { motion, scale } = self.found;
         let LevelProblem { picture, runs, system, .. } = &*self.problem;
-        // A second more of readout delays a row by as much as a sensor of one second's readout does.
+        // One second more of readout delays a row by as much as a sensor with a readout of one
+        // second does.
         let slow = Shutter { readout_s: 1.0, ..*spec.shutter };
         column.begin(system);
         for r in runs.iter().filter(|r| r.gate.is_open) {
@@ -162,7 +170,7 @@ impl LevelSolution<'_> {
             let share = slow.delay_s(spec.frame_y(row as f64), spec.rays.camera().height());
             let velocity = motion.velocity + motion.acceleration * time.delay_s;
             let turn_rate = motion.turn_rate + motion.turn_acceleration * time.delay_s;
-            // Later rows of the tile are delayed the more, by the share of a readout that lies between them.
+            // Later rows of the tile are delayed more, by the fraction of the readout between them.
             let per_second = if spec.shutter.readout_s > 0.0 { 1.0 / spec.shutter.readout_s } else { 0.0 };
             let mut by_readout = TileStep::default();
             for (c, speed) in velocity.iter().chain(&turn_rate).enumerate() {
@@ -178,7 +186,8 @@ impl LevelSolution<'_> {
         ReadoutClue { clue, shown: (1.0 + hidden / clue.information).max(0.0), motion_by_readout }
     }
 
-    /// Adds the pixels of the level that tell something, for pictures that show what the tracker saw.
+    /// Appends the level's pixels that carry information, for pictures that show what the tracker
+    /// used.
     pub fn used_pixels(&self, level: usize, out: &mut Vec<UsedPixel>) {
         let LevelProblem { picture, runs, .. } = &*self.problem;
         let n = (1u32 << level) as f32;
@@ -186,7 +195,7 @@ impl LevelSolution<'_> {
         for r in runs {
             squares.clear();
             squares_after(&picture.view(r), &r.step.columns, 1, &mut squares);
-            // Those that tell something, as the squares are.
+            // The same pixels as those of `squares`.
             let told = r.run.range().filter(|k| picture.residuals.information[*k] > 0.0);
             out.extend(told.zip(&squares).map(|(k, square)| UsedPixel {
                 centre_px: [0, 1].map(|axis| n * picture.pixels.place[axis][k] + 0.5 * (n - 1.0)),

@@ -1,22 +1,24 @@
-//! Cholesky's factor of a matrix whose first rows are a band, and whose last rows are full.
+//! Cholesky factorisation of a matrix whose first rows are banded, and whose last rows are full.
 //!
-//! Products of rows are most of its work. They are summed in four sums beside each other, which wide registers hold: one sum alone waits for itself.
+//! Most of its work is dot products of rows. Each uses four parallel sums, which wide registers
+//! hold; a single sum would wait for itself.
 
 use crate::simd::multiversion;
 
-/// Where the matrix differs from zero: nodes of the light have next to them only their neighbours, all else has everything.
+/// Where the matrix is nonzero: light nodes only beside their neighbours, all other unknowns
+/// everywhere.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Band {
     /// Rows of the whole matrix, which is stored row by row.
     pub size: usize,
-    /// Nodes of the light, in front.
+    /// Number of light nodes, which come first.
     pub nodes: usize,
     /// Nodes per column of their grid.
     pub rows: usize,
 }
 
 impl Band {
-    /// First column of the factor's row that may differ from zero.
+    /// Returns the first column of the factor's row that may be nonzero.
     #[inline(always)]
     pub fn first(&self, row: usize) -> usize {
         if row < self.nodes { row.saturating_sub(self.rows + 1) } else { 0 }
@@ -24,7 +26,8 @@ impl Band {
 }
 
 multiversion! {
-    /// Factors a matrix in place (Cholesky), rows one after the other, lower triangle; `None` where it leaves a direction free.
+    /// Factors a matrix in place (Cholesky), row by row, lower triangle; `None` where a direction
+    /// is undetermined.
     pub fn factor(matrix: &mut [f64], band: &Band) -> Option<()>; ["avx2"] => factor_plain, else factor_plain
 }
 
@@ -70,7 +73,7 @@ fn back_substitute_plain(matrix: &[f64], band: &Band, x: &mut [f64]) {
     }
 }
 
-/// In four sums beside each other, as wide registers hold them.
+/// Returns the dot product, in four parallel sums as wide registers hold them.
 #[inline(always)]
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let (fours_a, fours_b) = (a.chunks_exact(4), b.chunks_exact(4));
@@ -92,7 +95,8 @@ mod tests {
 
     use super::*;
 
-    /// A grid of nodes that have their neighbours next to them, with a full end, and what is not to be read filled with NaN.
+    /// A grid of nodes coupled to their neighbours, with a full end. Entries that must not be read
+    /// are NaN.
     fn system(columns: usize, rows: usize, full: usize) -> (Band, Vec<f64>, DMatrix<f64>, DVector<f64>) {
         let band = Band { size: columns * rows + full, nodes: columns * rows, rows };
         let mut random = Pcg64Mcg::seed_from_u64(5);

@@ -1,8 +1,10 @@
-//! The linear system of one step over all tiles: light first, motion last, factored once and used for the step,
-//! for the covariance and for the scatter of the tiles' votes.
+//! The linear system of one step over all tiles: light first, motion last. It is factored once and
+//! used for the step, for the covariance, and for the scatter of the tiles' votes.
 //!
-//! A light node meets only its neighbours and the dense end (point spread, bias, motion), so that elimination in
-//! this order keeps the factor banded: a fraction of the cost of a dense one.
+//! A light node shares tiles only with its neighbours and with the dense end (point spread, bias,
+//! motion). Eliminated in this order, the factor stays banded, at a fraction of a dense one's cost.
+//! The order of calls is [`System::begin`], [`System::add`] for each tile, [`System::solve`], then
+//! [`System::covariance`].
 
 use nalgebra::SVector;
 
@@ -20,34 +22,36 @@ pub mod schur_complement;
 
 /// Degrees of freedom of a motion: position and rotation, with velocity and acceleration.
 pub const MOTION: usize = 18;
-/// Unknowns of the light that are the same for the whole frame, behind its nodes: point spread and bias; not the four gains.
+/// Unknowns of the light that are the same for the whole frame, behind its nodes: point spread and
+/// bias; not the four gains.
 const SHARED: usize = LIGHT - 4;
-/// Unknowns behind the light nodes: those, and the motion.
+/// Unknowns behind the light nodes: the shared ones, and the motion.
 const DENSE: usize = SHARED + MOTION;
 
-/// Relative difference of gain that is usual between neighbouring nodes, one sigma. From a prototype; not tuned. Raised, gains take up what
-/// is no light; lowered, spots and shadows are smeared out and pull the pose.
+/// Usual relative difference of gain between neighbouring nodes, one sigma. Raised, gains absorb
+/// what is not light; lowered, spots and shadows are smeared out and pull the pose.
 const ROUGHNESS: f64 = 0.15;
-/// One sigma of the bias, grey levels. Chosen wide, for haze and glare: pixels of different grey tell it far better. Raised, frames of
-/// nearly one grey trade bias for gain; lowered, haze pulls the gain.
+/// Sigma of the bias, grey levels. Raised, frames of nearly one grey trade bias for gain; lowered,
+/// haze pulls the gain.
 const BIAS_SIGMA: f64 = 60.0;
 
-/// What is known beforehand.
+/// The prior of a step.
 pub struct Prior<'a> {
     /// Information of the motion.
     pub information: &'a MotionMatrix,
-    /// From the linearisation to where the prior has the motion.
+    /// Error of the motion from the linearisation to the prior's mean.
     pub error: MotionError,
-    /// The slow average of the point spread, and one sigma about it.
+    /// The slow average of the point spread's variance, and one sigma about it.
     pub psf_variance: f64,
     /// See `psf_variance`.
     pub psf_variance_sigma: f64,
 }
 
-/// What the tiles say of the pose at their own time, by powers of time.
+/// The tiles' equations for the pose at their own time, by powers of time.
 #[derive(Debug)]
 struct PoseSums {
-    /// Pose by pose, for each pair of powers a >= b (a, b: 00, 10, 11, 20, 21, 22): upper triangles, row by row.
+    /// Pose by pose, for each pair of powers a >= b (a, b: 00, 10, 11, 20, 21, 22): upper
+    /// triangles, row by row.
     by_pose: [[f64; POSE_ENTRIES]; 6],
     /// Pose by all other unknowns, for each power.
     by_others: [Vec<[f64; POSE]>; POWERS],
@@ -60,7 +64,7 @@ impl Default for PoseSums {
     }
 }
 
-/// The place of a pair of powers a >= b in [`PoseSums::by_pose`].
+/// Returns the index of a pair of powers a >= b in [`PoseSums::by_pose`].
 fn pair(a: usize, b: usize) -> usize {
     a * (a + 1) / 2 + b
 }
@@ -71,7 +75,7 @@ fn add_scaled<const N: usize>(sums: &mut [f64; N], factor: f64, values: &[f64; N
 }
 
 multiversion! {
-    /// [`System::add`], in wide registers where the processor has them.
+    /// Runs [`System::add`] in wide registers where the processor has them.
     fn add_tile(system: &mut System, tile: &TileEquations, nodes: [usize; 4], time: &TileTime, weight: f64); ["avx2"] => System::add_plain, else System::add_plain
 }
 
@@ -79,10 +83,11 @@ multiversion! {
 #[derive(Debug, Default)]
 pub struct System {
     pose: PoseSums,
-    /// The time of all tiles, where it is the same for all: then pose sums are kept for power 0 alone.
+    /// The time of all tiles, where it is the same for all; then pose sums are kept for power 0
+    /// alone.
     same_time: Option<TileTime>,
     band: Band,
-    /// Lower triangle, row by row (a full square is kept).
+    /// Lower triangle, row by row (a full square is allocated).
     matrix: Vec<f64>,
     right: Vec<f64>,
     solution: Vec<f64>,
@@ -91,7 +96,7 @@ pub struct System {
     score: Vec<f64>,
 }
 
-/// A correction of everything.
+/// A correction of all unknowns.
 #[derive(Debug, Clone, Copy)]
 pub struct Step<'a> {
     /// Gains of the nodes, then point spread, bias, motion.
@@ -100,27 +105,27 @@ pub struct Step<'a> {
 }
 
 impl Step<'_> {
-    /// Gains of the light nodes.
+    /// Returns the corrections of the light nodes' gains.
     pub fn gains(&self) -> &[f64] {
         &self.all[..self.nodes]
     }
 
-    /// Point spread.
+    /// Returns the correction of the point spread's variance.
     pub fn psf_variance(&self) -> f64 {
         self.all[self.nodes]
     }
 
-    /// Bias.
+    /// Returns the correction of the bias, grey levels.
     pub fn bias(&self) -> f64 {
         self.all[self.nodes + 1]
     }
 
-    /// Motion.
+    /// Returns the correction of the motion.
     pub fn motion(&self) -> MotionError {
         MotionError::from_column_slice(&self.all[self.nodes + SHARED..])
     }
 
-    /// The part that a tile sees.
+    /// Returns the part of the step that affects a tile.
     pub fn of_tile(&self, nodes: [usize; 4], time: &TileTime) -> TileStep {
         let motion = &self.all[self.nodes + SHARED..];
         let by = |factors: [f64; POWERS], c: usize| (0..POWERS).map(|p| factors[p] * motion[POSE * p + c]).sum::<f64>();
@@ -138,13 +143,14 @@ impl Step<'_> {
 }
 
 impl System {
-    /// Starts a system with what is known beforehand. `light`: at the linearisation; `same_time`: of all tiles, where it is.
+    /// Starts a system with its prior. `light`: the light at the linearisation; `same_time`: the
+    /// time of all tiles, where it is the same.
     pub fn begin(&mut self, light: &Light, prior: &Prior, same_time: Option<TileTime>) {
         self.same_time = same_time;
         let [columns, rows] = light.grid().nodes();
         self.band = Band { size: columns * rows + DENSE, nodes: columns * rows, rows };
         let n = self.band.size;
-        // Of the matrix only what the factor reads: it is far larger than its band.
+        // Clears only what the factor reads: the matrix is far larger than its band.
         self.matrix.resize(n * n, 0.0);
         for row in 0..n {
             let first = self.band.first(row);
@@ -175,7 +181,7 @@ impl System {
         }
     }
 
-    /// Neighbouring nodes have similar gains.
+    /// Adds the prior that neighbouring nodes have similar gains.
     fn smooth(&mut self, columns: usize, light: &Light) {
         let n = self.band.size;
         let information = (ROUGHNESS * light.mean_gain().abs().max(0.02)).powi(-2);
@@ -195,7 +201,8 @@ impl System {
         }
     }
 
-    /// Adds a score of a tile to each unknown that it belongs to: calls `add` with the unknown's place and what it gets.
+    /// Distributes a tile's score over the unknowns that it belongs to: calls `add` with an
+    /// unknown's index and its part.
     fn spread_out(&self, score: &TileScore, nodes: [usize; 4], time: &TileTime, mut add: impl FnMut(usize, f64)) {
         let (factors, rates) = (time.factors(), time.rates());
         for c in 0..POSE {
@@ -210,7 +217,8 @@ impl System {
         }
     }
 
-    /// Adds a tile. `weight`: inverse of the residuals' variance beyond what their whitener says.
+    /// Adds a tile. `nodes`: its light nodes; `weight`: inverse of the residuals' variance after
+    /// whitening.
     pub fn add(&mut self, tile: &TileEquations, nodes: [usize; 4], time: &TileTime, weight: f64) {
         add_tile(self, tile, nodes, time, weight);
     }
@@ -227,7 +235,7 @@ impl System {
             }
         }
         let factors = time.factors();
-        // Powers of time: one, where it is the same for all.
+        // One power of time suffices where the time is the same for all.
         let powers = if self.same_time.is_some() { 1 } else { POWERS };
         let pose = sums.of_pose();
         let right: [f64; POSE] = std::array::from_fn(|i| sums.product(i, COLUMNS));
@@ -246,14 +254,15 @@ impl System {
         }
     }
 
-    /// Adds what the rows of a tile differ by from its middle. `others`: its unknowns beside the pose.
+    /// Adds the equations by which a tile's rows differ from its middle. `others`: its unknowns
+    /// beside the pose.
     #[inline(always)]
     fn add_rows(&mut self, rows: &RowSums, others: [usize; LIGHT], time: &TileTime, weight: f64) {
         let (factors, rates) = (time.factors(), time.rates());
         let (by_time, by_squared_time) = (rows.by_time(), rows.by_squared_time());
         let right: [f64; POSE] = std::array::from_fn(|i| rows.by_other(i, COLUMNS));
         let columns: [[f64; POSE]; LIGHT] = std::array::from_fn(|k| std::array::from_fn(|i| rows.by_other(i, POSE + k)));
-        // At power 0, a pose does not grow from row to row.
+        // At power 0, a pose does not change from row to row.
         for a in 1..POWERS {
             for b in 0..=a {
                 let sum = &mut self.pose.by_pose[pair(a, b)];
@@ -267,10 +276,10 @@ impl System {
         }
     }
 
-    /// Puts the pose sums in their places.
+    /// Moves the pose sums into the matrix.
     fn place_pose_sums(&mut self) {
         let (n, motion) = (self.band.size, self.band.nodes + SHARED);
-        // With one time for all, every power is that of the first, times its factor.
+        // With one time for all, every power is the first one's sum, times its factor.
         let factors = self.same_time.map_or([1.0; POWERS], |t| t.factors());
         let kept = |a: usize| if self.same_time.is_some() { 0 } else { a };
         for a in 0..POWERS {
@@ -290,7 +299,8 @@ impl System {
         }
     }
 
-    /// Factors the system in place (Cholesky) and solves it; `None` where it leaves a direction free.
+    /// Factors the system in place (Cholesky) and solves it; `None` where a direction is
+    /// undetermined.
     pub fn solve(&mut self) -> Option<Step<'_>> {
         self.place_pose_sums();
         factor(&mut self.matrix, &self.band)?;
@@ -301,7 +311,7 @@ impl System {
         Some(Step { all: &self.solution, nodes: self.band.nodes })
     }
 
-    /// The last solution.
+    /// Returns the last solution.
     pub fn step(&self) -> Step<'_> {
         Step { all: &self.solution, nodes: self.band.nodes }
     }
@@ -311,7 +321,8 @@ impl System {
         back_substitute(&self.matrix, &self.band, x);
     }
 
-    /// Covariance of the motion: the last block of the inverse, times nothing (weights were inverse variances); and the tiles' votes by it.
+    /// Returns the covariance of the motion, and the tiles' votes by it. The covariance is the last
+    /// block of the inverse, unscaled, as weights were inverse variances.
     pub fn covariance(&mut self) -> (MotionMatrix, Votes<'_>) {
         let mut covariance = MotionMatrix::zeros();
         let mut column = std::mem::take(&mut self.score);
@@ -338,7 +349,8 @@ pub struct Votes<'a> {
 }
 
 impl Votes<'_> {
-    /// The step that a tile's remaining residuals alone would add. `left`: what the solution leaves of the tile.
+    /// Returns the step that a tile's remaining residuals alone would add. `left`: the part of the
+    /// tile's right side that the solution left.
     pub fn of_tile(&self, left: &TileScore, nodes: [usize; 4], time: &TileTime, weight: f64) -> SVector<f64, 6> {
         let mut vote = SVector::<f64, 6>::zeros();
         self.system.spread_out(left, nodes, time, |row, score| {

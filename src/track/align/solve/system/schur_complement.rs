@@ -1,8 +1,8 @@
-//! One unknown more beside those that a step solves for: what a frame says of it while all the others stay free.
+//! One additional unknown: what a frame says of it while all unknowns of the step stay free.
 //!
-//! Eliminating the others (the Schur complement of the normal equations) leaves one equation: the unknown's
-//! information, and the pull of the residuals that the step left. Quantities that no single frame may change, as the
-//! time in which a sensor is read, are learnt from these over many frames.
+//! Eliminating the others (the Schur complement of the normal equations) leaves one equation: the
+//! unknown's information, and the score of the residuals that the step left. Quantities that no
+//! single frame may change, such as the readout time, are learnt from these over many frames.
 
 use super::{SHARED, System};
 use crate::motion::MotionError;
@@ -29,19 +29,19 @@ pub struct SolvedTile<'a> {
     pub nodes: [usize; 4],
     /// When it was exposed.
     pub time: TileTime,
-    /// Inverse of the residuals' variance beyond what their whitener says.
+    /// Inverse of the residuals' variance after whitening.
     pub weight: f64,
 }
 
 impl SchurComplement {
-    /// Starts the sums for a system that was solved.
+    /// Starts the sums for a solved system.
     pub fn begin(&mut self, system: &System) {
         self.with_others.clear();
         self.with_others.resize(system.band.size, 0.0);
         (self.own, self.score) = (0.0, 0.0);
     }
 
-    /// Adds a tile. `by_unknown`: how all that it sees changes with the unknown.
+    /// Adds a tile. `by_unknown`: derivative, by the unknown, of everything that affects the tile.
     pub fn add(&mut self, system: &System, tile: &SolvedTile, by_unknown: &TileStep) {
         let shared = tile.equations.explained(by_unknown);
         let left = tile.equations.left_by(tile.step);
@@ -54,7 +54,7 @@ impl SchurComplement {
         }
     }
 
-    /// Eliminates the other unknowns.
+    /// Eliminates the other unknowns. Returns the clue on the unknown.
     pub fn finish(&mut self, system: &System) -> Clue {
         self.solved.clone_from(&self.with_others);
         system.back_substitute(&mut self.solved);
@@ -62,8 +62,10 @@ impl SchurComplement {
         Clue { score: self.score, information: (self.own - shared).max(0.0) }
     }
 
-    /// After [`finish`](Self::finish), of an unknown on which the expected motion depends as well. `pull`: the information of that motion times its derivative by the
-    /// unknown. Gives what that adds to the change of the score with the unknown (mostly, it takes from it), and the derivative of the solved motion by the unknown.
+    /// Handles an unknown on which the predicted motion depends as well; call after
+    /// [`finish`](Self::finish). `pull`: the information of that motion, times its derivative by
+    /// the unknown. Returns what this dependence adds to the score's change with the unknown
+    /// (mostly negative), and the derivative of the solved motion by the unknown.
     pub fn with_pull(&mut self, system: &System, pull: &MotionError) -> (f64, MotionError) {
         let first = system.band.nodes + SHARED;
         let hidden = pull.iter().zip(&self.solved[first..]).map(|(a, b)| a * b).sum();
