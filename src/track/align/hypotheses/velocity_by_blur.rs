@@ -1,12 +1,15 @@
-//! The velocity of a body that was just found, by its blur.
+//! The velocity of a body that was just found, by its motion blur.
 //!
-//! One frame does not show how a body moves, unless its rows are read one after another. But it shows how it is smeared while the shutter is open: along
-//! which way, and how far, in each part of the picture; not in which direction. Without that a body that moves fits its blurred picture badly, is believed
-//! too late, and is looked for in the next frame where it no longer is. Where rows are read one after another they tell the direction, and
-//! the blur tells what they do not: whether a frontal plane is tilted, or comes nearer meanwhile.
+//! One frame does not show how a body moves, unless its rows are read one after another. But it
+//! shows how the body is smeared during the exposure: along which line and how far in each part of
+//! the picture, not in which direction. Without that, a moving body fits its blurred picture badly,
+//! is accepted too late, and is searched for in the next frame where it no longer is. Under a
+//! rolling shutter, rows determine the direction, and blur determines what rows do not: whether a
+//! frontal plane is tilted, or approaches meanwhile.
 //!
-//! Blur has no slope where there is none: the first velocity is taken from the squared blur that is missing, which is linear in the second moments of the
-//! velocity; the others by steps from there.
+//! At zero velocity the derivative of blur vanishes. So the first velocity comes from the missing
+//! squared blur, which is linear in the second moments of the velocity; Gauss-Newton steps follow
+//! from there.
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Matrix3, Matrix6, SMatrix, SVector, Vector2, Vector3, Vector6};
 
@@ -18,46 +21,51 @@ use crate::track::align::pixels::level_spec::LevelSpec;
 use crate::track::align::solve::level_problem::LevelProblem;
 use crate::track::align::solve::level_problem::blur::{KnownVelocity, along_frame};
 
-/// Steps at most. Of clips, four are enough. Raised, what does not come to rest costs more; lowered, long blur is not reached.
+/// Maximum steps. Raised, what does not converge costs more; lowered, long blur is not reached.
 const ROUNDS: usize = 5;
-/// A step that changes the blur by less is the last, and one that changes it by more at the end shows that there is none, pixels of the level.
+/// Change of blur below which a step is the last, and above which the result is rejected, pixels of
+/// the level. Raised, velocities are less exact; lowered, they cost more steps, or are missed.
 const SMALL_PX: f64 = 0.03;
 const MAX_LAST_PX: f64 = 0.3;
-/// Length of the trial blur that the missing blur is measured with, pixels of the level. Chosen near the usual length, not tuned. Raised, fine detail is gone where blur is short; lowered,
-/// long blur is found too short.
+/// Length of the trial blur that measures the missing blur, pixels of the level. Raised, fine
+/// detail is lost where blur is short; lowered, long blur is found too short.
 const FIRST_BLUR_PX: f64 = 1.5;
-/// Sigmas that the squared blur must differ from none by. Raised, slow bodies are taken to stand still; lowered, noise passes for blur.
+/// Sigmas by which the squared blur must exceed zero. Raised, slow bodies are taken to be at rest;
+/// lowered, noise passes for blur.
 const MIN_SIGMAS: f64 = 5.0;
-/// The variance of the missing blur must be at least this many times `BLUR_ERROR_PX2`. Raised and lowered as `MIN_SIGMAS`.
+/// Minimum variance of the missing blur, in multiples of `BLUR_ERROR_PX2`. Raised and lowered as
+/// `MIN_SIGMAS`.
 const MIN_BLUR_ERRORS: f64 = 1.5;
-/// Squared sigmas by which rows must prefer a direction to the opposite one. Raised, more frames wait for a second; lowered, a velocity is
-/// taken for its opposite.
+/// Squared sigmas by which rows must prefer a direction to its opposite. Raised, more frames wait
+/// for a second one; lowered, a velocity is taken for its opposite.
 const SURE_DIRECTION: f64 = 20.0;
-/// Prior information of the length of an image velocity's blur, per squared pixel of the level: next to none. Raised, slow bodies are taken to stand still.
+/// Prior information of the length of an image velocity's blur, per squared pixel of the level:
+/// almost none. Raised, slow bodies are taken to be at rest.
 const UNKNOWN_BLUR: f64 = 1.6e-3;
-/// Share of what else is known that stands beside blur when that is asked alone, so that the system stays regular. Raised, blur says what was known anyway.
+/// Fraction of the other information that remains when blur is solved alone, which keeps the system
+/// regular. Raised, blur repeats what was known anyway.
 const NEARLY_NOTHING: f64 = 1e-4;
-/// One sigma of the variance of a blur beside what the motion makes, pixels² of the level: optics are softer towards the corners, and cameras sharpen and
-/// smooth by the content. Chosen from what blur was off by in single frames of d-handheld and d-webcam. Raised, blur tells less of slow motions; lowered, poses
-/// of sharpened pictures are believed too much.
+/// Sigma of a blur's variance from other causes than motion, pixels² of the level. Raised, blur
+/// says less of slow motions; lowered, poses of sharpened pictures are trusted too much.
 const BLUR_ERROR_PX2: f64 = 0.08;
-/// Patches of a frame whose blur is wider or narrower independently of the others: halves across, thirds down. Raised, blur is believed more.
+/// Number of parts of a frame whose blur is wider or narrower independently. Raised, blur is
+/// trusted more.
 const BLUR_PATCHES: f64 = 6.0;
-/// Largest squared Mahalanobis distance, of six degrees of freedom, of a velocity from what rows and the unseen motion say of it. Chosen: ten sigmas, as rows know it
-/// less well than they say. Raised, pictures that are out of focus, or sharpened, pass for moving ones; lowered, what is thrown has no velocity.
+/// Maximum squared Mahalanobis distance of a velocity from that of rows and prior. Raised,
+/// defocused or sharpened pictures pass for moving ones; lowered, thrown bodies have no velocity.
 const MAX_SQUARED: f64 = 100.0;
-/// Largest relative sigma of the exposure with which blur is asked under a rolling shutter: beyond it, the rows were aligned with the wrong blur. Raised, the very first
-/// pose may be further off than its covariance says; lowered, the first frames wait for a second one.
+/// Maximum relative sigma of the exposure for using blur under a rolling shutter. Raised, the first
+/// pose may be further off than its covariance says; lowered, first frames wait for a second one.
 const MAX_EXPOSURE_SIGMA: f64 = 0.3;
-/// Depth of a point over its distance, at least, where its way through the picture is computed: 78 degrees aside. Chosen beyond what lenses show. Lowered, the middle of a stage that
-/// begins behind the camera moves without bounds.
+/// Minimum depth of a point over its distance, for computing its motion in the picture. Lowered,
+/// the middle of a stage that begins behind the camera moves without bounds.
 const MIN_DEPTH: f64 = 0.2;
 
-/// A velocity by blur.
+/// A velocity estimated by blur.
 pub struct VelocityByBlur {
-    /// The motion: where alignment had the body, as this velocity moves it.
+    /// The aligned motion with this velocity.
     pub motion: Motion,
-    /// What blur alone says of [v, ω]: information, and that times the velocity.
+    /// What blur alone says of [v, ω] (m/s, rad/s): its information, and that times the velocity.
     pub information: Matrix6<f64>,
     /// See `information`.
     pub score: Vector6<f64>,
@@ -65,19 +73,20 @@ pub struct VelocityByBlur {
     pub has_opposite: bool,
 }
 
-/// What is known of the camera.
+/// What is known of exposure and point spread.
 #[derive(Clone, Copy)]
 pub struct KnownBlur {
-    /// One sigma of the exposure, as a share of it.
+    /// Relative sigma of the exposure.
     pub exposure_sigma: f64,
-    /// The point spread, and one sigma of it.
+    /// The point spread's variance, and one sigma of it.
     pub psf_variance: f64,
     /// See `psf_variance`.
     pub psf_variance_sigma: f64,
 }
 
-/// The velocity that the blur of laid out pixels shows, where alignment found the body. `middle`: of its nearest surface, camera axes, metres. `None` where it shows none, or where rows are read one after another
-/// and do not tell in which direction.
+/// Returns the velocity that the blur of the selected pixels shows, where alignment found the body.
+/// `middle`: the centre of its nearest surface, camera axes, metres. `None` where the blur shows
+/// none, or where rows of a rolling shutter do not determine the direction.
 pub fn velocity_by_blur(
     problem: &mut LevelProblem,
     spec: &LevelSpec,
@@ -96,22 +105,22 @@ struct BlurSearch<'a, 'b> {
     middle: Vector3<f64>,
 }
 
-/// Where the steps begin, and what they may change.
+/// Where the steps start, and what they may change.
 struct BlurStart<'a, F> {
-    /// [v, ω] to begin with.
+    /// The initial [v, ω].
     first: Vector6<f64>,
-    /// What else is known of it: mean and information.
+    /// The prior of it: mean and information.
     known: Vector6<f64>,
     information: Matrix6<f64>,
-    /// Which of it the blur is asked for; the others stay.
+    /// The components estimated by blur; the others stay.
     asked: [bool; POSE],
-    /// The motion with a velocity.
+    /// Returns the motion with a given velocity.
     with_velocity: &'a F,
 }
 
-/// What blur says.
+/// The velocity estimated by blur.
 struct BlurFit {
-    /// [v, ω] by all that is known.
+    /// [v, ω] by blur and prior.
     velocity: Vector6<f64>,
     /// By blur alone, and its information.
     shown: Vector6<f64>,
@@ -119,7 +128,8 @@ struct BlurFit {
 }
 
 impl BlurSearch<'_, '_> {
-    /// Where all rows are exposed together: how fast the middle of the picture moves, and along which way. What else moves within the picture is not told well.
+    /// Under a global shutter: estimates how fast the middle of the picture moves, and along which
+    /// line. Other motion within the picture is not well determined.
     fn image_velocity(&self, problem: &mut LevelProblem) -> Option<VelocityByBlur> {
         let motion = &self.found.motion;
         let known = motion.twist();
@@ -140,7 +150,8 @@ impl BlurSearch<'_, '_> {
         })
     }
 
-    /// Where rows are read one after another they tell most of the velocity, and in which direction; blur tells the rest. Both together tell the exposure.
+    /// Under a rolling shutter: rows determine most of the velocity, and its direction; blur
+    /// determines the rest. Both together determine the exposure.
     fn velocity(&self, problem: &mut LevelProblem) -> Option<VelocityByBlur> {
         if self.known.exposure_sigma > MAX_EXPOSURE_SIGMA {
             return None;
@@ -148,7 +159,7 @@ impl BlurSearch<'_, '_> {
         let found = self.found;
         let known = found.motion.twist();
         let information = found.covariance.fixed_view::<6, 6>(6, 6).into_owned().cholesky()?.inverse();
-        // Another velocity goes with another pose: rows have them from one displacement.
+        // Another velocity goes with another pose: rows determine both from one displacement.
         let pose_by_velocity = found.covariance.fixed_view::<6, 6>(0, 6) * information;
         let with_velocity = |velocity: &Vector6<f64>| {
             let pose = found.motion.with_pose_corrected(&(pose_by_velocity * (velocity - known)));
@@ -166,11 +177,11 @@ impl BlurSearch<'_, '_> {
         })
     }
 
-    /// Steps to where blur and what else is known have the velocity; `None` where they come to no rest.
+    /// Steps to the velocity that blur and prior agree on; `None` where the steps do not converge.
     fn fit(&self, problem: &mut LevelProblem, start: &BlurStart<impl Fn(&Vector6<f64>) -> Motion>) -> Option<BlurFit> {
-        // Blur alone: next to nothing is known beside it.
+        // For blur alone, almost no prior is left.
         let nothing = start.information * NEARLY_NOTHING;
-        // With the logarithm of the exposure, less that of the one that is known.
+        // The exposure's correction is the logarithm of its ratio to the known one.
         let (mut velocity, mut exposure) = (start.first, 0.0);
         let mut fit = None;
         for _ in 0..ROUNDS {
@@ -196,16 +207,17 @@ impl BlurSearch<'_, '_> {
         fit.filter(|fit| self.is_usual(&fit.velocity))
     }
 
-    /// Whether a velocity is one that a body may have, by what was expected and, where rows are read one after another, by these.
+    /// Whether a velocity is plausible, by the prior and, under a rolling shutter, by the rows.
     fn is_usual(&self, velocity: &Vector6<f64>) -> bool {
         let off = velocity - self.found.motion.twist();
         let covariance = self.found.covariance.fixed_view::<6, 6>(6, 6).into_owned();
-        // False of what is no number.
+        // False for NaN.
         covariance.cholesky().is_some_and(|c| off.dot(&c.solve(&off)) < MAX_SQUARED)
     }
 
-    /// The step that blur, what else is known of the velocity, and what is known of the exposure agree on: of the velocity; and of the exposure, as the velocity that
-    /// blurs as much. `step`: what blur alone asks for.
+    /// Returns the step that blur, the prior of the velocity, and the prior of the exposure agree
+    /// on: for the velocity, and for the exposure, as the change of velocity with the same effect
+    /// on blur. `step`: what blur alone asks for.
     fn fused<F>(
         &self,
         start: &BlurStart<F>,
@@ -215,7 +227,7 @@ impl BlurSearch<'_, '_> {
         step: &Vector6<f64>,
     ) -> Option<[Vector6<f64>; 2]> {
         let exposure_information = self.known.exposure_sigma.powi(-2);
-        // Blur tells velocity times exposure.
+        // Blur determines the product of velocity and exposure.
         let (along, score) = (by_blur * velocity, by_blur * step);
         let mut normal = SMatrix::<f64, 7, 7>::zeros();
         normal.fixed_view_mut::<6, 6>(0, 0).copy_from(&(start.information + by_blur));
@@ -229,30 +241,34 @@ impl BlurSearch<'_, '_> {
         Some([change.fixed_rows::<6>(0).into_owned(), velocity * change[6]])
     }
 
-    /// The share of its information that blur is believed: in each of a few patches of the frame it is wider or narrower than the motion makes it.
+    /// Returns the fraction of blur's information that is trusted: in each of a few parts of the
+    /// frame blur is wider or narrower than motion makes it.
     fn believed(&self, by_blur: &Matrix6<f64>, velocity: &Vector6<f64>, blur_px: f64) -> f64 {
         // The variance of a blur grows with the square of the velocity.
         let sigma = 0.5 * BLUR_ERROR_PX2 / (blur_px * blur_px / 12.0).max(f64::MIN_POSITIVE);
         1.0 / (1.0 + velocity.dot(&(by_blur * velocity)) * sigma * sigma / BLUR_PATCHES)
     }
 
-    /// What is left of the information of blur where the exposure is known to a share of itself: a longer one blurs as a faster motion does.
+    /// Returns blur's information with the exposure free within its relative sigma: a longer
+    /// exposure blurs as a faster motion does.
     fn without_exposure(&self, by_blur: &Matrix6<f64>, velocity: &Vector6<f64>) -> Matrix6<f64> {
         let (along, variance) = (by_blur * velocity, self.known.exposure_sigma.powi(2));
         by_blur - along * along.transpose() * (variance / (1.0 + variance * velocity.dot(&along)))
     }
 
-    /// What to add to the velocity that is known, by the squared blur that is missing: it leads to one of two opposite velocities. `known_turn`: the turn rates across and down that move the middle
-    /// of the picture as the known velocity does.
+    /// Returns the change of the known velocity that explains the missing squared blur. It leads to
+    /// one of two opposite velocities. `known_turn`: the angular velocities across and down that
+    /// move the middle of the picture as the known velocity does. `None` where no blur is
+    /// significantly missing.
     fn first_change(&self, problem: &mut LevelProblem, known_turn: &Vector2<f64>) -> Option<Vector6<f64>> {
         let turn_rate = FIRST_BLUR_PX / (focal_px(self.spec) * self.spec.shutter.exposure_s);
         let spec = LevelSpec { blur_px: FIRST_BLUR_PX, ..*self.spec }.with_places();
         let known = self.known_velocity(Matrix6::identity());
         let (squared, covariance) = problem.missing_blur(&spec, &self.found.motion, turn_rate, &known)?;
         let missing = Matrix2::new(squared.x, squared.z, squared.z, squared.y);
-        // In units of the first blur's variance.
+        // In units of the trial blur's variance.
         let systematic = MIN_BLUR_ERRORS * BLUR_ERROR_PX2 / (FIRST_BLUR_PX * FIRST_BLUR_PX / 12.0);
-        // Whether squared blur along its longest axis is beyond doubt.
+        // Whether squared blur along its longest axis is significant.
         let telling = |moments: &Matrix2<f64>| {
             let (length, along) = longest_axis(moments);
             let by = Vector3::new(along.x * along.x, along.y * along.y, 2.0 * along.x * along.y);
@@ -260,7 +276,9 @@ impl BlurSearch<'_, '_> {
             tracing::trace!(blur_px = FIRST_BLUR_PX * length.max(0.0).sqrt(), sigmas = length / sigma, along = ?along.as_slice(), "missing blur");
             length > systematic.max(MIN_SIGMAS * sigma)
         };
-        // The known velocity blurs the prediction already: second moments of all of the blur are its own and what is missing. A body that moves along with the camera has less.
+        // The prediction already contains the known velocity's blur: the second moments of the
+        // whole blur are those of the known one and of the missing one. A body that moves along
+        // with the camera has less.
         let known_way = Vector2::new(-known_turn.y, known_turn.x) / turn_rate;
         let may_be_shorter = known_way.norm_squared() > systematic;
         if !(telling(&missing) || may_be_shorter && telling(&-missing)) {
@@ -273,22 +291,23 @@ impl BlurSearch<'_, '_> {
         Some(Vector6::new(0.0, 0.0, 0.0, turn.x, turn.y, turn.z))
     }
 
-    /// What is known beside a velocity with this information.
+    /// Returns what is known beside a velocity with this information.
     fn known_velocity(&self, information: Matrix6<f64>) -> KnownVelocity {
         let KnownBlur { psf_variance, psf_variance_sigma, .. } = self.known;
         KnownVelocity { information, psf_variance, psf_variance_sigma }
     }
 }
 
-/// The largest eigenvalue and its eigenvector.
+/// Returns the largest eigenvalue and its eigenvector.
 fn longest_axis(moments: &Matrix2<f64>) -> (f64, Vector2<f64>) {
     let eigen = moments.symmetric_eigen();
     let longest = eigen.eigenvalues.imax();
     (eigen.eigenvalues[longest], eigen.eigenvectors.column(longest).into_owned())
 }
 
-/// The turn rates across and down the frame that move a point as a velocity [v, ω] does, which is a way of the camera as well as a turn. `rotation`: from camera to body axes; `point`: in
-/// camera axes, metres. A point far aside is taken for one before the camera.
+/// Returns the matrix from a velocity [v, ω] to the angular velocities across and down the frame
+/// that move a point in the same way. `rotation`: from camera to body axes; `point`: in camera
+/// axes, metres. A point far to the side is replaced by one straight ahead.
 fn turn_by_velocity(rotation: &Matrix3<f64>, point: &Vector3<f64>) -> Option<Matrix2x6<f64>> {
     let distance_m = point.norm();
     let point = if point.z > MIN_DEPTH * distance_m { *point } else { Vector3::z() * distance_m };
@@ -299,23 +318,24 @@ fn turn_by_velocity(rotation: &Matrix3<f64>, point: &Vector3<f64>) -> Option<Mat
     Some(by_velocity.fixed_view::<2, 2>(0, 3).into_owned().try_inverse()? * by_velocity)
 }
 
-/// Focal length, pixels of the level.
+/// Returns the focal length, pixels of the level.
 fn focal_px(spec: &LevelSpec) -> f64 {
     spec.rays.camera().intrinsics().fx / spec.frame_px()
 }
 
-/// A level with samples along the blur of this motion, and some where there is none, so that blur can be held against none.
+/// Returns the level with samples along the blur of this motion, and with at least some, so that
+/// blur can be compared with none.
 fn blurred<'a>(spec: &LevelSpec<'a>, motion: &Motion) -> LevelSpec<'a> {
     let blur_px = spec.blur_of(motion).max(FIRST_BLUR_PX);
     LevelSpec { blur_px, ..*spec }.with_places()
 }
 
-/// By how much a change of velocity changes the blur at most, pixels of the level.
+/// Returns the maximum change of blur by a change of velocity, pixels of the level.
 fn blur_change_px(spec: &LevelSpec, motion: &Motion, step: &Vector6<f64>) -> f64 {
     spec.blur_of(&Motion::still(motion.pose).with_twist(step))
 }
 
-/// The nearest matrix without a negative eigenvalue.
+/// Returns the nearest matrix without negative eigenvalues.
 fn positive(matrix: &Matrix6<f64>) -> Matrix6<f64> {
     let mut eigen = ((matrix + matrix.transpose()) * 0.5).symmetric_eigen();
     eigen.eigenvalues.apply(|v| *v = v.max(0.0));

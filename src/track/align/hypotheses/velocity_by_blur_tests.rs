@@ -18,7 +18,7 @@ const ROLLING: Shutter = Shutter { readout_s: 0.02, exposure_s: 0.012 };
 fn motion(distance_m: f64, velocity: [f64; 3], turn_rate: [f64; 3]) -> Motion {
     let pose = facing(0.02, -0.03, Vector3::new(0.1, 0.05, distance_m)).inverse();
     let axes = pose.rotation_matrix();
-    // Told in camera axes.
+    // Given in camera axes.
     Motion { velocity: axes * Vector3::from(velocity), turn_rate: Vector3::from(turn_rate), ..Motion::still(pose) }
 }
 
@@ -26,7 +26,8 @@ fn blurred(motion: &Motion, shutter: &Shutter) -> GrayImage {
     moving_view(&cloth(1), motion, shutter, &lens(SIZE[0], SIZE[1]))
 }
 
-/// Aligns a frame from the true pose, with nothing known of the motion. `exposure_s`: what the aligner takes for the exposure.
+/// Aligns a frame from the true pose, with an unknown motion. `exposure_s`: the exposure that the
+/// aligner assumes.
 fn found(frame: &GrayImage, truth: &Motion, shutter: &Shutter, exposure_s: f64) -> Alignment {
     let expected = MotionEstimate::unseen(truth.pose, truth.pose.translation.norm(), 0.02, 0.006);
     found_from(frame, &expected, shutter, exposure_s)
@@ -39,7 +40,7 @@ fn found_from(frame: &GrayImage, expected: &MotionEstimate, shutter: &Shutter, e
     aligner.align(&mut levels, &CameraRays::new(lens(SIZE[0], SIZE[1]), None), expected, None).expect("the picture agrees").alignment
 }
 
-/// How fast the middle of the picture moves, rad/s: across and down the frame.
+/// Returns how fast the middle of the picture moves, rad/s: across and down the frame.
 fn image_velocity(motion: &Motion) -> Vector2<f64> {
     let v = motion.pose.rotation.inverse() * motion.velocity / FAR_M;
     Vector2::new(-motion.turn_rate.y - v.x, motion.turn_rate.x - v.y)
@@ -55,19 +56,21 @@ fn blur_tells_how_fast_a_picture_moves_and_along_which_way_but_not_in_which_dire
         let off = (is - should).norm().min((is + should).norm()) / should.norm();
         println!("{is} {should}, off by {off:.3}");
         assert!(seen.has_opposite && off < 0.2, "{is} {should}");
-        // Where the shutter is open for no time, there is none. Nor is it asked of a picture that is seen large, which is followed without.
+        // Without exposure time there is no blur. Nor is blur estimated for a picture that is seen
+        // large, which can be followed without it.
         let large = motion(NEAR_M, [0.0; 3], turn_rate);
         assert!(!found(&blurred(&large, &GLOBAL), &large, &GLOBAL, GLOBAL.exposure_s).has_opposite);
         assert!(!found(&frame, &truth, &GLOBAL, 1e-6).has_opposite);
     }
 }
 
-/// A camera that turns sees an object that is carried: its blur is of both, shorter than that of the camera alone or longer.
+/// A camera that rotates sees an object that is carried. The blur is by both motions, shorter than
+/// by the camera alone or longer.
 #[test]
 fn a_known_motion_of_the_camera_is_a_part_of_the_blur() {
     for (velocity, turn_rate) in [([6.0, 0.5, 0.0], [0.2, -0.7, 0.0]), ([-6.0, 1.5, 0.0], [0.1, -0.4, 0.1])] {
         let truth = motion(FAR_M, velocity, turn_rate);
-        // Told in the axes of a stage that lies as the cloth does.
+        // In the axes of a stage that is aligned with the cloth.
         let camera = MotionEstimate {
             motion: Motion { turn_rate: truth.turn_rate, ..Motion::still(truth.pose) },
             covariance: MotionMatrix::identity() * 1e-6,
@@ -99,7 +102,7 @@ fn a_turn_and_a_velocity_that_move_a_point_alike_are_one() {
         let [by_both, by_turn] = [twist, Vector6::new(0.0, 0.0, 0.0, turn.x, turn.y, 0.0)].map(|twist| speed(&twist));
         assert!((by_both - by_turn).norm() < 1e-6, "{by_both} {by_turn}");
     }
-    // Far aside it is taken for one straight ahead.
+    // Far to the side, the point is replaced by one straight ahead.
     assert_eq!(
         turn_by_velocity(&pose.rotation_matrix(), &Vector3::new(2.0, 0.0, -1.0)),
         turn_by_velocity(&pose.rotation_matrix(), &(Vector3::z() * 5f64.sqrt()))

@@ -1,47 +1,47 @@
-//! Cameras that are started, stopped or pushed: their velocity jumps, at any instant, also while a frame is exposed and read.
+//! Cameras that are started, stopped or pushed: their velocity jumps, at any instant, also while a
+//! frame is exposed and read.
 //!
-//! White jerk has no jumps. Where a pose is found too far from what jerk explains, the frame is solved with a second expectation, whose
-//! velocity jumped somewhere since the last frame or within this one. When it jumped, and by how much, is asked of every frame after that
-//! (`jump_instant`); here is also what those questions leave open.
+//! The motion filter models white jerk, which has no jumps. Where a pose is too far from the
+//! prediction for jerk to explain it, the frame is solved with a second prior, whose velocity
+//! jumped at some time since the last frame or within this one ([`jumped`]). Then every frame is
+//! tested for when its velocity jumped, and by how much (`solve::jump_instant`). [`by_bend`] and
+//! [`by_start`] return the uncertainty that remains.
 
 use nalgebra::{Matrix6, Vector6};
 
 use crate::camera::Shutter;
 use crate::motion::{Continuation, MotionEstimate, unseen};
 
-/// A pose found further than this from where it was expected (squared, in sigmas, six degrees of freedom: one frame in 2000 by chance) is
-/// solved with a jump. Raised, jumps pull the pose by what was expected; lowered, frames of a shaken camera know
-/// less of their motion than they could: with 16 instead of 30, d-whip's errors grow from 0.24 to 0.31 mm.
+/// Squared Mahalanobis distance from the prediction (6 dimensions) above which a jump is tried.
+/// Raised, the prior pulls poses after jumps; lowered, shaken frames know less of their motion.
 const UNEXPECTED: f64 = 24.0;
-/// A jump within the exposure bends the path of the picture: the acceleration that a rolling shutter's rows take it for, one sigma, times
-/// the velocity that is usual over the time of a frame. Raised, frames with a jump know less of their acceleration; lowered, the bend
-/// passes for a shift of the pose.
+/// Sigma of the acceleration for which rows take a jump, times the usual velocity over a frame's
+/// time. Raised, the acceleration is less certain after jumps; lowered, the bend shifts the pose.
 const BEND: f64 = 2.0;
-/// One sigma of the pose's error, as a share of how far it was found from where it was expected: all of it where the camera starts in the
-/// second half of the exposure, nothing before. Where rows tell the instant it is known far better, so that this is half of the scatter
-/// over all instants. Raised, the covariance of every surprise is wider.
+/// Sigma of the pose's error, as a fraction of its distance from the prediction. Raised, the
+/// covariance of every surprise is wider; lowered, it is too narrow for starts within the exposure.
 const OFF_SHARE: f64 = 0.22;
-/// The same of how far the pose was found from the line that the camera went on. A line is known nearly as well as a pose, so that also a small
-/// jump within the exposure leads away from it: what is off is then all error in half of the cases. With 0.22, errors of 4.5 sigma are usual among
-/// poses that left their line; raised, the covariance of every start and stop is wider.
+/// The same, as a fraction of the distance from the line that the camera was following. Raised, the
+/// covariance of every start and stop is wider; lowered, errors exceed it.
 const LINE_SHARE: f64 = 0.4;
-/// A jump of this many sigmas at the middle of the exposure is the largest that such an error comes from: it is an eighth of the jump times
-/// the exposure. Raised, poses that are far off for other reasons get a wider covariance than any start could need.
+/// Sigmas of the largest jump at mid-exposure that such an error is attributed to. Raised, poses
+/// that are far off for other reasons get a wider covariance than any start needs.
 const MAX_JUMP: f64 = 3.0;
-/// Of a velocity that changed within a frame, times how long the frame was exposed and read, this share is an error of the pose: at most an
-/// eighth of it where all rows are exposed together, and 0.05 where rows follow each other. Raised, covariances of shaken cameras are
-/// wider.
+/// Sigma of the pose's error, as a fraction of the velocity's change within a frame times exposure
+/// and readout. Raised, covariances of shaken cameras are wider.
 const BEND_SHARE: f64 = 0.1;
-/// A camera that starts or stops at a share s of the exposure is seen s (1 - s) / 2 of it from where its stamp says, per unit of
-/// speed: the mean square over all s.
+/// Mean square, over all s, of s (1 - s) / 2: the error, per exposure and unit of speed, of a
+/// camera that starts or stops at the fraction s of the exposure. Not a setting.
 const STARTED_SQUARE: f64 = 1.0 / 120.0;
 
-/// Whether a pose lies too far from what was expected (squared Mahalanobis distance) for jerk to explain it.
+/// Whether a pose is too far from the prediction (squared Mahalanobis distance) for jerk to explain
+/// it.
 pub fn is_unexpected(squared_mahalanobis: f64) -> bool {
     squared_mahalanobis >= UNEXPECTED
 }
 
-/// What is expected after `dt_s` where the velocity may have jumped meanwhile. `expected`: where it did not.
+/// Returns the prior after `dt_s` seconds if the velocity may have jumped meanwhile. `expected`:
+/// the prediction without a jump; `distance_m`: to the nearest surface, for the usual velocity.
 pub fn jumped(expected: &MotionEstimate, dt_s: f64, shutter: &Shutter, distance_m: f64) -> MotionEstimate {
     let mut covariance = expected.covariance;
     let frame_s = shutter.readout_s + shutter.exposure_s;
@@ -61,9 +61,11 @@ pub fn jumped(expected: &MotionEstimate, dt_s: f64, shutter: &Shutter, distance_
     MotionEstimate { motion: expected.motion, covariance }
 }
 
-/// What a motion that bent within the frame adds to the covariance of the pose: the picture's middle is not where the camera was at the stamp.
-/// `line`: where the line led that the camera went on, if it did; otherwise the pose is held against what was expected. Also a pose
-/// that stays within the noise about its line may be off: a jump may hide there.
+/// Returns the covariance that a bend of the motion within the frame adds to the pose: the middle
+/// of the picture's path is not where the camera was at the stamp. `line`: the prediction of the
+/// line that the camera was following, if there was one; otherwise the pose is compared with
+/// `expected`. A pose within the noise about its line may be off as well, as a small jump may hide
+/// there.
 pub fn by_bend(
     expected: &MotionEstimate,
     found: &MotionEstimate,
@@ -77,7 +79,8 @@ pub fn by_bend(
     let off = line.map_or(error, |line| line.expected.motion.error_to(&found.motion));
     let off: Vector6<f64> = off.fixed_rows::<6>(0).into_owned();
     let share = if line.is_some() { LINE_SHARE } else { OFF_SHARE };
-    // By as much may the line itself be off; while the pose lies on it, that is part of the distance.
+    // The line itself may be off by this much. While the pose lies on it, that is part of the
+    // distance already.
     let left = line.filter(|line| line.has_left);
     let covariance = left.map_or(Matrix6::zeros(), |line| line.expected.covariance.fixed_view::<6, 6>(0, 0).into_owned());
     // How long a usual jump takes to get there.
@@ -87,7 +90,7 @@ pub fn by_bend(
     (off * off.transpose() + covariance) * (share * most).powi(2) + bend * bend.transpose()
 }
 
-/// What is left open of the first pose: whether the camera just started or stopped.
+/// Returns the covariance added to the first pose, as the camera may have just started or stopped.
 pub fn by_start(found: &MotionEstimate, shutter: &Shutter) -> Matrix6<f64> {
     found.covariance.fixed_view::<6, 6>(6, 6) * (STARTED_SQUARE * shutter.exposure_s.powi(2))
 }
@@ -136,14 +139,16 @@ mod tests {
         for k in 1..40 {
             let s = f64::from(k) / 40.0;
             for jump in [0.3 * speed, speed, 2.0 * speed] {
-                // Rest, then uniform motion from the share s of the exposure on: the mean of the path, and where the camera was in its middle.
+                // Rest, then uniform motion from the fraction s of the exposure on: the mean of the
+                // path, and where the camera was at its middle.
                 let seen = jump * exposure_s * (1.0 - s).powi(2) / 2.0;
                 let truth = jump * exposure_s * (0.5 - s).max(0.0);
                 let mut found = rest(1e-10);
                 found.motion.pose = Pose::new(UnitQuaternion::identity(), Vector3::x() * seen);
                 let sigma = by_bend(&rest(1e-8), &found, None, &GLOBAL, DISTANCE_M)[(0, 0)].sqrt();
                 assert!((seen - truth).abs() < 4.8 * sigma, "{s} {jump}: {} {sigma}", seen - truth);
-                // Nor is it absurdly more than the largest error of such a jump.
+                // The covariance is not absurdly wider than the largest error of such a jump
+                // either.
                 assert!(sigma < OFF_SHARE * MAX_JUMP / 8.0 * speed * exposure_s * 1.001);
             }
         }
