@@ -1,31 +1,32 @@
-//! What a cell of a frame says of two moments: how much of "both moments", of "rows by turns" and of
-//! plain softness its picture has beside the one moment that fits best.
+//! The evidence of one cell for a second moment: how much of "both moments", "alternating rows" and
+//! plain softness its picture contains beside the single moment that fits best. A cell is a small
+//! block of pixels, compared with the reference picture drawn at several moments.
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
-/// Columns and rows of a cell, pixels. Raised, folds and light differ within a cell; lowered, a cell
+/// Columns and rows of a cell, pixels. Raised, folds and light vary within a cell; lowered, a cell
 /// has little detail.
 pub const ACROSS: usize = 24;
 pub const DOWN: usize = 16;
-/// Pixels that have neighbours on all sides.
+/// Number of pixels with neighbours on all sides.
 const INSIDE: usize = (ACROSS - 2) * (DOWN - 2);
-/// Least standard deviation of a cell that is asked, grey levels. Raised, faint pictures are not
-/// asked; lowered, noise is.
+/// Minimum standard deviation of a tested cell, grey levels. Raised, faint pictures are not tested;
+/// lowered, noise is.
 const MIN_CONTRAST: f32 = 4.0;
-/// A cell counts where all that is tried leaves less than this share of its variance. Raised, people
-/// before the stage count; lowered, noisy cells do not.
+/// Maximum fraction of a cell's variance that the regression leaves. Raised, people in front of the
+/// stage count; lowered, noisy cells do not.
 const MAX_LEFT: f64 = 0.3;
 
-/// The greys of a cell.
+/// The greys of a cell, by row and column.
 pub type Greys = [[f32; ACROSS]; DOWN];
 
-/// Moments that are drawn, in times from frame to frame, from the frame's own.
+/// The moments that are drawn, in frame intervals from the frame's own. Not tuned; more cost more.
 pub const MOMENTS: [f64; 5] = [-1.0, -0.5, 0.0, 0.5, 1.0];
-/// The middles of two moments that are a frame's time apart, by their numbers: a pose may be that of
-/// either moment, or lie between them.
+/// Indices in [`MOMENTS`] of the middles of two moments a frame interval apart: the pose may be
+/// that of either moment, or between them.
 pub const MIDDLES: [usize; 3] = [1, 2, 3];
 
-/// A cell as the frame shows it, and as it should look at some moments.
+/// A cell as the frame shows it, and as it should look at the [`MOMENTS`].
 #[derive(Debug)]
 pub struct Cell {
     pub seen: Greys,
@@ -34,30 +35,31 @@ pub struct Cell {
     pub begins_even: bool,
 }
 
-/// Normal equations of [both moments, rows by turns, softness], summed over cells.
+/// Normal equations of [both moments, alternating rows, softness], summed over cells.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Evidence {
     pub normal: Matrix3<f64>,
     pub right: Vector3<f64>,
 }
 
-/// Shares of a second moment: 1 where all of the picture is the mean of the two ends of a frame's
-/// time, and 1 or -1 where rows show the one and the other end by turns. An exposure as long as the
-/// frame's time has a third and 0.
+/// Shares of a second moment. `both` is 1 where the whole picture is the mean of the two ends of a
+/// frame interval; an exposure as long as the interval has a third. `by_turns` is 1 or -1 where
+/// rows alternate between the two ends, and 0 for an exposure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shares {
     pub both: f64,
     pub by_turns: f64,
 }
 
-/// The columns of the regression: what one moment explains, what is asked for, and what is seen.
+/// Numbers and indices of the regression's columns: what one moment explains, the unknowns, and the
+/// observed greys.
 const EXPLAINED: usize = 3;
 const ASKED: usize = 3;
 const SEEN: usize = EXPLAINED + ASKED;
 const COLUMNS: usize = SEEN + 1;
 
 impl Evidence {
-    /// What was known before counts this share.
+    /// Scales the earlier evidence by this factor.
     pub fn fade(&mut self, share: f64) {
         self.normal *= share;
         self.right *= share;
@@ -68,9 +70,9 @@ impl Evidence {
         self.right += other.right;
     }
 
-    /// `None` where too little is known.
+    /// Returns the shares; `None` where too little is known.
     pub fn shares(&self) -> Option<Shares> {
-        // Rows by turns are not seen in smaller copies of a frame.
+        // Alternating rows are not visible in smaller copies of a frame.
         let mut normal = self.normal;
         normal[(1, 1)] += 1e-6 * normal[(0, 0)] + f64::MIN_POSITIVE;
         let x = normal.cholesky()?.solve(&self.right);
@@ -78,16 +80,17 @@ impl Evidence {
     }
 }
 
-/// What a cell says where its two moments lie about one of the [`MIDDLES`].
+/// A cell's evidence if its two moments lie about one of the [`MIDDLES`].
 #[derive(Debug, Clone, Copy, Default)]
 pub struct OfCell {
     pub evidence: Evidence,
-    /// Share of the variance that all that is tried leaves.
+    /// Fraction of the variance that the regression leaves.
     pub left: f64,
 }
 
 impl Cell {
-    /// By the [`MIDDLES`]; `None` where it has no detail, or where something else is seen.
+    /// Returns the evidence for each of the [`MIDDLES`]; `None` where the cell has no detail, or
+    /// shows something else.
     pub fn evidence(&self) -> Option<[OfCell; MIDDLES.len()]> {
         let mut told = [OfCell { left: 1.0, ..OfCell::default() }; MIDDLES.len()];
         for (told, middle) in told.iter_mut().zip(MIDDLES) {
@@ -96,8 +99,9 @@ impl Cell {
         told.iter().any(|told| told.left < MAX_LEFT).then_some(told)
     }
 
-    /// When the frame shows the cell, in times from frame to frame from its own moment: from the moment
-    /// that it looks like, by its picture's change. `None` where it looks like none of them.
+    /// Returns the moment that the frame shows the cell at, in frame intervals from its own: the
+    /// drawn moment that it resembles most, refined by the picture's change about that. `None`
+    /// where it resembles none of them.
     pub fn moment(&self) -> Option<f64> {
         let inside = |greys: &Greys| {
             let mut out = [0.0; INSIDE];
@@ -122,7 +126,7 @@ impl Cell {
         let (from, to) = (best.saturating_sub(1), (best + 1).min(MOMENTS.len() - 1));
         let mut change: [f32; INSIDE] = std::array::from_fn(|k| drawn[to][k] - drawn[from][k]);
         let gain = product(&seen, own) / product(own, own);
-        // What light changes is no motion.
+        // The part of the change that looks like a gain of the light is not motion.
         let lit = product(&change, own) / product(own, own);
         change.iter_mut().zip(own).for_each(|(change, own)| *change -= lit * own);
         let moved = product(&seen, &change) / (gain * product(&change, &change)).max(f32::MIN_POSITIVE);
@@ -145,7 +149,7 @@ impl Cell {
         if variance < f64::from(MIN_CONTRAST.powi(2)) * INSIDE as f64 {
             return None;
         }
-        // The light's gain, and where the cell lies, are what one moment may choose.
+        // The light's gain and the cell's position are free for a single moment.
         let explained = gram.fixed_view::<EXPLAINED, EXPLAINED>(0, 0).into_owned().cholesky()?;
         let gain = explained.solve(&gram.fixed_view::<EXPLAINED, 1>(0, SEEN))[0];
         let across = gram.fixed_view::<EXPLAINED, { COLUMNS - EXPLAINED }>(0, EXPLAINED).into_owned();
@@ -161,7 +165,7 @@ impl Cell {
         (gain > 0.0).then(|| OfCell { evidence: Evidence { normal, right: right * gain }, left: (left / variance).max(0.0) })
     }
 
-    /// All columns, each less its mean.
+    /// Returns all columns, each without its mean.
     #[allow(clippy::needless_range_loop)]
     fn columns(&self, middle: usize) -> [[f32; INSIDE]; COLUMNS] {
         let mut columns = [[0.0; INSIDE]; COLUMNS];
@@ -213,7 +217,7 @@ mod tests {
         Cell { seen, drawn: MOMENTS.map(|t| picture(t as f32 * way_px)), begins_even: true }
     }
 
-    /// About the middle that explains most.
+    /// Returns the shares about the middle that explains most.
     fn shares(seen: Greys, way_px: f32) -> (usize, Shares) {
         let told = cell(seen, way_px).evidence().unwrap();
         let best = (0..MIDDLES.len()).min_by(|a, b| told[*a].left.total_cmp(&told[*b].left)).unwrap();

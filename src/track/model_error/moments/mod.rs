@@ -1,10 +1,12 @@
-//! Whether a frame shows one moment. Fields that are woven together, frames that a converter blended
-//! and torn ones show two: their pose is that of no moment, off by as much as the camera moves in half
-//! of the time from frame to frame.
+//! Detects frames that show two moments. Interlaced video weaves the rows of two fields, frame rate
+//! conversion blends two frames, and torn frames show one moment above a line and another below.
+//! The pose of such a frame belongs to no moment. It is off by as much as the camera moves in half
+//! a frame interval.
 //!
-//! Cells of the picture are drawn as they should look at some moments about the frame's (`evidence`).
-//! An exposure is no longer than a frame's time, and its picture has a third of what the mean of both
-//! ends has. In a torn frame cells above a line are of another moment than those below (`tear`). The
+//! [`MixtureWatch`] draws cells of the reference pictures as they should look at some moments about
+//! the frame's own, and compares them with the frame (`evidence`). A mixture has a share of 1 of a
+//! second moment; an exposure, which is at most as long as the frame interval, has at most a third.
+//! In a torn frame, cells above a line show another moment than those below it (`tear`). The
 //! evidence is summed over frames, as cameras and capture cards that mix frames mix all of them.
 
 mod evidence;
@@ -25,54 +27,57 @@ use crate::track::scene::bilinear::look_at;
 use crate::track::scene::reference::{PreparedBody, PreparedSurface};
 use crate::track::scene::shape::ShapePoint;
 
-/// Cells that are drawn. Raised, a frame that is asked costs more; lowered, what covers some decides.
+/// Cells drawn per frame. Raised, a tested frame costs more; lowered, an occluder of some cells
+/// decides.
 const CELLS: usize = 40;
-/// Places of the pictures at which a tear is looked for, whatever is seen there.
+/// Places in the pictures where tears are searched for, whatever is visible there. Raised, a tested
+/// frame costs more; lowered, tears have too few cells.
 const PLACES: usize = 144;
-/// Fewest cells by which a frame is told. Raised, small stages are not asked.
+/// Minimum cells by which a frame is judged. Raised, small stages are not tested; lowered, a few
+/// cells decide.
 const MIN_CELLS: usize = 8;
-/// Least way of the picture from frame to frame, pixels (rms), of a frame that is asked. Raised, slow
-/// mixtures are noticed later; lowered, the point spread passes for a second moment.
+/// Minimum displacement of the picture per frame for a test, pixels (rms). Raised, slow mixtures
+/// are noticed later; lowered, the point spread passes for a second moment.
 const ASKED_PX: f64 = 1.2;
-/// Longest way, pixels of the copy of the frame that is asked: a smaller copy is taken for more.
+/// Maximum displacement per frame, pixels of the copy of the frame; beyond it a smaller copy is
+/// used. Raised, a cell's moments share less of its width; lowered, fields are seen less often.
 const MAX_PX: f64 = 6.0;
-/// Two motions in a row may differ by this share for a frame to be asked: what a frame shows is the
-/// motion of its own time. Raised, a hand's jerks pass for a second moment; lowered, only smooth
-/// motion tells.
+/// Maximum relative change of the motion from frame to frame for evidence of a second moment.
+/// Raised, jerks of a hand pass for a second moment; lowered, only smooth motion counts.
 const MAX_CHANGE: f64 = 0.3;
-/// A frame is blended from this share of both moments on: an exposure as long as the frame's time has
-/// a third, a mixture 1. Raised, mixtures pass; lowered, long exposures are refused.
+/// Share of a second moment above which a frame is blended (long exposure: a third; mixture: 1).
+/// Raised, mixtures pass; lowered, long exposures are refused.
 const BLENDED: f64 = 0.7;
-/// Rows are woven from this share on: 1 where fields are a frame's time apart, a half where they are
-/// half of it apart. Lowered, stripes may pass for fields.
+/// Share above which rows are woven: 1 for fields a frame interval apart, a half for half of it.
+/// Raised, fields pass; lowered, stripes may pass for fields.
 const WOVEN: f64 = 0.3;
-/// Share of the evidence that is kept at each frame that is asked. Raised, a source that was repaired
-/// is believed later; lowered, single frames decide.
+/// Fraction of the evidence kept at each tested frame. Raised, a repaired source is trusted later;
+/// lowered, single frames decide.
 const KEPT: f64 = 0.8;
-/// Frames that say the same before it is said. Raised, it is said later.
+/// Tested frames with the same result before it is announced. Raised, it is announced later;
+/// lowered, a chance result may be announced.
 const SAID_AFTER: u32 = 5;
-/// Frames in a row that are asked before the watch is idle, and then one of so many is asked. Raised,
-/// whole frames cost more, or mixtures that begin later are noticed later.
+/// Moving frames that are all tested at first, and the interval of tests after those. Raised,
+/// frames cost more, or mixtures that begin later are noticed later.
 const ASKED_FIRST: u32 = 12;
 const IDLE_FRAMES: u32 = 6;
-/// Way of the picture, pixels (rms) a frame, from which on poses of mixtures are withheld; a slower
-/// one has what the motion may displace in its covariance. Raised, poses are given that are far less
-/// sure than usual.
+/// Displacement per frame, pixels (rms), from which a mixture's pose is withheld; the covariance
+/// covers slower ones. Raised, poses far less certain than usual are reported.
 const WITHHELD_PX: f64 = 1.0;
 
-/// What frames are made of.
+/// How a frame mixes moments.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mixture {
-    /// Rows of two moments by turns.
+    /// Rows of two moments alternate.
     Woven,
     /// Two pictures are blended.
     Blended,
-    /// The upper rows are of another moment than the lower ones.
+    /// The upper rows show another moment than the lower ones.
     Torn,
 }
 
 impl Mixture {
-    /// What is the matter and what to do about it.
+    /// Returns what is wrong, and how to fix it.
     pub fn text(self) -> &'static str {
         match self {
             Self::Woven => {
@@ -97,48 +102,51 @@ pub struct Found<'a> {
     pub body: &'a PreparedBody,
     pub anchors: &'a [FittedAnchor],
     pub camera: &'a CameraModel,
-    /// At the frame's stamp, as the last two poses have it.
+    /// The motion at the frame's stamp, from the last two poses.
     pub motion: Motion,
-    /// The motion before, if it is known.
+    /// The motion before that, if known.
     pub motion_before: Option<Motion>,
-    /// From frame to frame.
+    /// Frame interval, seconds.
     pub interval_s: f64,
 }
 
-/// What becomes of a frame's pose.
+/// What to do with a frame's pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
-    /// It shows one moment, or nothing moves.
+    /// Report it: the frame shows one moment, or no mixture is known.
     Whole,
-    /// It is a mixture, but moves so slowly that its pose is right within its half-step.
+    /// Report it with a wider covariance: the frame is a mixture, but moves so slowly that half the
+    /// motion of a frame interval covers the error.
     Slow,
-    /// It is a mixture and moves.
+    /// Withhold it: the frame is a mixture and moves.
     Withheld,
 }
 
-/// Watches what frames are made of.
+/// Watches whether frames are mixtures.
 #[derive(Debug, Default)]
 pub struct MixtureWatch {
     evidence: Evidence,
-    /// Shares of the frames asked that were torn.
+    /// Running ratio of tested frames that were torn.
     torn: f64,
     mixture: Option<Mixture>,
-    /// Frames asked, frames passed over since the last of them, and frames in a row that said so.
+    /// Frames tested, frames passed over since the last test, and tested frames in a row with the
+    /// same mixture.
     asked: u32,
     passed: u32,
     agreeing: u32,
     is_said: bool,
     averaged: Vec<AveragedPicture>,
-    /// log2 of the texels of each surface along a pixel.
+    /// log2 of each surface's texels per pixel of the copy.
     texels: Vec<f64>,
     displaced: Vec<Displaced>,
 }
 
 impl MixtureWatch {
-    /// Looks at a frame, if it is time for that, and judges its pose.
+    /// Tests a frame if a test is due, and judges its pose.
     pub fn look(&mut self, found: &Found, levels: &mut FrameLevels) -> Verdict {
         let way_px = found.way_px(&found.motion);
-        // The pose of a mixture may be that of either moment by turns, and stand still meanwhile.
+        // A mixture's pose may alternate between both moments and stand still in between, so the
+        // motion before counts as well.
         let longest_px = found.motion_before.map_or(way_px, |before| way_px.max(found.way_px(&before)));
         if way_px >= ASKED_PX && self.is_due() {
             self.ask(found, way_px, levels);
@@ -150,14 +158,14 @@ impl MixtureWatch {
         }
     }
 
-    /// What is to be said of the frames, once.
+    /// Returns the mixture to announce, once.
     pub fn news(&mut self) -> Option<Mixture> {
         let mixture = self.mixture.filter(|_| self.agreeing >= SAID_AFTER && !self.is_said)?;
         self.is_said = true;
         Some(mixture)
     }
 
-    /// Whether frames are mixtures, as far as is known.
+    /// Whether frames are known to be mixtures.
     pub fn is_mixing(&self) -> bool {
         self.mixture.is_some()
     }
@@ -172,7 +180,7 @@ impl MixtureWatch {
         while way_px / f64::from(1u32 << level) > MAX_PX && level + 1 < LEVELS {
             level += 1;
         }
-        // Fields are not seen in smaller copies.
+        // Fields are not visible in smaller copies.
         if level > 0 && self.mixture == Some(Mixture::Woven) {
             return;
         }
@@ -182,7 +190,7 @@ impl MixtureWatch {
         self.find_moments(found, &copy, &poses);
         let is_torn = torn_by(&self.displaced).is_some();
         self.torn += (1.0 - KEPT) * (f64::from(u8::from(is_torn)) - self.torn);
-        // Of a motion that changes, the cells of one frame show more or less than its own.
+        // If the motion changes, a frame's cells show more or less motion than its own.
         if found.is_steady()
             && let Some(of_frame) = self.evidence_of(found, &copy, &poses)
         {
@@ -201,7 +209,8 @@ impl MixtureWatch {
         tracing::debug!(way_px, ?shares, self.torn, ?mixture, "moments");
     }
 
-    /// Averages the pictures over what a pixel of the copy covers.
+    /// Determines how many texels a pixel of the copy covers on each surface, for averaging the
+    /// pictures.
     fn prepare(&mut self, found: &Found, copy: &FrameCopy, poses: &Poses) {
         let surfaces = &found.body.surfaces;
         let (frame, scale) = (copy.size.map(|n| n as f64), copy.scale());
@@ -215,7 +224,8 @@ impl MixtureWatch {
         }
     }
 
-    /// The cell about a place of a surface, where it is shown or should be.
+    /// Returns the cell about a place of a surface, where the frame shows it (`shown`) or should
+    /// show it.
     fn cell(
         &mut self,
         found: &Found,
@@ -230,7 +240,7 @@ impl MixtureWatch {
         draw_cell(surface, share, shown, picture, poses, found.camera, copy)
     }
 
-    /// What cells say where tiles are seen.
+    /// Sums the evidence of cells at anchors that were found. `None` where too few cells have any.
     fn evidence_of(&mut self, found: &Found, copy: &FrameCopy, poses: &Poses) -> Option<Evidence> {
         let stride = found.anchors.len().div_ceil(CELLS).max(1);
         let (mut sums, mut left, mut cells) = ([Evidence::default(); MIDDLES.len()], [0.0; MIDDLES.len()], 0);
@@ -250,7 +260,7 @@ impl MixtureWatch {
         (cells >= MIN_CELLS).then_some(sums[best])
     }
 
-    /// Finds when the frame shows places all over the pictures.
+    /// Finds the moment that the frame shows at places all over the pictures.
     fn find_moments(&mut self, found: &Found, copy: &FrameCopy, poses: &Poses) {
         let mut displaced = std::mem::take(&mut self.displaced);
         displaced.clear();
@@ -266,7 +276,7 @@ impl MixtureWatch {
 }
 
 impl Found<'_> {
-    /// How far the picture of a point goes from frame to frame.
+    /// Returns the displacement of a point's picture per frame interval, pixels.
     fn way(&self, point: &Point3<f64>, motion: &Motion) -> Option<Vector2<f64>> {
         let see = |pose: &Pose<Body, Camera>| {
             let seen = pose.inverse().transform(point);
@@ -275,14 +285,14 @@ impl Found<'_> {
         Some(see(&motion.pose)? - see(&motion.after(-self.interval_s).pose)?)
     }
 
-    /// The same, root mean square over all anchors.
+    /// Returns the same, root mean square over all anchors.
     fn way_px(&self, motion: &Motion) -> f64 {
         let ways = self.anchors.iter().filter_map(|anchor| self.way(&anchor.observation.point, motion));
         let (sum, n) = ways.fold((0.0, 0), |(sum, n), way| (sum + way.norm_squared(), n + 1));
         (sum / f64::from(n.max(1))).sqrt()
     }
 
-    /// Whether the frame goes on as the one before did.
+    /// Whether the motion continues as in the frame before.
     fn is_steady(&self) -> bool {
         let Some(before) = &self.motion_before else { return false };
         let points = self.anchors.iter().map(|anchor| anchor.observation.point);
@@ -292,7 +302,8 @@ impl Found<'_> {
         change <= MAX_CHANGE.powi(2) * way
     }
 
-    /// A place of a surface that is shown as it looked at a moment.
+    /// Returns a place of a surface that is shown as it looked at `moment`; `None` where it is not
+    /// visible or does not move.
     fn displaced(&self, number: usize, share: [f64; 2], moment: f64) -> Option<Displaced> {
         let rectangle = &self.body.surfaces[number].rectangle;
         let ShapePoint { place, .. } = rectangle.shape.at(metres(share, rectangle.size_m));
@@ -310,17 +321,17 @@ impl Found<'_> {
     }
 }
 
-/// A place of a picture, from its centre.
+/// Converts a place of a picture, as fractions of its size, to metres from its centre.
 fn metres(share: [f64; 2], size_m: [f64; 2]) -> [f64; 2] {
     [(share[0] - 0.5) * size_m[0], (0.5 - share[1]) * size_m[1]]
 }
 
-/// Where the camera is at each of the [`MOMENTS`].
+/// The camera's pose at each of the [`MOMENTS`].
 type Poses = [Pose<Body, Camera>; MOMENTS.len()];
-/// The frame's own moment.
+/// Index of the frame's own moment in [`MOMENTS`].
 const NOW: usize = 2;
 
-/// A copy of the frame, smaller or not.
+/// A copy of the frame at a pyramid level; level 0 is the frame itself.
 struct FrameCopy<'a> {
     level: usize,
     size: [usize; 2],
@@ -329,7 +340,7 @@ struct FrameCopy<'a> {
 
 enum Greyscale<'a> {
     Bytes(&'a [u8]),
-    /// Sums, and what one grey level is in them.
+    /// Sums of pixels, and the factor from a sum to a grey level.
     Sums(&'a [u16], f32),
 }
 
@@ -358,8 +369,9 @@ impl<'a> FrameCopy<'a> {
     }
 }
 
-/// The cell about a place of a surface; `None` where it leaves the frame or the picture. `shown`: where
-/// the frame shows it, if that is known: what folds displace is none of a second moment.
+/// Draws the cell about a place of a surface; `None` where it leaves the frame or the picture.
+/// `shown`: where the frame shows it, if known, so that a displacement by folds does not count as a
+/// second moment.
 fn draw_cell(
     surface: &PreparedSurface,
     share: [f64; 2],

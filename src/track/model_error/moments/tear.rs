@@ -1,33 +1,36 @@
-//! Torn frames: the rows above a line show another moment than those below it.
+//! Torn frames: the rows above a line show another moment than those below it. Each cell has a
+//! displacement along its motion; a step of these at a line is tested against a smooth change by
+//! pose and readout.
 
 use nalgebra::{SMatrix, SVector};
 
-/// Where a cell is seen along its way, from where the pose has it.
+/// The displacement of a cell along its motion, from where the pose has it.
 #[derive(Debug, Clone, Copy)]
 pub struct Displaced {
-    /// Share of the frame's height.
+    /// Row of the cell, as a fraction of the frame's height.
     pub row: f64,
-    /// Pixels.
+    /// Displacement, pixels.
     pub off: f64,
-    /// How far its picture goes from frame to frame, pixels.
+    /// The picture's displacement per frame interval, pixels.
     pub way: f64,
-    /// How the place along the way changes with the pose.
+    /// Derivative of the place along the motion by the pose.
     pub by_pose: SVector<f64, 6>,
 }
 
-/// Lines that are tried. Raised, a frame that is asked costs more.
+/// Number of lines tried. Raised, a tested frame costs more; lowered, tears between the lines are
+/// missed.
 const LINES: usize = 12;
-/// A step counts from so many ways on: a torn frame's is one or more of the camera's, half of one
-/// where the pose is of either moment by turns. Raised, tears near the border
-/// are given; lowered, a jerk within a rolling shutter counts.
+/// Minimum step, in displacements per frame interval. Raised, tears near the border are missed;
+/// lowered, a jerk under a rolling shutter passes for one.
 const MIN_WAYS: f64 = 0.4;
-/// It leaves less than this share of what a smooth field leaves. Raised, noise counts as a tear;
-/// lowered, noisy tears are given.
+/// Maximum fraction of a smooth fit's residual that a step may leave. Raised, noise passes for a
+/// tear; lowered, noisy tears are missed.
 const LEFT: f64 = 0.4;
-/// Fewest cells on either side. Raised, tears near the border are given.
+/// Minimum cells on either side of a line. Raised, tears near the border are missed; lowered, a few
+/// cells decide.
 const MIN_CELLS: usize = 6;
 
-/// What may be smooth: the pose, and the motion by the row and its square.
+/// Number of smooth terms: the pose (6), and the motion by the row and its square.
 const SMOOTH: usize = 8;
 
 impl Displaced {
@@ -42,8 +45,8 @@ impl Displaced {
     }
 }
 
-/// How many ways the lower rows are apart from the upper ones, where a step explains that clearly
-/// better than another pose and another readout do.
+/// Returns the step from the upper to the lower rows, in displacements per frame interval, if it
+/// explains the cells clearly better than another pose and another readout do.
 pub fn torn_by(cells: &[Displaced]) -> Option<f64> {
     let (mut normal, mut right, mut all) = (SMatrix::<f64, SMOOTH, SMOOTH>::zeros(), SVector::<f64, SMOOTH>::zeros(), 0.0);
     for cell in cells {
@@ -52,7 +55,7 @@ pub fn torn_by(cells: &[Displaced]) -> Option<f64> {
         right += columns * cell.off;
         all += cell.off * cell.off;
     }
-    // Of a stage that is flat and seen from ahead the pose and the rows tell the same.
+    // For a flat stage seen head-on, pose and rows cannot be told apart.
     let scale = normal.diagonal().map(|d| d.max(f64::MIN_POSITIVE).sqrt().recip());
     let scaled = SMatrix::<f64, SMOOTH, SMOOTH>::from_fn(|r, c| normal[(r, c)] * scale[r] * scale[c] + if r == c { 1e-6 } else { 0.0 });
     let inverse = scaled.cholesky()?.inverse();
@@ -86,7 +89,7 @@ mod tests {
 
     use super::*;
 
-    /// Cells of a plane 4 m away that is seen from aside by a camera that turns and goes sideways; the
+    /// Cells of a plane 4 m away, seen obliquely by a camera that rotates and moves sideways. The
     /// pose is off by a little, and tiles by a tenth of a pixel.
     fn cells(ways: impl Fn(f64) -> f64) -> Vec<Displaced> {
         let f = 700.0;
