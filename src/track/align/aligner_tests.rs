@@ -1,3 +1,6 @@
+//! The aligner on rendered frames: accuracy, occlusion, blur, wrong pictures, still cameras, and
+//! what it learns.
+
 use image::GrayImage;
 use nalgebra::{Vector3, Vector6};
 

@@ -96,8 +96,11 @@ const JERK_LIKELIHOOD: f64 = 0.01;
 /// Buffers of the hot path, kept from frame to frame.
 #[derive(Debug, Default)]
 pub struct Buffers {
+    /// Selects the pixels of a level.
     pub selector: Selector,
+    /// The levels above the finest, one after the other.
     pub coarse: LevelProblem,
+    /// The finest level.
     pub fine: LevelProblem,
     /// Whether the finest level holds the pixels of a still camera.
     pub has_kept: bool,

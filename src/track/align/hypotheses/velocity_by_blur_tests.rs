@@ -1,3 +1,5 @@
+//! The velocity by blur, on rendered frames of moving cameras, under global and rolling shutters.
+
 use image::GrayImage;
 use nalgebra::{Vector2, Vector3, Vector6};
 

@@ -29,7 +29,9 @@ pub const MIDDLES: [usize; 3] = [1, 2, 3];
 /// A cell as the frame shows it, and as it should look at the [`MOMENTS`].
 #[derive(Debug)]
 pub struct Cell {
+    /// Greys in the frame.
     pub seen: Greys,
+    /// Greys of the reference picture, drawn at each of the moments.
     pub drawn: [Greys; MOMENTS.len()],
     /// Whether the first row is an even one of the frame.
     pub begins_even: bool,
@@ -38,7 +40,9 @@ pub struct Cell {
 /// Normal equations of [both moments, alternating rows, softness], summed over cells.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Evidence {
+    /// Normal matrix.
     pub normal: Matrix3<f64>,
+    /// Right side.
     pub right: Vector3<f64>,
 }
 
@@ -47,7 +51,9 @@ pub struct Evidence {
 /// rows alternate between the two ends, and 0 for an exposure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shares {
+    /// Share of the mean of both moments.
     pub both: f64,
+    /// Share of alternating rows; positive where even rows show the later moment.
     pub by_turns: f64,
 }
 
@@ -65,6 +71,7 @@ impl Evidence {
         self.right *= share;
     }
 
+    /// Adds other evidence.
     pub fn add(&mut self, other: &Self) {
         self.normal += other.normal;
         self.right += other.right;
@@ -83,6 +90,7 @@ impl Evidence {
 /// A cell's evidence if its two moments lie about one of the [`MIDDLES`].
 #[derive(Debug, Clone, Copy, Default)]
 pub struct OfCell {
+    /// Its normal equations.
     pub evidence: Evidence,
     /// Fraction of the variance that the regression leaves.
     pub left: f64,

@@ -98,9 +98,13 @@ impl Mixture {
 
 /// A frame in which the body was found.
 pub struct Found<'a> {
+    /// The whole frame.
     pub image: &'a GrayImage,
+    /// The body.
     pub body: &'a PreparedBody,
+    /// Anchors found in the frame: the places whose cells are tested.
     pub anchors: &'a [FittedAnchor],
+    /// The lens model.
     pub camera: &'a CameraModel,
     /// The motion at the frame's stamp, from the last two poses.
     pub motion: Motion,
