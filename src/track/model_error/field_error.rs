@@ -1,12 +1,14 @@
-//! What an error of the model leaves open of a pose.
+//! Pose covariance from errors of the model, taken as one smooth field of shifts.
 //!
-//! Cloth hangs in folds, a print is stretched, a lens is a little off: then the frame shows its tiles elsewhere than any pose puts them. What of that
-//! error looks like another pose is gone into the pose, and nothing shows it; what does not is left in the tiles. So the error is taken for a
-//! smooth field of shifts over the picture (a Gaussian process of a fixed correlation length), as large as makes what is
-//! left in the tiles: what it does to the pose follows. Where no more than noise is left, it is none.
+//! Cloth hangs in folds, a print is stretched, a lens is slightly off: then the frame shows the
+//! tiles where no pose puts them. The part of such an error that looks like another pose is
+//! absorbed by the pose and invisible; the rest stays in the residuals. The error is therefore
+//! modelled as a smooth field of shifts over the picture, a Gaussian process of fixed correlation
+//! length. Its size follows from the residuals, and its effect on the pose follows from its size.
+//! If the residuals are no more than noise, there is no field.
 //!
-//! That is the error of a pose that rests on its own frame alone. Where few tiles are seen, a pose rests on the frames before it instead, and has their error:
-//! [`blended`] says how much of each.
+//! This is the error of a pose that rests on its own frame alone. If few tiles are visible, a pose
+//! rests on earlier frames instead and has their error: [`blended`] says how much of each.
 
 use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2, Vector6};
 
@@ -16,64 +18,59 @@ use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::{Body, Camera, Pose};
 use crate::simd::multiversion;
 
-/// Correlation length of the field of shifts, as a share of the width of what is off: of the picture, or of an object. A field as wide as the picture is the same
-/// nearly all over a small object, and the little that is left of it, as by blur, would pass for the rest of a shift that is many times as large.
-/// A shorter field shows itself more in what is left and less in the pose.
-/// Chosen for what hides best, not for any one clip: the squared errors of cloth in folds, a draught, a wrong lens and coloured light, in units of the covariance, are 2.2, 1.0, 2.4
-/// and 1.8 with 0.3, 2.2, 1.1, 1.2 and 1.6 with 0.4. Lowered, covariances miss what went into the pose; raised, noise adds more to them.
+/// Correlation length of the field, as a fraction of the width of the picture or object. Lowered,
+/// covariances miss what the pose absorbed; raised, noise adds more to them.
 const CORRELATION_LENGTH: f64 = 0.4;
-/// Largest variance of what each tile is off by itself that counts as noise, in variances of what pixels tell. Chosen: more than twice that of a webcam that sharpens (1.6). Raised, folds as
-/// narrow as tiles pass for noise; lowered, noise passes for a field: with 1, d-webcam's covariance is six times as large.
+/// Maximum variance of independent tile errors that counts as noise, in variances of pixel noise.
+/// Raised, folds as narrow as tiles pass for noise; lowered, noise passes for a field.
 const MAX_NOISE: f64 = 4.0;
-/// Factor on the variance of the field that explains what is left beyond [`MAX_NOISE`]. Neighbours do not bear that field out, so its correlation length is unknown, and it
-/// may reach further into the pose than one of [`CORRELATION_LENGTH`]. Chosen: with 1, the squared errors above are
-/// 4.2, 2.1, 2.5 and 1.6 times the covariance. Raised, poses of stages that do not fit are withheld that could be given.
+/// Factor on the variance of the field that explains residuals beyond [`MAX_NOISE`], whose
+/// correlation length is unknown. Raised, poses of stages that do not fit are withheld needlessly.
 const UNKNOWN_LENGTH: f64 = 2.0;
-/// Fewest numbers beyond the pose's six that the field's size may be found from. Chosen, not tuned. Raised, small stages claim to fit.
+/// Minimum number of measurements beyond the pose's six from which the field is estimated. Raised,
+/// small stages claim to fit.
 const MIN_FREEDOM: f64 = 12.0;
 
-/// How much nearer to each other tiles lie that tell a smooth field from shifts that each tile has for itself: the weight of a pair is what its shifts correlate by, to
-/// this power, so that the correlation length of the weights is 0.08 of the width. Chosen: about the distance between neighbouring tiles, so that folds a tenth of the
-/// picture wide still count as a field. Lowered, short folds pass for noise, and covariances miss what went into the pose; raised, there are too few pairs.
+/// Exponent of the pair weights: a pair's weight is its correlation to this power (length 0.08 of
+/// the width). Lowered, short folds pass for noise; raised, there are too few pairs.
 const PAIR_POWER: i32 = 25;
-/// Tiles nearer than this share of the width are no pair: they touch, and what compression, sharpening and light do to the one they do to the other. Chosen: the least
-/// distance of tiles that are beside each other. Raised, there are too few pairs; with 0, noise of webcams that sharpen passes for a field of 0.02 pixels, and
-/// its covariances are a tenth wider.
+/// Minimum distance of a pair, as a fraction of the width: touching tiles share compression,
+/// sharpening and light. Raised, there are too few pairs; at 0, noise passes for a field.
 const TOUCHING: f64 = 0.055;
-/// Pairs whose weight is below this are left out. Lowered, frames that do not fit cost more.
+/// Minimum weight of a pair. Lowered, frames that do not fit cost more.
 const MIN_PAIR: f64 = 0.05;
 
-/// Frames over which the size of the field is averaged, where neighbouring tiles tell it. What does not fit changes slowly, while a single frame tells its variance poorly, and a variance
-/// that is never below 0 is too large in the mean. Chosen: d-webcam's squared errors are 0.74 of the covariance with 1, 0.84 with 20, 0.88 with 60, 0.89 with 200, d-gel's 1.8, 1.2 and 1.2
-/// with 1, 20 and 60. Raised, a small change of the stage is in the covariance later.
+/// Frames over which the field's variance is averaged. Raised, a small change of the stage enters
+/// the covariance later.
 const MEMORY_FRAMES: f64 = 60.0;
-/// Standard errors of that mean that are taken from it: where all fits it is above 0 as often as below, and only what is above widens the covariance. Chosen: seven renderings of d-webcam,
-/// which fits, have 0.863 of the covariance with 0 and 0.878 with 1; d-gel, d-haze and d-actors, which do not quite, 1.46, 1.27 and 0.86 with 0, and 1.53, 1.34 and 0.91 with 1. Raised,
-/// small errors of the model are in no covariance.
+/// Standard errors subtracted from that mean, because only its positive chance values would widen
+/// the covariance. Raised, small model errors are in no covariance.
 const STANDARD_ERRORS: f64 = 1.0;
 
-/// What of the tiles' displacements neither the pose nor the noise explains.
+/// The part of the tiles' displacements that neither the pose nor the noise explains.
 #[derive(Debug, Clone, Copy)]
 pub struct ModelError {
-    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by a smooth field of shifts, per squared pixel of the field.
+    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, per squared pixel of a smooth field of
+    /// shifts.
     by_field: Matrix6<f64>,
-    /// Variance of the field as neighbouring tiles tell it, pixels²; below 0 by chance.
+    /// Variance of the field as estimated from neighbouring tiles, pixels²; below 0 by chance.
     by_pairs_px2: f64,
-    /// The least that it is, as what is left is too large for noise.
+    /// Lower bound of that variance, because the residuals are too large for noise.
     at_least_px2: f64,
-    /// The same if all that is left were such a field.
+    /// The variance if all of the residual were such a field.
     at_most_px2: f64,
-    /// Variance of what each tile is off by itself, in variances of its noise; 1 at least.
+    /// Variance of the independent errors of the tiles, in variances of their noise; at least 1.
     pub noise: f64,
 }
 
 impl ModelError {
-    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by a field of the size that this frame tells.
+    /// Returns the covariance of [δp, δθ] of `T_body_camera`, body axes, for a field of the size
+    /// that this frame shows.
     pub fn covariance(&self) -> Matrix6<f64> {
         self.covariance_of(self.by_pairs_px2)
     }
 
-    /// The same if all that is left were such a field.
+    /// Returns the same if all of the residual were such a field.
     pub fn at_most(&self) -> Matrix6<f64> {
         self.by_field * self.at_most_px2
     }
@@ -83,7 +80,7 @@ impl ModelError {
     }
 }
 
-/// The size of a body's field, as neighbouring tiles of its last frames tell it.
+/// The size of a body's field, averaged over its recent frames from neighbouring tiles.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct FieldSize {
     /// Mean over the frames, and mean of the squares.
@@ -93,7 +90,8 @@ pub struct FieldSize {
 }
 
 impl FieldSize {
-    /// Learns from a frame, and gives what the field does to its pose: covariance of [δp, δθ] of `T_body_camera`, body axes.
+    /// Adds a frame and returns the covariance that the field causes in its pose: [δp, δθ] of
+    /// `T_body_camera`, body axes.
     pub fn take(&mut self, error: &ModelError) -> Matrix6<f64> {
         self.frames = (self.frames + 1.0).min(MEMORY_FRAMES);
         self.by_pairs_px2 += (error.by_pairs_px2 - self.by_pairs_px2) / self.frames;
@@ -101,14 +99,14 @@ impl FieldSize {
         error.covariance_of(self.by_pairs_px2 - STANDARD_ERRORS * self.standard_error())
     }
 
-    /// Of the mean; 0 where a single frame does not tell it.
+    /// Returns the standard error of the mean; 0 after a single frame.
     fn standard_error(&self) -> f64 {
         let variance = (self.by_pairs_squared - self.by_pairs_px2.powi(2)).max(0.0);
         if self.frames > 1.0 { (variance / (self.frames - 1.0)).sqrt() } else { 0.0 }
     }
 }
 
-/// What the model's error of one body is worked out in; keeps its buffers.
+/// Work buffers of the model error of one body.
 #[derive(Debug, Default)]
 pub struct ModelErrorBuffers {
     field: SmoothField,
@@ -116,17 +114,20 @@ pub struct ModelErrorBuffers {
 }
 
 impl ModelErrorBuffers {
-    /// Buffers that hold this many tiles without growing.
+    /// Creates buffers that hold this many tiles without growing.
     pub fn with_capacity(tiles: usize) -> Self {
         Self { field: SmoothField::with_capacity(tiles), paired: Vec::with_capacity(tiles) }
     }
 }
 
-/// What the model's error does to a pose; `None` where it fits within the noise. `width_px`: of what may be off, in the frame.
+/// Estimates the model error of a pose; `None` if the residuals are within the noise. `pose`:
+/// `T_camera_body`; `width_px`: width in the frame of what may be off.
 ///
-/// What is left has two sources: a field of one size a², and noise of b times the variance that was expected, as webcams have that sharpen and smooth
-/// their pictures. The sum of the squares is what both leave; of products of neighbours a field leaves nearly as much, noise next to nothing. These are two linear
-/// equations for a² and b; but b has a bound. The noise is in the pose's covariance already, by the scatter of the tiles: the field alone is to be added.
+/// The residuals have two sources: a field of variance a², and noise of b times the stated
+/// variance, as from webcams that sharpen and smooth their pictures. The sum of squares contains
+/// both; in the products of neighbours a field keeps nearly all of its size and noise almost none.
+/// These are two linear equations for a² and b, and b is bounded. The noise is in the pose's
+/// covariance already, through the scatter of the tiles: only the field is to be added.
 pub fn model_error(
     pose: &Pose<Camera, Body>,
     width_px: f64,
@@ -151,7 +152,7 @@ pub fn model_error(
     let determinant = freedom * pairs_by_field - pairs_by_noise * left;
     let of_both = (freedom * pairs - pairs_by_noise * squared) / determinant;
     let of_field_alone = (squared - freedom) / left;
-    // As far below 0 by chance as it may be above, or the mean of several frames would be too small.
+    // By chance as far below 0 as above; cut off at 0, the mean of several frames would be biased.
     let most = of_field_alone.max(0.0);
     let by_pairs_px2 = if determinant > 0.0 { of_both.clamp(-most, most) } else { most };
     let at_least_px2 = UNKNOWN_LENGTH * (squared - MAX_NOISE * freedom) / left;
@@ -161,25 +162,27 @@ pub fn model_error(
     (left > 0.0 && by_pairs_px2.is_finite() && error.covariance().iter().all(|v| v.is_finite())).then_some(error)
 }
 
-/// What is left of squares and of products of neighbours.
+/// Sums of squares of the residuals and of products of neighbours.
 #[derive(Debug, Default)]
 struct PairSums {
-    /// What a field of one pixel leaves of the squares.
+    /// Contribution of a field of one pixel to the squares.
     left: f64,
-    /// What is left of the products of neighbours.
+    /// Products of neighbouring residuals.
     pairs: f64,
-    /// What a field of one pixel leaves of them.
+    /// Contribution of a field of one pixel to these products.
     pairs_by_field: f64,
-    /// What the noise leaves of them: the pose takes it from all.
+    /// Contribution of the noise to them, which arises because one pose is subtracted from all
+    /// tiles.
     pairs_by_noise: f64,
 }
 
-/// Sums over all tiles and all pairs of neighbours. `normal_inverse`: of the pose's equations.
+/// Sums over all tiles and all pairs of neighbours. `normal_inverse`: inverse of the pose's normal
+/// matrix.
 fn sum_pairs(paired: &[PairedTile], field: &SmoothField, normal_inverse: &Matrix6<f64>) -> PairSums {
     let (mut sums, mut both) = (PairSums::default(), Matrix6::zeros());
     for (k, PairedTile { own, beside, .. }) in paired.iter().enumerate() {
         let together = field.pose_with_shift(k);
-        // A tile's own square, less what the pose takes of it.
+        // A tile's own square, less what the pose absorbs of it.
         sums.left += own.information.trace() - (own.by_pose * together).trace();
         sums.pairs += own.shift.dot(&beside.shift);
         sums.pairs_by_noise -= (beside.by_pose * normal_inverse * own.by_pose.transpose()).trace();
@@ -190,7 +193,7 @@ fn sum_pairs(paired: &[PairedTile], field: &SmoothField, normal_inverse: &Matrix
     sums
 }
 
-/// A tile, and the sums over those beside it, weighted by how near they are.
+/// A tile and the sums over its neighbours, weighted by proximity.
 #[derive(Debug)]
 struct PairedTile {
     place_px: Vector2<f64>,
@@ -198,19 +201,20 @@ struct PairedTile {
     beside: Weighted,
 }
 
-/// What is summed of tiles.
+/// The summands of tiles.
 #[derive(Debug, Default)]
 struct Weighted {
-    /// Information times what the pose leaves of the shift.
+    /// Information times the residual at the solved pose.
     shift: Vector2<f64>,
-    /// Information times derivative by the pose.
+    /// Information times the derivative by the pose.
     by_pose: Matrix2x6<f64>,
-    /// Information; in sums weighted by how alike a field is there, too.
+    /// Information; in sums also weighted by the field's correlation.
     information: Matrix2<f64>,
 }
 
 impl PairedTile {
-    /// A tile without neighbours, of which the pose takes `change`.
+    /// Creates a tile without neighbours. `change`: the change of the pose that best explains all
+    /// tiles.
     fn alone(tile: &TileResidual, change: &Vector6<f64>) -> Self {
         let own = Weighted {
             shift: tile.information * tile.left_by_pose(change),
@@ -231,7 +235,8 @@ impl Weighted {
 }
 
 multiversion! {
-    /// Adds each of two tiles that are neighbours to the other's sums. `width_px`: of what may be off.
+    /// Adds each of two neighbouring tiles to the other's sums. `width_px`: width of what may be
+    /// off.
     fn add_neighbours(paired: &mut [PairedTile], width_px: f64); ["avx2"] => add_neighbours_plain, else add_neighbours_plain
 }
 
@@ -255,13 +260,16 @@ fn add_neighbours_plain(paired: &mut [PairedTile], width_px: f64) {
     }
 }
 
-/// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what of the model does not fit, of a pose that rests on its frame and on those before.
+/// Returns the covariance of [δp, δθ] of `T_body_camera`, body axes, from the model error of a pose
+/// that rests on its own frame and on earlier ones.
 ///
-/// In the directions in which the frame's share of what is known of the pose is g, its error is g times that of the frame alone and 1 - g times that of
-/// the frames before. What does not fit stays as it is from frame to frame, so that both add up as they are, not by their squares.
+/// In directions where the frame contributes the fraction g of the pose's information, the error is
+/// g times that of the frame alone plus 1 - g times that of the earlier frames. A misfit persists
+/// from frame to frame, so the two add linearly, not in squares.
 ///
-/// `noise`: covariance of the pose by noise, with what was expected of it, body axes. `of_frame`: covariance by the model's error of a pose from this frame alone
-/// ([`model_error`]). `before`: the same of the frames before it.
+/// `noise`: covariance of the pose from noise, including its prior, body axes. `of_frame`:
+/// covariance from the model error of a pose from this frame alone ([`model_error`]). `before`: the
+/// same of the earlier frames.
 pub fn blended(
     pose: &Pose<Camera, Body>,
     residuals: &TileResiduals,
@@ -273,7 +281,8 @@ pub fn blended(
     if *of_frame == none && *before == none {
         return Some(none);
     }
-    // The noise of the frame alone is one unit in each direction of these axes; turned so that nothing in them is correlated.
+    // In these axes the noise of the frame alone is one unit in each direction; they are rotated so
+    // that nothing in them is correlated.
     let root = residuals.normal().cholesky()?.l();
     let mut turn = Matrix6::zeros();
     turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&pose.rotation_matrix());
@@ -317,19 +326,20 @@ mod tests {
         (0..12).map(|_| random.random_range(-0.5..0.5)).sum()
     }
 
-    /// What the model's error is found to be.
+    /// Result of the runs.
     struct Found {
         /// Mean of NEES / 6.
         nees: f64,
-        /// Frames, of 200, in which the model was found to be off.
+        /// Number of frames, of 200, in which a model error was found.
         off: usize,
-        /// Mean variance of the tiles' noise, in variances of what it is said to be.
+        /// Mean variance of the tiles' noise, in units of the stated one.
         noise: f64,
-        /// Mean sigma of the turn by a field, radians.
+        /// Mean sigma of the rotation from the field, radians.
         turn: f64,
     }
 
-    /// Frames whose tiles are displaced by a smooth field of `field_px` and `length_px`, beside noise that is `noisier` than it is said to be.
+    /// Runs frames whose tiles are displaced by a smooth field of `field_px` and `length_px`, plus
+    /// noise that is `noisier` times as large as stated.
     fn found(field_px: f64, length_px: f64, noisier: f64) -> Found {
         let (body, camera, pose) = (prepared(vec![cloth(1)]), lens(WIDTH, 480), facing(0.1, -0.3, Vector3::new(0.4, 0.05, 5.0)));
         let places: Vec<Vector2<f64>> =
@@ -368,7 +378,7 @@ mod tests {
     fn a_smooth_error_of_the_model_is_in_the_covariance() {
         let wide = found(0.5, CORRELATION_LENGTH * f64::from(WIDTH), 1.0);
         assert!((0.5..2.5).contains(&wide.nees) && wide.off == RUNS, "{}, {} of {RUNS}", wide.nees, wide.off);
-        // Folds are shorter than the field that is assumed: their covariance is wider than their error.
+        // Folds are shorter than the assumed field: their covariance is wider than their error.
         let folds = found(0.5, 0.1 * f64::from(WIDTH), 1.0);
         assert!((0.05..2.5).contains(&folds.nees) && folds.off == RUNS, "{}, {} of {RUNS}", folds.nees, folds.off);
     }
@@ -387,11 +397,12 @@ mod tests {
         assert_eq!(take(6.0, -1.0), 6.0);
         // The mean is 5, its standard error 1.
         assert!((take(4.0, -1.0) - 4.0).abs() < 1e-12);
-        // Below nothing there is none, and of a mean that chance explains nothing counts.
+        // A negative mean counts as no field, and so does one that chance explains.
         assert_eq!(take(-13.0, -1.0), 0.0);
         assert_eq!(take(9.0, -1.0), 0.0);
         assert_eq!(take(1.0, 4.0), 4.0);
-        // It follows what stays, within ten times its memory: the standard error takes twice as long as the mean.
+        // It follows a lasting value within ten times its memory: the standard error takes twice as
+        // long as the mean.
         let last = (0..10 * MEMORY_FRAMES as usize).map(|_| take(2.0, -1.0)).last();
         assert!(last.is_some_and(|last| (last - 2.0).abs() < 0.01), "{last:?}");
     }
@@ -421,11 +432,12 @@ mod tests {
         let (own, before) = (of_frame_alone * 400.0, of_frame_alone);
         let error = |share: f64| blended(&pose, &residuals, &(of_frame_alone * share), &own, &before).expect("positive definite");
         let off = |a: Matrix6<f64>, b: Matrix6<f64>| (a - b).norm() / b.norm();
-        // From its frame alone; from the frames before alone; a tenth of 20 and nine tenths of 1, sigmas.
+        // From its frame alone; from earlier frames alone; a tenth of 20 plus nine tenths of 1,
+        // sigmas.
         assert!(off(error(1.0), own) < 1e-6 && off(error(3.0), own) < 1e-6);
         assert!(off(error(1e-9), before) < 1e-6);
         assert!(off(error(0.1), before * 2.9_f64.powi(2)) < 1e-6);
-        // What stays the same from frame to frame is not averaged away.
+        // What persists from frame to frame is not averaged away.
         assert!(off(blended(&pose, &residuals, &(of_frame_alone * 0.1), &own, &own).expect("positive definite"), own) < 1e-6);
     }
 
@@ -433,7 +445,7 @@ mod tests {
     fn what_is_wrong_with_an_object_is_no_larger_than_the_object() {
         let (body, camera, pose) = (prepared(vec![cloth(1)]), lens(WIDTH, 480), facing(0.1, -0.3, Vector3::new(0.4, 0.05, 30.0)));
         let mut random = Pcg64Mcg::seed_from_u64(4);
-        // Independent noise in every tile, of twice the standard deviation that is stated.
+        // Independent noise in every tile, of twice the stated standard deviation.
         let mut anchors = seen_anchors(&body, &pose, &camera, 9, |_, _| Vector2::from_fn(|_, _| 2.0 * NOISE_PX * normal(&mut random)));
         anchors.iter_mut().for_each(|a| a.observation.information /= NOISE_PX.powi(2));
         let observations: Vec<Observation> = anchors.iter().map(|a| a.observation).collect();

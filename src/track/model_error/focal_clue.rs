@@ -1,10 +1,13 @@
-//! Whether another focal length explains a frame better than the calibration's: the lens was zoomed or focused, or it is another lens.
+//! Decides whether another focal length explains a frame better than the calibrated one: the lens
+//! was zoomed or focused, or it is another lens.
 //!
-//! Seen straight from ahead, a flat stage that fills more of the picture is nearer, or the lens is longer: nothing tells. Seen from the side
-//! or in depth, the two differ in perspective, and the tiles are left displaced. But so they are where a print is stretched, where a
-//! surface stands elsewhere than configured, or where the lens bends more than calibrated. So all these may explain the displacements first;
-//! only what then is explained by the focal length alone counts. That costs some time, and is asked where the focal length explains much
-//! by itself.
+//! Seen head-on, a flat stage that fills more of the picture is either nearer or seen through a
+//! longer lens, and nothing tells the two apart. From the side or in depth they differ in
+//! perspective, and a wrong focal length leaves the tiles displaced. But so does a stretched print,
+//! a surface that stands elsewhere than configured, or a lens with more distortion than calibrated.
+//! All of these may explain the displacements first; only what the focal length alone then still
+//! explains counts. This takes time, so it runs only if the focal length explains much by itself
+//! ([`is_suspect`]).
 
 use nalgebra::{DMatrix, DVector, Dyn, Matrix2xX, Matrix6, Vector6};
 
@@ -16,84 +19,86 @@ use crate::track::patches::fitted_anchor::FittedAnchor;
 use crate::track::patches::row_motion::RowMotion;
 use crate::track::scene::reference::PreparedBody;
 
-/// How far other parts of the model may be off, one sigma: the first radial coefficient, the ratio of a surface's sides, its place (metres) and
-/// direction (radians) beside the others, and the body's motion while the rows are read (m/s and rad/s). Chosen wide: a print of 4 m that is 4 cm too
-/// long, a flat placed by a tape. Raised, other focal lengths are told from fewer views; lowered, careless measures pass for a lens that was
-/// moved.
+/// Prior sigmas: radial coefficient, ratio, skew (below), place (m), direction (rad), motion (m/s,
+/// rad/s). Raised, fewer views reveal a zoom; lowered, bad measures pass for one.
 const RADIAL_SIGMA: f64 = 0.05;
 const RATIO_SIGMA: f64 = 0.01;
-/// Shear and keystone that a picture may have although its corners are not in doubt: a crop that is no rectangle, cloth that hangs askew by 0.2 degrees. Raised, a
-/// small zoom before a flat stage is in the covariance and not withheld; lowered, such pictures convict a right lens.
+/// Prior sigma of shear and keystone if the corners are not in doubt. Raised, small zooms head-on
+/// are not withheld; lowered, skewed pictures convict a correct lens.
 const ASKEW_SIGMA: f64 = 0.003;
 pub const PLACE_SIGMA_M: f64 = 0.01;
 pub const DIRECTION_SIGMA: f64 = 0.01;
 const MOTION_SIGMA: [f64; 2] = [1.0, 1.0];
-/// How long a frame is read where nobody said so, seconds: the usual webcam's. Raised, fast pans pass for less of a zoom.
+/// Readout time assumed if none is configured, seconds. Raised, fast pans pass less for a zoom.
 const USUAL_READOUT_S: f64 = 0.02;
-/// A readout that is known to this share of itself, one sigma, is described. Raised, rows that a readout displaces pass for a lens; lowered, a learnt one is of less use.
+/// Relative sigma up to which a readout time counts as described. Raised, rows displaced by the
+/// readout pass for a lens error; lowered, a learnt readout time is of less use.
 const SURE_SHARE: f64 = 0.1;
-/// Least sigma of that motion, m/s and rad/s: keeps the equations regular where nothing moves. Raised, see [`MOTION_SIGMA`].
+/// Minimum sigma of the motion during readout, m/s and rad/s; keeps the equations regular at rest.
+/// Raised, it acts like a raised [`MOTION_SIGMA`].
 const MIN_MOTION: f64 = 1e-4;
-/// A focal length counts as another one beyond this share of itself: it puts a camera 4 m away 2 cm off. Raised, such errors are given;
+/// Minimum relative change of the focal length that counts. Raised, larger errors are reported;
 /// lowered, lenses that breathe with focus are refused.
 const MIN_CHANGE: f64 = 0.005;
-/// And beyond this many sigmas of what the frame tells, and of the calibration's own doubt. Chosen, not tuned: tiles next to each other err
-/// together, so that sigmas are too small by a factor of two at most. Raised, a zoom is noticed later; lowered, patterns of other causes pass
-/// for one.
+/// Minimum change in sigmas of the frame's estimate and of the calibration's uncertainty. Raised, a
+/// zoom is noticed later; lowered, patterns of other causes pass for one.
 const MIN_SIGMAS: f64 = 8.0;
 const DOUBT_SIGMAS: f64 = 4.0;
-/// And where it explains this share of what all else leaves. Of folds in cloth it explains 0.05 at most, of a zoom 0.5 to 0.98. Raised, a zoom of
-/// a stage that does not fit is not noticed; lowered, see above.
+/// And minimum fraction of the residual (after all other unknowns) that it must explain. Raised, a
+/// zoom of a stage that does not fit goes unnoticed; lowered, other patterns pass for a zoom.
 const MIN_SHARE: f64 = 0.5;
-/// A motion while rows are read that leaves less than this share of what the focal length leaves explains the frame instead. 0.95 to 1.1 of a zoom. Raised, a zoom passes for a
-/// motion; lowered, shaken cameras with a rolling shutter that nobody described are refused: with 0.7 d-handheld had 59 of 150 poses, d-webcam 27 of 120, d-whip 1 of 60.
+/// Residual after motion over residual after the focal length, below which motion is the
+/// explanation. Raised, zooms pass for motion; lowered, shaken rolling-shutter cameras are refused.
 const RIVAL_SHARE: f64 = 0.93;
-/// Sigmas beyond which a frame strays from what those before it said of the focal length: it may be a zoom, and goes into the covariance. Of still and moving cloth, people,
-/// haze and shaken cameras none was beyond 3.1; of real clips through lenses that nobody calibrated up to 6.4; of zooms on cloth and on a set of flats the second or third frame
-/// was. Raised, zooms of a stage that does not fit are given too surely; lowered, a draught makes poses less sure.
+/// Deviation from earlier frames, in sigmas, that enters the covariance as a possible zoom. Raised,
+/// zooms get too small a covariance; lowered, a draught makes poses less certain.
 const STRAYED_SIGMAS: f64 = 3.0;
-/// Sigmas beyond which it says so clearly. Raised, a zoom of a stage that does not fit is noticed later; lowered, a draught passes for one.
+/// The same, beyond which the deviation is clear. Raised, a zoom of a stage that does not fit is
+/// noticed later; lowered, a draught passes for one.
 const CHANGED_SIGMAS: f64 = 4.0;
-/// A frame that knows the focal length less well than this does not say so: from nearly ahead a pattern of any other cause passes for a zoom of any size. A picture of red things under a blue
-/// gel, whose edges are then elsewhere than in its own grey, said -25 % with a sigma of 5 %, and soon after +175 % with one of 49 %. Raised, such light passes for a zoom; lowered, a zoom of a
-/// stage that does not fit is noticed from fewer views.
+/// Maximum sigma of the log focal length at which a frame can show a change. Raised, coloured light
+/// passes for a zoom; lowered, a zoom of a stage that does not fit shows from fewer views.
 const MAX_CHANGED_SIGMA: f64 = 0.02;
-/// A frame that knows the focal length less well than this says nothing of whether it is the usual one again. Chosen: a few times what a stage that does not fit tells
-/// from the side. Raised, views from ahead bring poses back.
+/// Maximum sigma of the log focal length at which a frame can show that it is the usual one again.
+/// Raised, views from ahead bring poses back.
 const MAX_SIGMA: f64 = 0.01;
-/// Sigmas within which a focal length is the calibration's again. Raised, poses are withheld for longer.
+/// Sigmas within which a focal length is the usual one, and margin in sigmas by which a frame must
+/// show the calibrated one. Raised, poses are withheld for longer after a zoom.
 pub const RIGHT_SIGMAS: f64 = 3.0;
 
-/// By how much better than a picture that is askew the focal length must explain a frame to be accused, squared sigmas: two sigmas. Raised, small zooms before a flat stage are in
-/// the covariance and not withheld; lowered, pictures that are askew convict a right lens.
+/// Squared sigmas by which the focal length must beat a skewed picture. Raised, small zooms head-on
+/// are not withheld; lowered, skewed pictures convict a correct lens.
 const CONVICTING_GAIN: f64 = 4.0;
-/// Largest change that one linear step can report, logarithm: about 30 %. A larger one is another fault, such as corners that are a pixel off, seen nearly from
-/// ahead; it widens the covariance and accuses no lens. Raised, wrong corners pass for a zoom; lowered, large zooms are not withheld.
+/// Maximum change of the log focal length that a linear step can report; larger ones only widen the
+/// covariance. Raised, wrong corners pass for a zoom; lowered, large zooms are not withheld.
 pub const MAX_CHANGE: f64 = 0.26;
-/// Sigma of what is held fixed: keeps the equations regular.
+/// Prior sigma of unknowns that are held fixed; keeps the equations regular. Raised, they are less
+/// fixed.
 pub const FIXED_SIGMA: f64 = 1e-6;
 
-/// What a frame says of the focal length.
+/// What one frame says about the focal length.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FocalClue {
-    /// Logarithm of the focal length that fits over the calibration's.
+    /// Logarithm of the ratio of the fitted focal length to the calibrated one.
     pub change: f64,
-    /// One sigma of it, all else that may be off being free.
+    /// Its sigma, with all other model errors free.
     pub sigma: f64,
-    /// Share of the squared displacements that it explains, of what all else leaves.
+    /// Fraction of the squared displacements, after all other unknowns, that it explains.
     pub share: f64,
-    /// Whether a picture that is a little askew explains the frame as well.
+    /// Whether a slightly skewed picture explains the frame as well.
     pub is_contested: bool,
 }
 
 impl FocalClue {
-    /// Whether another focal length explains the frame clearly better. `doubt`: one sigma of the logarithm of the calibrated one.
+    /// Whether another focal length explains the frame clearly better. `doubt`: sigma of the
+    /// logarithm of the calibrated one.
     pub fn is_off(&self, doubt: f64) -> bool {
         self.change.abs() < MAX_CHANGE && !self.is_contested && self.explains(doubt)
     }
 
-    /// By how much the logarithm of the focal length may be off where that explains the frame, and is no evidence: a picture that is askew explains it as well, or it
-    /// is more than a linear step can report.
+    /// Returns the possible error of the log focal length if it explains the frame but is no
+    /// evidence: a skewed picture explains it as well, or the change is larger than a linear step
+    /// can report. `doubt`: as for [`is_off`](Self::is_off).
     pub fn possible_change(&self, doubt: f64) -> Option<f64> {
         (!self.is_off(doubt) && self.explains(doubt)).then_some(self.change.abs().min(MAX_CHANGE))
     }
@@ -103,17 +108,19 @@ impl FocalClue {
         size > MIN_CHANGE && size > MIN_SIGMAS * self.sigma && size > DOUBT_SIGMAS * doubt && self.share > MIN_SHARE
     }
 
-    /// By how much the logarithm of the focal length is another one than the frames before said, where it clearly is. They said `usual` and knew it by `usual_sigma`:
-    /// whatever else does not fit, cloth in folds or a lens that is a little off, speaks much the same in all of them.
+    /// Returns the deviation of the log focal length from earlier frames if it is clear. `usual`,
+    /// `usual_sigma`: the earlier estimate. Any other misfit, such as folded cloth or a slightly
+    /// wrong lens, says much the same in all frames.
     pub fn strays(&self, usual: f64, usual_sigma: f64) -> Option<f64> {
         let by = self.change - usual;
-        // Without any share a motion while the rows were read explains the frame as well.
+        // A share of 0 means that motion during readout explains the frame as well.
         let is_clear = by.abs() > MIN_CHANGE && by.abs() > STRAYED_SIGMAS * self.sigma.hypot(usual_sigma) && self.share > 0.0;
         is_clear.then_some(by)
     }
 
-    /// Whether it strays as far as only a lens that was moved does. `doubt`: as for [`is_off`](Self::is_off). `is_rough`: whether frames contradicted the calibration
-    /// from the first.
+    /// Whether the deviation is one that only a changed lens explains. `doubt`: as for
+    /// [`is_off`](Self::is_off). `is_rough`: whether frames contradicted the calibration from the
+    /// first.
     pub fn has_changed(&self, usual: f64, usual_sigma: f64, doubt: f64, is_rough: bool) -> bool {
         let least = if is_rough { MIN_SIGMAS } else { CHANGED_SIGMAS };
         let sigma = self.sigma.hypot(usual_sigma);
@@ -122,19 +129,20 @@ impl FocalClue {
         self.strays(usual, usual_sigma).is_some_and(is_far)
     }
 
-    /// Whether the frame says what those before the lens was moved did.
+    /// Whether the frame agrees with those from before the lens was changed.
     pub fn is_usual(&self, usual: f64, usual_sigma: f64) -> bool {
         let sigma = self.sigma.hypot(usual_sigma);
         (self.change - usual).abs() < MIN_CHANGE.max(RIGHT_SIGMAS * sigma) && sigma < MAX_SIGMA
     }
 
-    /// Whether the frame is clearly taken with the calibrated focal length.
+    /// Whether the frame was clearly taken with the calibrated focal length.
     pub fn is_right(&self, doubt: f64) -> bool {
         self.change.abs() + RIGHT_SIGMAS * self.sigma < MIN_CHANGE + DOUBT_SIGMAS * doubt
     }
 }
 
-/// Whether the focal length explains much where nothing but the pose may explain the rest: then, and then only, it pays to ask further.
+/// Whether the focal length explains much when only the pose is free. Only then is the full test
+/// worth its time.
 pub fn is_suspect(residuals: &TileResiduals) -> bool {
     let mut right = Vector6::<f64>::zeros();
     let mut shared = Vector6::<f64>::zeros();
@@ -160,19 +168,22 @@ pub fn is_suspect(residuals: &TileResiduals) -> bool {
     clue.explains(0.0)
 }
 
-/// How the rows of a frame may be displaced by a motion that its pose does not account for.
+/// How the rows of a frame may be displaced by a motion that its pose does not include.
 #[derive(Debug, Clone, Copy)]
 pub struct RowDisplacement {
     shutter: Shutter,
     height: u32,
-    /// Inverse covariance of the motion, per second.
+    /// Inverse covariance of the motion during readout ([m/s, rad/s], camera axes).
     motion_information: Matrix6<f64>,
     is_described: bool,
 }
 
 impl RowDisplacement {
-    /// A shutter that was described leaves what its motion was estimated wrong by. One that was not may read the rows one after the other all the same:
-    /// then any share of the body's motion to `pose` (`T_camera_body`) may be in the rows, and of each component what it changed by.
+    /// Creates the displacement of a frame at `pose` (`T_camera_body`).
+    ///
+    /// A described shutter leaves only the error of the estimated motion. An undescribed one may
+    /// read rows in sequence all the same: then the rows may contain any fraction of the body's
+    /// motion, and of each component its change.
     pub fn new(camera: &CameraModel, rows: &RowMotion, pose: &Pose<Camera, Body>) -> Self {
         let is_described = rows.shutter.readout_s != 0.0 && rows.readout_sigma_s <= SURE_SHARE * rows.shutter.readout_s.abs();
         let [moving, turning] = MOTION_SIGMA.map(|sigma| sigma.powi(2));
@@ -186,36 +197,38 @@ impl RowDisplacement {
         Self { shutter: Shutter { readout_s, ..rows.shutter }, height: camera.height(), motion_information, is_described }
     }
 
-    /// The rows of a frame in which nothing moved.
+    /// Returns the same for a frame in which nothing moved.
     fn without_motion(&self) -> Self {
         Self { motion_information: still(), ..*self }
     }
 
-    /// Whether somebody said when the rows are exposed.
+    /// Whether the readout time is configured or learnt well enough.
     pub fn is_described(&self) -> bool {
         self.is_described
     }
 
-    /// Inverse covariance of the motion that displaces them, per second.
+    /// Returns the inverse covariance of the motion that displaces the rows ([m/s, rad/s]).
     pub fn motion_information(&self) -> &Matrix6<f64> {
         &self.motion_information
     }
 
-    /// When a tile's row was exposed, seconds after the middle one.
+    /// Returns the exposure time of a tile's row, seconds after the middle row.
     pub fn delay_s(&self, t: &TileResidual) -> f64 {
         self.shutter.delay_s(t.place_px.y + 0.5, self.height)
     }
 }
 
-/// Inverse covariance of a motion that is none.
+/// Returns the inverse covariance of a motion held at zero.
 fn still() -> Matrix6<f64> {
     Matrix6::identity() * MIN_MOTION.powi(-2)
 }
 
-/// What the frame says of the focal length, all else being free as far as it may be off. `pose`: `T_camera_body`.
+/// Estimates the focal length from one frame, with all other model errors free within their priors.
+/// `pose`: `T_camera_body`. `None` if the equations are singular.
 ///
-/// Where nobody described the shutter, a motion while rows are read and a zoom can look alike, and together they explain nearly anything. Then they are
-/// rivals: the focal length explains something only where the motion does not explain the frame better.
+/// With an undescribed shutter, motion during readout and a zoom can look alike, and together they
+/// explain almost anything. They are then rivals: the focal length counts only if the motion does
+/// not explain the frame better.
 pub fn focal_clue(
     residuals: &TileResiduals,
     pose: &Pose<Camera, Body>,
@@ -235,7 +248,7 @@ pub fn focal_clue(
     Some(FocalClue { is_contested, ..clue })
 }
 
-/// A frame that is asked for the focal length.
+/// A frame whose focal length is estimated.
 struct Asked<'a> {
     residuals: &'a TileResiduals,
     pose: &'a Pose<Camera, Body>,
@@ -243,20 +256,21 @@ struct Asked<'a> {
     anchors: &'a [FittedAnchor],
 }
 
-/// What all else leaves of the displacements, and what the focal length makes of that.
+/// The residual after all other unknowns, and what the focal length explains of it.
 struct Fit {
-    /// Squared displacements that all else leaves, in sigmas of noise.
+    /// Squared displacements after all other unknowns, in variances of noise.
     left: f64,
-    /// Information of the logarithm of the focal length.
+    /// Information of the log focal length.
     information: f64,
-    /// The right side of its equation.
+    /// Right side of its normal equation.
     score: f64,
-    /// Numbers beyond the unknowns.
+    /// Number of measurements beyond the unknowns.
     freedom: f64,
 }
 
 impl Fit {
-    /// `askew`: shear and keystone that pictures may have whose corners are not in doubt, one sigma.
+    /// Fits all unknowns. `askew`: prior sigma of shear and keystone of pictures whose corners are
+    /// not in doubt.
     fn new(&Asked { residuals, pose, body, anchors }: &Asked<'_>, rows: &RowDisplacement, askew: f64) -> Option<Self> {
         let unknowns = Unknowns::new(body, anchors, *rows);
         let n = unknowns.count();
@@ -284,7 +298,7 @@ impl Fit {
         })
     }
 
-    /// Squared displacements that the focal length explains.
+    /// Returns the squared displacements that the focal length explains.
     fn explained(&self) -> f64 {
         self.score.powi(2) / self.information
     }
@@ -300,11 +314,12 @@ impl Fit {
     }
 }
 
-/// What may explain displacements beside the focal length, in the order of its columns: the pose, the radial coefficient, the motion while rows are read,
-/// the surfaces' corners (ratio, shear and keystones), and where the surfaces are beside the first one.
+/// The unknowns beside the focal length, in the order of their columns: the pose, the radial
+/// coefficient, the motion during readout, the corners of the surfaces (ratio, shear and
+/// keystones), and the places of all surfaces but the first.
 struct Unknowns {
     rows: RowDisplacement,
-    /// Surfaces with tiles.
+    /// Surfaces that have tiles.
     surfaces: Vec<u32>,
 }
 
@@ -314,7 +329,7 @@ impl Unknowns {
         Self { rows, surfaces: (0..body.surfaces.len() as u32).filter(has_tiles).collect() }
     }
 
-    /// First columns of the motion, the corners and the places.
+    /// Returns the first columns of the motion, the corners and the places.
     fn begins(&self) -> [usize; 3] {
         let motion = 7;
         let corners = motion + 6;
@@ -325,7 +340,7 @@ impl Unknowns {
         self.begins()[2] + 6 * self.surfaces.len().saturating_sub(1)
     }
 
-    /// Information of each by how far it may be off.
+    /// Returns the prior information matrix of the unknowns.
     fn prior(&self, body: &PreparedBody, askew: f64) -> DMatrix<f64> {
         let [motion, corners, places] = self.begins();
         let in_doubt = |k: usize| body.surfaces[self.surfaces[(k - corners) / CORNERS] as usize].spec.doubt.corners_share();
@@ -343,7 +358,7 @@ impl Unknowns {
         prior
     }
 
-    /// The derivatives of a tile's shift.
+    /// Writes the derivatives of a tile's shift.
     fn fill(&self, row: &mut Matrix2xX<f64>, t: &TileResidual, anchor: &FittedAnchor, pose: &Pose<Camera, Body>, body: &PreparedBody) {
         row.fill(0.0);
         row.columns_mut(0, 6).copy_from(&t.by_pose);
@@ -378,7 +393,8 @@ mod tests {
 
     const NOISE_PX: f64 = 0.005;
 
-    /// What the configured body and the usual lens make of pictures that `camera` took of the `real` body.
+    /// Estimates the focal length with the configured body and the usual lens from pictures that
+    /// `camera` took of the `real` body.
     fn clue(configured: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, camera: &CameraModel, start: &Pose<Camera, Body>) -> (bool, FocalClue) {
         let mut random = Pcg64Mcg::seed_from_u64(1);
         let mut noise = |_, _| Vector2::from_fn(|_, _| (0..12).map(|_| random.random_range(-0.5..0.5)).sum::<f64>() * NOISE_PX);
@@ -391,7 +407,7 @@ mod tests {
         asked(&configured, &anchors, start)
     }
 
-    /// What the configured body and the usual lens make of what was seen, from a start near its pose.
+    /// The same from given observations and a start near the pose.
     fn asked(configured: &PreparedBody, anchors: &[FittedAnchor], start: &Pose<Camera, Body>) -> (bool, FocalClue) {
         let observations: Vec<Observation> = anchors.iter().map(|a| a.observation).collect();
         let told = lens(640, 480);
@@ -411,7 +427,8 @@ mod tests {
     fn a_zoom_is_seen_from_the_side_and_in_depth() {
         let ahead = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 5.0));
         for (surfaces, pose) in [(vec![cloth(1)], oblique()), (with_flat(), ahead)] {
-            // From 20 degrees aside, 0.85 is what a print shows that is 1.8 % too wide: that accuses no lens.
+            // From 20 degrees aside, 0.85 is what a print shows that is 1.8 % too wide: no evidence
+            // against the lens.
             for by in [1.2, 0.82] {
                 let (is_suspect, clue) = clue(surfaces.clone(), surfaces.clone(), &zoomed(by), &pose);
                 assert!(is_suspect && clue.is_off(0.0) && !clue.is_right(0.0), "{by}: {clue:?}");
@@ -422,7 +439,8 @@ mod tests {
 
     #[test]
     fn what_no_linear_step_can_report_accuses_no_lens() {
-        // +507 %, -100 % and -73 % were reported of a calibrated lens, for a corner of a photograph that was a pixel off.
+        // +507 %, -100 % and -73 % were reported for a calibrated lens when a corner of a
+        // photograph was a pixel off.
         for change in [1.8, -7.0, -1.3, 0.3] {
             let clue = FocalClue { change, sigma: 0.001, share: 0.9, is_contested: false };
             assert!(!clue.is_off(0.0) && !clue.has_changed(0.0, 0.001, 0.0, false), "{change}");
@@ -434,7 +452,8 @@ mod tests {
         assert!(!contested.is_off(0.0) && contested.possible_change(0.0) == Some(0.15));
     }
 
-    /// What a frame says of a picture whose shear and keystones are these, seen by the configured lens.
+    /// Estimates the focal length from a picture with this shear and these keystones, seen through
+    /// the configured lens.
     fn askew(by: [f64; CORNERS], start: &Pose<Camera, Body>) -> FocalClue {
         let configured = prepared(vec![cloth(1)]);
         let mut anchors = seen_anchors(&configured, start, &lens(640, 480), 10, &mut |_, _| Vector2::zeros());

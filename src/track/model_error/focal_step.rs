@@ -1,7 +1,9 @@
-//! A pose that jumps towards the stage or from it: the camera moved, or the lens was zoomed.
+//! Detects a pose that jumps towards the stage or away from it: either the camera moved, or the
+//! lens was zoomed.
 //!
-//! Seen from ahead a zoom leaves nothing displaced: all of it goes into the pose, which jumps. So where a step of the focal length would explain a jump that no motion of the last frames explains,
-//! it may be one.
+//! Seen head-on, a zoom leaves no tile displaced: the pose absorbs it and jumps. A jump that the
+//! motion of the last frames does not predict, but a step of the focal length would explain, may
+//! therefore be a zoom.
 
 use super::tile_residuals::TileResiduals;
 use crate::geometry::resection::{Twist, perturbed};
@@ -9,23 +11,27 @@ use crate::geometry::{Body, Camera, Pose};
 use crate::motion::MAX_ACCELERATION;
 use crate::track::patches::row_motion::RowMotion;
 
-/// A jump is larger than this share of the distance, and so many times the usual error of the prediction. Raised, small zooms from ahead go unnoticed; lowered, jolts put the lens in doubt.
+/// Minimum step of the log focal length, and minimum jump in usual prediction errors. Raised, small
+/// zooms head-on go unnoticed; lowered, jolts put the lens in doubt.
 const MIN_STEP: f64 = 0.01;
 const USUAL_TIMES: f64 = 5.0;
-/// Share of the jump that the step must explain: a jolt turns the camera as well. Raised, zooms while the camera turns go unnoticed; lowered, jolts put the lens in doubt.
+/// Minimum fraction of the jump that the step must explain; a jolt rotates the camera too. Raised,
+/// zooms while the camera rotates go unnoticed; lowered, jolts put the lens in doubt.
 const MIN_SHARE: f64 = 0.9;
-/// The usual error is forgotten to this share with each frame. Raised, a camera that has come to rest is taken for a shaken one for longer.
+/// Weight that the usual prediction error keeps per frame. Raised, a camera that has come to rest
+/// counts as shaken for longer.
 const REMEMBERED: f64 = 0.9;
 
 /// Remembers how well poses are predicted.
 #[derive(Debug, Default)]
 pub struct Jump {
-    /// Usual error of the prediction, share of the distance.
+    /// Usual prediction error, as a fraction of the distance.
     usual: f64,
 }
 
 impl Jump {
-    /// The step of the logarithm of the focal length that would explain how `pose` jumped, if no camera moves so.
+    /// Returns the step of the log focal length that would explain how `pose` (`T_camera_body`)
+    /// jumped, if no camera moves that way; updates the usual prediction error.
     pub fn step(&mut self, pose: &Pose<Camera, Body>, rows: &RowMotion, residuals: &TileResiduals) -> Option<f64> {
         let (before, dt_s, twist) = rows.before?;
         let predicted = perturbed(&before, &(twist?.0 * dt_s));
@@ -38,7 +44,7 @@ impl Jump {
         let (usual, size) = (self.usual, off.norm());
         let step = off.dot(&by_focal) / by_focal.norm_squared();
         let share = (step * by_focal.norm() / size.max(f64::MIN_POSITIVE)).abs();
-        // A camera that starts or stops moves off its prediction by no more than this.
+        // A camera that starts or stops deviates from its prediction by at most this.
         let reach_m = 0.5 * MAX_ACCELERATION * dt_s * dt_s;
         let is_step = step.abs() > MIN_STEP && step.abs() * distance_m > reach_m && size > USUAL_TIMES * usual && share > MIN_SHARE;
         self.usual = REMEMBERED * usual + (1.0 - REMEMBERED) * if is_step { usual } else { size };
@@ -55,7 +61,8 @@ mod tests {
     use crate::geometry::resection::{MovingCamera, Observation, resect};
     use crate::track::synthetic::{cloth, facing, lens, prepared, seen_anchors};
 
-    /// The step of a frame that `camera` took from `stand`, where the frame before stood at `before` and nothing moved.
+    /// The step in a frame that `camera` took from `stand` when the previous pose was `before` and
+    /// nothing moved.
     fn step(camera: &CameraModel, stand: &Pose<Camera, Body>, before: &Pose<Camera, Body>, dt_s: f64) -> Option<f64> {
         let (body, configured) = (prepared(vec![cloth(1)]), lens(640, 480));
         let mut anchors = seen_anchors(&body, stand, camera, 10, &mut |_, _| Vector2::zeros());
@@ -93,7 +100,7 @@ mod tests {
     fn a_dolly_that_starts_between_two_slow_frames_is_none() {
         let stand = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 5.0));
         let nearer = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 4.8));
-        // 1 m/s at 5 frames a second; within a thirtieth of a second no camera gets there.
+        // 1 m/s at 5 frames a second; no camera reaches that within a thirtieth of a second.
         assert_eq!(step(&lens(640, 480), &nearer, &stand, 0.2), None);
         assert!(step(&lens(640, 480), &nearer, &stand, 1.0 / 30.0).is_some());
     }

@@ -1,8 +1,9 @@
-//! What the doubt about the lens leaves open of a pose.
+//! Pose covariance from the stated uncertainty of the lens.
 //!
-//! The pose is where its pixels are explained best by the lens as it was told. Had the lens been told one sigma
-//! otherwise, the same pixels would have led to another pose: to first order the least-squares answer to the
-//! pixels' shifts. Each way in which the lens may be off gives one such shift of the pose, and they add up.
+//! The pose is where its pixels are explained best by the configured lens. Had the lens been
+//! configured one sigma differently, the same pixels would have led to another pose: to first
+//! order, the least-squares answer to the pixels' shifts. Each way in which the lens may be off
+//! yields one such shift of the pose, and their outer products add up to the covariance.
 
 use nalgebra::{Matrix6, SMatrix, Vector2};
 
@@ -11,7 +12,8 @@ use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::resection::{MovingCamera, Observation, residual_and_jacobian};
 use crate::geometry::{Body, Camera, Pose};
 
-/// Covariance of [δp, δθ] of `T_body_camera`, body axes, by the lens alone; none where the lens is not in doubt.
+/// Returns the covariance of [δp, δθ] of `T_body_camera`, body axes, from the lens alone; `None` if
+/// the lens has no stated uncertainty.
 pub fn covariance_by_lens<'a>(
     t_body_camera: &Pose<Body, Camera>,
     camera: &CameraModel,
@@ -63,7 +65,7 @@ mod tests {
         let pose = Pose::new(turn, Vector3::new(0.2, -0.1, 4.0));
         let observations = seen_by(&told, &pose);
         let covariance = covariance_by_lens(&pose.inverse(), &told, observations.iter()).unwrap();
-        // Scale is what a wrong focal length takes: 3 % of 4 m.
+        // A wrong focal length changes the scale: 3 % of 4 m.
         assert!((0.09..=0.2).contains(&covariance[(2, 2)].sqrt()), "{}", covariance[(2, 2)].sqrt());
         let u = told.doubt().unwrap().uncertainty;
         let i = *told.intrinsics();
@@ -81,7 +83,8 @@ mod tests {
             bent(2),
             bent(3),
         ];
-        // The pose that the told lens finds in pictures of each other lens, so little off that the robust weights stay 1.
+        // The poses that the configured lens finds in pictures taken with each of the other lenses.
+        // The errors are so small that the robust weights stay 1.
         let mut scatter = Matrix6::zeros();
         for real in others {
             let found = resect(&pose, &MovingCamera::still(&told), &seen_by(&CameraModel::new(real).unwrap(), &pose), 20).unwrap().pose;

@@ -1,65 +1,73 @@
-//! A lens that was moved is never believed: where another focal length than the calibration's explains the frames, poses are withheld.
+//! Withholds poses while another focal length than the calibrated one explains the frames. A
+//! changed focal length is never used.
 //!
-//! One such frame is not given; from the second one on nothing is, until frames say that the focal length is the calibration's again. Views that
-//! tell nothing of it (a flat stage straight from ahead) change nothing: what was withheld stays so.
+//! A single such frame is withheld; from the second one on every pose is, until frames show the
+//! calibrated focal length again. Views that say nothing about it (a flat stage head-on) change
+//! nothing: what was withheld stays withheld.
 //!
-//! Where the stage does not fit (cloth in folds), its own pattern hides much of a zoom, and no frame by itself says so clearly. But the pattern stays much the
-//! same from frame to frame, and a zoom does not: what frames usually say of the focal length is remembered, and a frame that says
-//! clearly something else counts as well. One that strays less far is given, and how far it strays is in its covariance. A lens that nobody calibrated
-//! says something else in each view, and contradicts its calibration from the first: then it must be clearer still.
+//! If the stage does not fit its model (cloth in folds), its own pattern hides much of a zoom, and
+//! no single frame is clear. That pattern, however, stays much the same from frame to frame. So the
+//! usual estimate of the focal length is remembered, and a frame that clearly deviates from it
+//! counts as well. A frame that deviates less is reported with the deviation in its covariance. An
+//! uncalibrated lens gives another estimate in each view and contradicts its calibration from the
+//! first frame: then a deviation must be clearer still.
 
 use tracing::{info, warn};
 
 use super::focal_clue::{FocalClue, MAX_CHANGE, RIGHT_SIGMAS};
 
-/// What matches say of the focal length.
+/// What feature matches say about the focal length.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum MatchedFocal {
-    /// Another one than the calibrated one fits clearly better: logarithm of their ratio.
+    /// Another one fits clearly better than the calibrated one: logarithm of their ratio.
     Changed(f64),
-    /// Another one would fit better, but so would pictures that are askew or surfaces off their
-    /// places: no evidence against the lens, and a doubt.
+    /// Another one would fit better (logarithm of the ratio), but so would skewed pictures or
+    /// displaced surfaces: no evidence against the lens, but a doubt.
     Contested(f64),
-    /// The calibrated one fits clearly better than the one that was suspected.
+    /// The calibrated one fits clearly better than the suspected one.
     Calibrated,
-    /// Nothing: they are too few, or the view is from ahead, or something else does not fit.
+    /// Nothing: too few matches, a view from head-on, or another misfit.
     Unclear,
 }
 
-/// Frames in a row that say so, before the lens counts as moved. Chosen: one may be a torn frame. Raised, a zoom is named later; the frames
-/// until then are withheld all the same.
+/// Consecutive contradicting frames before the lens counts as changed. Raised, a zoom is reported
+/// later; frames until then are withheld anyway.
 const FRAMES_TO_MOVE: u32 = 2;
-/// Frames in a row that show the calibrated focal length, before the lens counts as back. Raised, poses are given later.
+/// Consecutive frames with the calibrated focal length before the lens counts as restored. Raised,
+/// poses are reported later.
 const FRAMES_TO_RETURN: u32 = 3;
 
-/// What frames usually say is forgotten to this share with each frame: half of it after ten. Raised, a path around folds passes for a zoom; lowered, a slow zoom
-/// passes for a habit.
+/// Weight that the usual estimate keeps per frame. Raised, a path around folds passes for a zoom;
+/// lowered, a slow zoom passes for the usual estimate.
 const REMEMBERED: f64 = 0.93;
-/// A frame that strays counts so much for the habit. Raised, a slow zoom passes for a habit; lowered, a path around a stage that does not fit passes for a zoom for longer.
+/// Weight of a deviating frame in the usual estimate. Raised, a slow zoom passes for the usual
+/// estimate; lowered, a path around a stage that does not fit passes for a zoom for longer.
 const STRAYED_WEIGHT: f64 = 0.1;
-/// What frames usually say contradicts the calibration beyond so many sigmas of one of them. 3.1 at most of cloth in folds and draughts, 10 to 40 of lenses that were guessed or are
-/// off. Raised, a guessed lens passes for a moved one; lowered, a zoom before cloth is noticed later.
+/// Sigmas of a single frame at which the usual estimate contradicts the calibration. Raised, a
+/// guessed lens passes for a changed one; lowered, a zoom before cloth is noticed later.
 const ROUGH_SIGMAS: f64 = 5.0;
-/// Frames before there is a habit. Chosen. Raised, a zoom soon after the start is noticed later; lowered, a single frame makes one.
+/// Minimum number of frames before there is a usual estimate. Raised, a zoom soon after the start
+/// is noticed later; lowered, a single frame makes one.
 const MIN_FRAMES: u32 = 5;
-/// How well a frame that leaves nothing but noise knows that the focal length is the calibration's, one sigma of the logarithm: from ahead it does not. Chosen.
+/// Sigma of the log focal length of a frame with nothing but noise, which counts as calibrated.
 /// Raised, the first frames of a misfit weigh more; lowered, a stage that fitted must stay so.
 const FITTING_SIGMA: f64 = 0.01;
-/// And no frame better than this, so that none outweighs all others.
+/// Minimum sigma of a frame, so that none outweighs all others. Raised, frames count more equally.
 const MIN_SIGMA: f64 = 1e-4;
 
-/// What frames usually say of the logarithm of the focal length over the calibration's.
+/// The usual estimate of the log ratio of the focal length to the calibrated one: a mean that
+/// forgets.
 #[derive(Debug, Default, Clone, Copy)]
 struct Habit {
     weights: f64,
     sum: f64,
-    /// How many frames these are, forgotten likewise.
+    /// Number of frames, forgotten at the same rate.
     count: f64,
     frames: u32,
 }
 
 impl Habit {
-    /// `share`: how much it counts.
+    /// Adds a frame. `share`: its weight, 0 to 1.
     fn add(&mut self, change: f64, sigma: f64, share: f64) {
         let weight = share * sigma.max(MIN_SIGMA).powi(-2);
         self.weights = REMEMBERED * self.weights + weight;
@@ -73,51 +81,54 @@ impl Habit {
         self.usual().is_some_and(|(usual, sigma)| usual.abs() > ROUGH_SIGMAS * sigma * self.count.sqrt())
     }
 
-    /// The value and one sigma of it, once there are frames enough.
+    /// Returns the value and its sigma, once there are enough frames.
     fn usual(&self) -> Option<(f64, f64)> {
         (self.frames >= MIN_FRAMES).then(|| (self.sum / self.weights, self.weights.powf(-0.5)))
     }
 }
 
-/// What a frame's pose may be taken for.
+/// How a frame's pose may be used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LensState {
-    /// Nothing speaks against the lens.
+    /// Nothing contradicts the lens.
     Fits,
-    /// This frame does; it is not given.
+    /// This frame contradicts it and is withheld.
     Suspect,
-    /// The lens was moved; nothing is given.
+    /// The lens was changed; every pose is withheld.
     Moved,
 }
 
-/// Remembers what frames said of the focal length.
+/// Remembers what frames said about the focal length.
 #[derive(Debug, Default)]
 pub struct LensWatch {
     is_moved: bool,
-    /// Frames in a row that contradict the state.
+    /// Consecutive frames that contradict the current state.
     against: u32,
     habit: Habit,
-    /// Which body it is of.
+    /// Index of the body that the usual estimate is of.
     speaker: usize,
-    /// Whether the lens counts as moved by what frames usually said, not by the calibration.
+    /// Whether the lens counts as changed by comparison with the usual estimate rather than with
+    /// the calibration.
     is_by_habit: bool,
-    /// Whether what frames usually say contradicted the calibration at any time.
+    /// Whether the usual estimate ever contradicted the calibration.
     is_rough: bool,
-    /// By how much the last frame strays from what frames usually say, or may be off where the frame is no evidence.
+    /// Deviation of the last frame from the usual estimate, or its possible error if the frame is
+    /// no evidence.
     strayed: Option<f64>,
-    /// Size of a step of it that would explain how a pose jumped, until a frame says that there was none.
+    /// Size of the focal step that would explain a jump of the pose, until a frame contradicts it;
+    /// 0 for none.
     step: f64,
-    /// Logarithm of the focal length that matches fit over the calibration's, until matches say
-    /// otherwise.
+    /// Logarithm of the ratio of the focal length that fits the matches to the calibrated one,
+    /// until matches say otherwise.
     by_matches: Option<f64>,
     /// Whether that was logged in this session.
     has_warned: bool,
-    /// Whether frames are only tried: nothing is logged.
+    /// Whether this is a trial, in which nothing is logged.
     is_trial: bool,
 }
 
 impl LensWatch {
-    /// Before any frame. `is_trial`: nothing is logged.
+    /// Creates the state before any frame. `is_trial`: log nothing.
     pub fn new(is_trial: bool) -> Self {
         Self { is_trial, ..Self::default() }
     }
@@ -127,23 +138,23 @@ impl LensWatch {
         self.is_moved
     }
 
-    /// Whether every frame is to be asked for the focal length.
+    /// Whether the focal length must be estimated in every frame.
     pub fn asks(&self) -> bool {
         self.is_moved || self.step > 0.0 || self.by_matches.is_some()
     }
 
-    /// What matches said of the focal length: its logarithm over the calibration's.
+    /// Returns the log ratio of the focal length that fits the matches to the calibrated one.
     pub fn by_matches(&self) -> Option<f64> {
         self.by_matches
     }
 
-    /// Whether a frame's tiles contradict what matches said: then matches are worth a look. Tiles
-    /// alone do not decide, for through a wrong lens few of them are aligned.
+    /// Whether a frame's tiles contradict the matches, so that matching again is worthwhile. Tiles
+    /// alone do not decide: through a wrong lens few of them are aligned.
     pub fn is_disputed(&self, clue: &FocalClue) -> bool {
         self.by_matches.is_some_and(|change| self.contradicts(clue, change.abs()))
     }
 
-    /// Takes what matches say of the focal length.
+    /// Takes the result of matching.
     pub fn hear_matches(&mut self, said: MatchedFocal) {
         match said {
             MatchedFocal::Changed(change) => {
@@ -162,26 +173,30 @@ impl LensWatch {
         }
     }
 
-    /// By how much the logarithm of the focal length in the last frame is another one than frames usually say, where it clearly is.
+    /// Returns the deviation of the last frame's log focal length from the usual estimate if it is
+    /// clear, or how far it may be off.
     pub fn strayed(&self) -> Option<f64> {
         self.strayed
     }
 
-    /// The next clue is this body's: what others usually say is no habit of its own.
+    /// Says which body the next clue comes from: the usual estimate of one body does not apply to
+    /// another.
     pub fn listen_to(&mut self, body: usize) {
         if body != self.speaker && !self.is_moved {
             (self.habit, self.speaker, self.is_rough) = (Habit::default(), body, false);
         }
     }
 
-    /// Takes a frame's clue, if it has one. `step`: that would explain how its pose jumped; `is_seen`: whether there was anything to ask; `doubt`: one sigma of the logarithm of
-    /// the calibrated focal length.
+    /// Takes a frame's clue, if it has one. `step`: the focal step that would explain a jump of its
+    /// pose; `is_seen`: whether the frame was examined; `doubt`: sigma of the log of the calibrated
+    /// focal length.
     pub fn update(&mut self, clue: Option<&FocalClue>, step: Option<f64>, is_seen: bool, doubt: f64) -> LensState {
         self.take_step(clue, step);
         let doubted = self.by_matches.map_or(0.0, f64::abs).max(self.step);
         self.strayed = Some(doubted).filter(|size| *size > 0.0);
         let Some(clue) = clue else {
-            // Asked, and nothing speaks against the lens: not a frame in a row.
+            // Examined, and nothing contradicts the lens: the sequence of contradicting frames
+            // ends.
             if is_seen {
                 self.against = 0;
                 self.habit.add(0.0, FITTING_SIGMA, 1.0);
@@ -197,7 +212,7 @@ impl LensWatch {
         let has_changed = usual.is_some_and(|(usual, sigma)| clue.has_changed(usual, sigma, doubt, is_rough));
         let is_usual = self.is_by_habit && usual.is_some_and(|(usual, sigma)| clue.is_usual(usual, sigma));
         let is_against = if self.is_moved { clue.is_right(doubt) || is_usual } else { clue.is_off(doubt) || has_changed };
-        // While the lens counts as moved the habit stays as it was before.
+        // While the lens counts as changed, the usual estimate stays as it was before.
         if !self.is_moved && !is_against && doubted == 0.0 {
             self.habit.add(clue.change, clue.sigma, if strayed.is_some() { STRAYED_WEIGHT } else { 1.0 });
         }
@@ -213,7 +228,8 @@ impl LensWatch {
         self.state(is_against)
     }
 
-    /// Logs whether poses are withheld from now on; `change`: the logarithm of the focal length that fits over the calibration's.
+    /// Logs whether poses are withheld from now on; `change`: log ratio of the fitted focal length
+    /// to the calibrated one.
     fn say(&self, change: f64) {
         let percent = 100.0 * (change.exp() - 1.0);
         if self.is_moved {
@@ -225,7 +241,7 @@ impl LensWatch {
         }
     }
 
-    /// A step stays in doubt until a frame says of the focal length that it is what it was.
+    /// Remembers a step until a frame's estimate of the focal length contradicts it.
     fn take_step(&mut self, clue: Option<&FocalClue>, step: Option<f64>) {
         self.step = self.step.max(step.map_or(0.0, f64::abs));
         if clue.is_some_and(|clue| self.contradicts(clue, self.step)) {
@@ -233,7 +249,7 @@ impl LensWatch {
         }
     }
 
-    /// Whether what a frame says is nearer to no step than to one of this size.
+    /// Whether a frame's estimate is closer to no step than to one of this size.
     fn contradicts(&self, clue: &FocalClue, size: f64) -> bool {
         let usual = self.habit.usual().map_or(0.0, |(usual, _)| usual);
         (clue.change - usual).abs() + RIGHT_SIGMAS * clue.sigma < 0.5 * size
@@ -275,7 +291,7 @@ mod tests {
         assert_eq!(said, [Moved, Moved, Moved, Moved, Fits]);
     }
 
-    /// What cloth in folds says of the focal length, by a little more or less from frame to frame.
+    /// An estimate from folded cloth, varying slightly from frame to frame.
     fn folds(k: u32) -> FocalClue {
         FocalClue { change: 0.012 + 0.001 * f64::from(k % 3), sigma: 0.0035, share: 0.01, is_contested: false }
     }
@@ -288,7 +304,7 @@ mod tests {
         let zoomed = |k: u32, by: f64| FocalClue { change: folds(k).change + by, share: 0.1, ..folds(k) };
         let said = [0.005, 0.02, 0.025, 0.03].map(|by| watch.update(Some(&zoomed(0, by)), None, true, 0.0));
         assert_eq!(said, [Fits, Suspect, Moved, Moved]);
-        // From ahead nothing is told; from the side the folds say what they did before.
+        // A view from head-on says nothing; from the side the folds say what they said before.
         let ahead = FocalClue { change: 0.01, sigma: 0.08, share: 0.01, is_contested: false };
         assert!((0..20).all(|_| watch.update(Some(&ahead), None, true, 0.0) == Moved));
         assert_eq!([0, 1, 2].map(|k| watch.update(Some(&folds(k)), None, true, 0.0)), [Moved, Moved, Fits]);
@@ -319,7 +335,7 @@ mod tests {
     #[test]
     fn light_that_displaces_edges_is_no_zoom_where_the_view_hardly_tells() {
         let mut watch = LensWatch::default();
-        // A print of red things on the way to a blue gel, from ever more nearly ahead.
+        // A print of red things on the way to a blue gel, from ever closer to head-on.
         let gel = [(-0.006, 0.005), (-0.0087, 0.0059), (-0.0128, 0.0082), (-0.0186, 0.0099), (-0.0394, 0.0119), (-0.0591, 0.0177)];
         let blue = [(-0.13, 0.0266), (-0.192, 0.044), (-0.254, 0.0512), (-0.586, 0.171), (1.752, 0.491), (0.444, 0.16)];
         let said = |watch: &mut LensWatch, (change, sigma)| {
@@ -334,7 +350,7 @@ mod tests {
         let mut watch = LensWatch::default();
         let ahead = FocalClue { sigma: 0.02, ..clue(0.01) };
         assert_eq!(watch.update(Some(&ahead), Some(-0.03), true, 0.0), LensState::Fits);
-        // Frames that say nothing of it leave it open.
+        // Frames that say nothing about it leave it open.
         assert!((0..9).all(|_| watch.update(None, None, false, 0.0) == LensState::Fits && watch.strayed() == Some(0.03)));
         watch.update(Some(&ahead), None, true, 0.0);
         assert!(watch.asks() && watch.strayed() == Some(0.03));
@@ -346,7 +362,7 @@ mod tests {
     fn what_matches_said_stays_in_doubt_until_matches_take_it_back() {
         let mut watch = LensWatch::new(true);
         watch.hear_matches(MatchedFocal::Changed(0.4));
-        // Few tiles are aligned through such a lens, and these may say that it fits.
+        // Few tiles are aligned through such a lens, and those may claim that it fits.
         let fits = clue(0.001);
         assert_eq!(watch.update(Some(&fits), None, true, 0.0), LensState::Fits);
         assert!(watch.asks() && watch.is_disputed(&fits) && watch.strayed() == Some(0.4));

@@ -1,85 +1,86 @@
-//! A part of the model that does not fit what frames show: which, by how much, and what that costs.
+//! Describes a part of the model that does not fit the frames: which one, by how much, and what it
+//! costs. Also writes the messages about it.
 
 use crate::track::scene::reference::PreparedBody;
 
-/// Which part of the model is other than told, and by how much.
+/// A part of the model that differs from the config, and by how much.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum Part {
     /// The lens.
     Lens {
-        /// Focal length, percent of the calibration's.
+        /// Error of the focal length, percent of the calibrated one.
         focal_percent: f64,
-        /// Principal point, pixels.
+        /// Error of the principal point, pixels.
         centre_px: [f64; 2],
-        /// First radial coefficient.
+        /// Error of the first radial coefficient.
         radial: f64,
-        /// Farthest that a pixel of the picture is displaced by all of them, pixels.
+        /// Largest displacement of a pixel by all of them together, pixels.
         farthest_px: f64,
     },
     /// The shape of a surface.
     Shape {
-        /// Its index in the stage.
+        /// Index of the surface in the stage.
         surface: usize,
-        /// Root mean square of the heights over the shape that it is told to have, mm.
+        /// Root mean square height over the configured shape, mm.
         rms_mm: f64,
-        /// The largest of them, mm.
+        /// Maximum height over it, mm.
         most_mm: f64,
     },
-    /// Where a surface stands among the others.
+    /// The place of a surface among the others.
     Place {
-        /// Its index in the stage.
+        /// Index of the surface in the stage.
         surface: usize,
-        /// How far its middle is from where it is told to be: along the stage's x, y and z, mm.
+        /// Displacement of its centre from the configured place along the stage's x, y and z, mm.
         moved_mm: [f64; 3],
-        /// By how much it is turned, degrees.
+        /// Its rotation from the configured direction, degrees.
         turned_deg: f64,
     },
     /// The corners of a surface's picture: it is cropped or photographed askew, or hangs sheared.
     Corners {
-        /// Its index in the stage.
+        /// Index of the surface in the stage.
         surface: usize,
-        /// How far the corner that is off most is off: pixels of the picture's file.
+        /// Displacement of the worst corner, pixels of the picture file.
         most_px: f64,
         /// The same on the surface, mm.
         most_mm: f64,
     },
     /// The ratio of a surface's sides.
     Ratio {
-        /// Its index in the stage.
+        /// Index of the surface in the stage.
         surface: usize,
-        /// How much wider it is for its height than told, percent.
+        /// Excess of its width-to-height ratio over the configured one, percent.
         wider_percent: f64,
     },
 }
 
-/// A part that is other than told.
+/// A part that differs from the config, as a study found it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Misfit {
-    /// Which.
+    /// The part.
     pub part: Part,
-    /// Share of the squared displacements of the tiles that it explains.
+    /// Fraction of the tiles' squared displacements that it explains.
     pub share: f64,
-    /// How far poses are off for it, root mean square, mm.
+    /// Root mean square pose error that it causes, mm.
     pub cost_mm: f64,
 }
 
-/// A part that is other than told, with the name of its surface.
+/// A part that differs from the config, with the name of its surface.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelNews {
-    /// Which part, and by how much.
+    /// The part, and by how much it differs.
     pub part: Part,
-    /// What its surface is called; `None` for the lens.
+    /// Name of its surface; `None` for the lens.
     pub surface: Option<String>,
-    /// How far poses are off for it, root mean square, mm.
+    /// Root mean square pose error that it causes, mm.
     pub cost_mm: f64,
 }
 
 impl ModelNews {
-    /// What is the matter, what it costs, and what to do about it.
+    /// Returns the message: what is wrong, what it costs, and how to fix it.
     pub fn text(&self) -> String {
         let says = self.part.says(self.surface.as_deref().unwrap_or_default());
-        // Where other surfaces outvote one that was moved, poses are not off for it.
+        // The other surfaces outvote one that was moved, so that poses are not off.
         let costs = match self.part {
             Part::Place { .. } => String::new(),
             _ => format!(", which puts poses {} mm off (rms)", figures(self.cost_mm)),
@@ -88,35 +89,35 @@ impl ModelNews {
     }
 }
 
-/// How well the model fits what a clip showed.
+/// How well the model fits a clip.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ModelReport {
-    /// The parts that frames spoke against, the likeliest first.
+    /// The parts that contradict the frames, the likeliest first.
     pub parts: Vec<ModelNews>,
-    /// Root mean square of what poses leave of the tiles' displacements, pixels.
+    /// Root mean square residual of the tiles at the solved poses, pixels.
     pub left_px: f64,
-    /// How far poses may be off for that, whatever its cause: one sigma of most frames, mm, and as a share of the camera's distance. 0 where it is no more than noise, or what a motion while
-    /// rows are read explains.
+    /// Possible pose error from the misfit, whatever its cause: median sigma over the frames, mm. 0
+    /// if the residuals are no more than noise or than motion during readout explains.
     pub doubt_mm: f64,
-    /// See [`doubt_mm`](Self::doubt_mm).
+    /// The same as a fraction of the camera's distance.
     pub doubt_share: f64,
-    /// How many views that differ showed it.
+    /// Number of different views in which it was seen.
     pub views: usize,
 }
 
-/// A focal length and a ratio further off than this, percent, are beyond what small changes of a model describe: whole pictures say that better. Chosen, not tuned. Raised,
-/// the linear answer is believed where it is a few percent of itself off.
+/// Errors of focal length and ratio, percent, above which whole pictures must decide. Raised, the
+/// linear answer is used where it is a few percent of itself off.
 const SMALL_FOCAL_PERCENT: f64 = 5.0;
 const SMALL_RATIO_PERCENT: f64 = 2.5;
 
-/// Three figures, without idle decimals.
+/// Formats a value with three significant digits.
 fn figures(value: f64) -> String {
     let digits = if value == 0.0 { 0 } else { (2 - value.abs().log10().floor() as i32).clamp(0, 4) as usize };
     format!("{value:.digits$}")
 }
 
 impl Part {
-    /// One word, for programs.
+    /// Returns one word for programs.
     pub fn word(&self) -> &'static str {
         match self {
             Self::Lens { .. } => "lens",
@@ -127,14 +128,14 @@ impl Part {
         }
     }
 
-    /// How far its surface is from where it should be, at its edge, metres; 0 of another part.
+    /// Returns how far a displaced surface is off at its edge, metres; 0 for other parts.
     pub fn size_m(&self, body: &PreparedBody) -> f64 {
         let Self::Place { surface, moved_mm: [x, y, z], turned_deg } = self else { return 0.0 };
         let [width, height] = body.surfaces[*surface].spec.size_m;
         1e-3 * (x * x + y * y + z * z).sqrt() + 0.5 * width.hypot(height) * turned_deg.to_radians()
     }
 
-    /// Whether it is so little off that small changes of a model describe it.
+    /// Whether the error is small enough for a linear model.
     pub fn is_small(&self) -> bool {
         match self {
             Self::Lens { focal_percent, .. } => focal_percent.abs() < SMALL_FOCAL_PERCENT,
@@ -143,7 +144,7 @@ impl Part {
         }
     }
 
-    /// The surface that it is a part of; `None` for the lens.
+    /// Returns the index of its surface; `None` for the lens.
     pub fn surface(&self) -> Option<usize> {
         match self {
             Self::Lens { .. } => None,
@@ -153,7 +154,7 @@ impl Part {
         }
     }
 
-    /// What is the matter, in a sentence without its full stop. `name`: what its surface is called.
+    /// Returns what is wrong, as a sentence without its full stop. `name`: the name of its surface.
     pub fn says(&self, name: &str) -> String {
         match *self {
             Self::Lens { focal_percent, centre_px: [x, y], radial, farthest_px } => format!(
@@ -187,7 +188,7 @@ impl Part {
         }
     }
 
-    /// What to do about it.
+    /// Returns how to fix it.
     pub fn mend(&self) -> &'static str {
         match self {
             Self::Lens { .. } => {

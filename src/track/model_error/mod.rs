@@ -1,12 +1,15 @@
-//! What residuals say of lens, shape, layout and shutter: covariance to add, events to raise, poses
-//! to withhold. Nothing here moves a pose.
+//! Model errors: what the residual tile displacements of a solved pose say about errors in the
+//! lens, the shapes and layout of surfaces, and the shutter. The results are covariance to add,
+//! events to report, and reasons to withhold a pose. Nothing here moves a pose.
 //!
-//! - `tile_residuals`: the displacements that a solution leaves in its tiles
-//! - `smooth_field`, `field_error`: the covariance if they were one smooth field of shifts
-//! - `lens_doubt`, `surface_doubt`, `shape_doubt`: the covariance by what the config leaves open
+//! - `tile_residuals`: the residual displacements of the tiles, which everything below reads
+//! - `smooth_field`, `field_error`: covariance of the pose if the residuals were one smooth field
+//!   of shifts
+//! - `lens_doubt`, `surface_doubt`, `shape_doubt`: covariance from the uncertainties stated in the
+//!   config
 //! - `focal_clue`, `focal_step`, `lens_watch`: whether the focal length has changed
 //! - `model_unknowns`, `model_study`, `model_watch`, `misfit`: which part of the model is wrong
-//! - `moments`: frames that show two moments at once
+//! - `moments`: frames that mix two moments in time
 //!
 //! Uses `scene`, `patches` and `align`.
 

@@ -1,10 +1,16 @@
-//! Which part of the model frames speak against: small models are fitted to what many of them leave displaced, and compared.
+//! Finds which part of the model contradicts the frames: fits small models to the residual tile
+//! displacements of many frames and compares them.
 //!
-//! A wrong lens, a surface that stands elsewhere, a stretched print and cloth in folds each leave a pattern in the tiles. In one frame the patterns
-//! resemble each other, and the pose takes a share of each. Over the frames of a camera that moves they part: a fold stays on the cloth, a lens
-//! stays on the sensor. So the equations of all these unknowns together are summed up over frames, each with a pose of its own that is free (and with a motion
-//! while rows are read, where nobody described the shutter). Then each part alone is solved for from them, and the likeliest is named: the logarithm of what it leaves,
-//! against the count of its numbers (Schwarz's criterion). Where it leaves much, the next part joins it.
+//! A wrong lens, a surface that stands elsewhere, a stretched print and folded cloth each leave a
+//! pattern in the tiles. Within one frame these patterns look alike, and the pose absorbs a part of
+//! each. Over the frames of a moving camera they separate: a fold stays on the cloth, a lens error
+//! stays on the sensor.
+//!
+//! The normal equations of all unknowns are therefore summed over frames. Each frame has a free
+//! pose of its own, and a free motion during readout if the shutter is not described. Each part is
+//! then solved for alone, and the likeliest is named by Schwarz's criterion (BIC): the logarithm of
+//! its residual plus a penalty for its number of unknowns. If much remains, the next part is added
+//! to it.
 
 use std::ops::Range;
 
@@ -21,64 +27,65 @@ use crate::track::patches::fitted_anchor::FittedAnchor;
 use crate::track::scene::reference::PreparedBody;
 use crate::track::scene::surface::SurfaceSpec;
 
-/// Nuisances of a frame: its pose, and the motion while its rows were read.
+/// Nuisance unknowns of a frame: its pose, and its motion during readout.
 const NUISANCES: usize = 12;
-/// Tiles count by Tukey's biweight at so many times the median of their own surface: those of a surface that stands elsewhere are no outliers. Raised, people
-/// and shadows count; lowered, the ends of a pattern do not.
+/// Tukey scale of the weights, in robust sigmas of the tile's own surface, so that a moved one is
+/// no outlier. Raised, people and shadows count; lowered, the ends of a pattern do not.
 const SPREAD: f64 = 2.0;
-/// Median of the length of a plane vector of unit normal noise: sqrt(2 ln 2).
+/// Median length of a plane vector with unit normal noise: sqrt(2 ln 2).
 const MEDIAN_LENGTH: f64 = 1.177_410_022_515_474_6;
-/// Frames that differ, of however many: the count of tiles grows with their square root. Chosen, not tuned: a camera that is walked past shows each place from here
-/// and there. Raised, finer folds are believed of a camera that stands; lowered, those that a walk shows are not.
+/// Frames up to which the effective number of tiles grows, with their square root. Raised, finer
+/// folds are accepted from a camera at rest; lowered, folds that a walk shows are not.
 const FRAMES_THAT_DIFFER: f64 = 16.0;
-/// By how much the criterion must fall for a part to be named (each number costs the logarithm of the count of tiles), and which share of all squared
-/// displacements it must explain, the first part and each later one. Chosen, not tuned. Raised, fewer parts are named; lowered, parts that only
-/// resemble the true one.
+/// Minimum fall of the criterion and (as a fraction, first and later) of the residual for a part to
+/// be named. Raised, fewer are named; lowered, look-alikes of the true one are.
 const MIN_GAIN: f64 = 30.0;
 const MIN_SHARE: [f64; 2] = [0.4, 0.1];
-/// And what is left must fall to this share by each later part. Raised, parts are named that only resemble what the first one leaves.
+/// Each later part must reduce the residual to this fraction. Raised, parts are named that only
+/// resemble the remainder of the first one.
 const LATER_LEAVES: f64 = 0.5;
-/// A place is named as another surface's only where that leaves this share less: of two surfaces, either may have moved. Lowered, the first surface, which
-/// is the stage's frame, is more often said to stand elsewhere.
+/// The first surface, which defines the stage's frame, is named as moved only if that leaves less
+/// than this fraction of the best alternative. Raised, it is blamed more often.
 const FIRST_LEAVES: f64 = 0.8;
-/// Parts that are named at most. Chosen: more are hardly mended one by one.
+/// Maximum number of named parts. Raised, users get more faults than they can fix one by one.
 const MAX_PARTS: usize = 3;
-/// What a part must cost to be named: how far poses are off for it, as a share of the camera's distance, and for a place how far the surface is from where it should be. A
-/// pixel is a thousandth at a focal length of 1000 pixels, so that this is half of one in what follows the camera. Chosen: nobody sees less, and nobody should walk the stage for it.
-/// Raised, faults go unnamed; lowered, stages that are as told to the millimetre are to be surveyed.
+/// Minimum pose error (or displacement of a surface) of a named part, as a fraction of the
+/// distance. Raised, faults go unnamed; lowered, accurate stages are sent to a survey.
 pub const MIN_COST: f64 = 0.0005;
-/// Points along each side at which a shape's heights are asked. Any dozen would do.
+/// Points along each side at which a shape's heights are sampled. Raised, reports cost more time.
 const ASKED: u32 = 24;
 
-/// A frame as it is studied.
+/// One frame of a study.
 #[derive(Clone, Copy)]
 pub struct StudiedFrame<'a> {
-    /// What the pose leaves of the anchors' displacements.
+    /// Residuals of the anchors' displacements at the pose.
     pub residuals: &'a TileResiduals,
-    /// `T_camera_body` that they are of.
+    /// The pose that they belong to, `T_camera_body`.
     pub pose: &'a Pose<Camera, Body>,
     /// Where the frame shows the body.
     pub anchors: &'a [FittedAnchor],
-    /// How a motion while rows are read displaces them.
+    /// How a motion during readout displaces the rows.
     pub rows: &'a RowDisplacement,
 }
 
-/// Sums up what frames show of one body.
+/// Accumulates the evidence of frames about one body.
 #[derive(Debug)]
 pub struct ModelStudy {
     unknowns: ModelUnknowns,
-    /// Equations of the unknowns, each frame's nuisances eliminated.
+    /// Normal equations of the unknowns, each frame's nuisances eliminated.
     normal: DMatrix<f64>,
     right: DVector<f64>,
-    /// Squared displacements that the poses leave, in sigmas of noise, and how many numbers they are beyond the poses'.
+    /// Sum of squared displacements at the solved poses, in variances of noise, and the number of
+    /// measurements beyond the poses' unknowns.
     squared: f64,
     numbers: f64,
-    /// Squared displacements that the poses alone leave, without any motion while rows were read.
+    /// Sum of squared displacements with free poses but no motion during readout.
     squared_by_poses: f64,
     frames: f64,
-    /// Sum of the tiles' information, of both their directions, pixels⁻².
+    /// Sum of the tiles' information in both directions, pixels⁻².
     information: f64,
-    /// How far the camera's place goes astray with the unknowns, as a share of its distance: squares, summed up over frames. And the sum of the distances, metres.
+    /// Errors of the camera's position per unknown, as a fraction of its distance: products, summed
+    /// over frames. Then the sum of the distances, metres.
     strayed: DMatrix<f64>,
     distances_m: f64,
     shared: OMatrix<f64, U12, Dyn>,
@@ -91,12 +98,13 @@ struct Solved {
     columns: Vec<usize>,
     numbers: DVector<f64>,
     left: f64,
-    /// Numbers that the frames decide, not the prior.
+    /// Number of unknowns determined by the frames rather than by the prior.
     freedom: f64,
 }
 
 impl ModelStudy {
-    /// Of a body with so many surfaces; `most_waves`: how fine their folds may be, half waves over the picture.
+    /// Creates a study of a body with this many surfaces. `most_waves`: the finest folds that are
+    /// modelled, half waves over the picture.
     pub fn new(surfaces: usize, most_waves: usize) -> Self {
         let unknowns = ModelUnknowns::new(surfaces, most_waves);
         let n = unknowns.count();
@@ -117,7 +125,7 @@ impl ModelStudy {
         }
     }
 
-    /// Lets earlier frames count less, to this share.
+    /// Scales the weight of all earlier frames by `share`.
     pub fn forget(&mut self, share: f64) {
         self.normal *= share;
         self.right *= share;
@@ -128,7 +136,7 @@ impl ModelStudy {
         }
     }
 
-    /// Takes a frame.
+    /// Adds a frame.
     pub fn add(&mut self, frame: &StudiedFrame, body: &PreparedBody) {
         let StudiedFrame { residuals, pose, anchors, rows } = *frame;
         let scales: Vec<f64> = (0..body.surfaces.len()).map(|k| self.scale_of(k, residuals, anchors)).collect();
@@ -182,7 +190,8 @@ impl ModelStudy {
         self.distances_m += distance_m;
     }
 
-    /// The scale of a surface's tiles, sigmas of noise, times [`SPREAD`].
+    /// Returns the Tukey scale of a surface's tiles, sigmas of noise, including the factor
+    /// [`SPREAD`].
     fn scale_of(&mut self, surface: usize, residuals: &TileResiduals, anchors: &[FittedAnchor]) -> f64 {
         self.squares.clear();
         let own = residuals.tiles().iter().filter(|t| anchors[t.anchor].surface as usize == surface);
@@ -195,35 +204,40 @@ impl ModelStudy {
         SPREAD * (median.sqrt() / MEDIAN_LENGTH).max(1.0)
     }
 
-    /// Root mean square of what the poses, and motions while rows were read, leave of the tiles' displacements, pixels, each tile counting by its information.
+    /// Returns the root mean square residual of the tiles after poses and motions during readout,
+    /// pixels, weighted by information.
     pub fn left_px(&self) -> f64 {
         if self.information > 0.0 { (2.0 * self.squared / self.information).sqrt() } else { 0.0 }
     }
 
-    /// Share of what poses alone leave that motions while rows were read leave, too, beyond the noise. What of it is gone needs no error of the model.
+    /// Returns the fraction (0 to 1) of the excess over noise at free poses that remains once
+    /// motion during readout is free too. What that motion explains needs no model error.
     pub fn share_left(&self) -> f64 {
         let excess = |squared: f64| (squared - self.numbers).max(0.0);
         (excess(self.squared) / excess(self.squared_by_poses).max(f64::MIN_POSITIVE)).min(1.0)
     }
 
-    /// How far poses are off where some unknowns are other than told, root mean square over the frames, as a share of the distance.
+    /// Returns the pose error that deviations of some unknowns cause: root mean square over the
+    /// frames, as a fraction of the distance.
     fn cost(&self, columns: &[usize], numbers: &[f64]) -> f64 {
         let pairs = columns.iter().zip(numbers);
         let squared: f64 = pairs.clone().map(|(i, x)| x * pairs.clone().map(|(k, y)| self.strayed[(*i, *k)] * y).sum::<f64>()).sum();
         (squared.max(0.0) / self.frames.max(1.0)).sqrt()
     }
 
-    /// Mean distance from the camera, metres.
+    /// Returns the mean distance from the camera, metres.
     fn distance_m(&self) -> f64 {
         self.distances_m / self.frames.max(1.0)
     }
 
-    /// What the poses leave, squared, over the noise; 0 where nothing was taken.
+    /// Returns the mean square residual at the solved poses, in variances of noise; 0 without
+    /// frames.
     pub fn misfit(&self) -> f64 {
         if self.numbers > 0.0 { self.squared / self.numbers } else { 0.0 }
     }
 
-    /// The parts that frames speak against, the likeliest first; none where all fits, or where two parts explain them alike.
+    /// Returns the parts that contradict the frames, the likeliest first. Empty if everything fits,
+    /// or if two parts explain the frames equally well.
     pub fn misfits(&self, body: &PreparedBody, camera: &CameraModel) -> Vec<Misfit> {
         let mut named: Vec<(Candidate, Solved)> = Vec::new();
         if self.frames < 1.0 || self.misfit() < MIN_MISFIT {
@@ -282,7 +296,7 @@ impl ModelStudy {
         all
     }
 
-    /// Of some parts the one that is likeliest beside those that were named.
+    /// Returns the candidate that is likeliest in addition to those already named.
     fn likeliest<'a>(&self, candidates: impl Iterator<Item = &'a Candidate>, before: &Solved) -> Option<(Candidate, Solved)> {
         let solved = candidates.filter_map(|c| {
             let columns = before.columns.iter().copied().chain(c.columns.clone()).collect();
@@ -295,18 +309,19 @@ impl ModelStudy {
         solved.min_by(|a, b| self.criterion(&a.1).total_cmp(&self.criterion(&b.1)))
     }
 
-    /// Schwarz's criterion: tiles of many frames count no more than those of a few, for those of the next frame show much the same.
+    /// Returns Schwarz's criterion (BIC). Tiles of many frames count no more than those of a few,
+    /// because the next frame shows much the same.
     fn criterion(&self, solved: &Solved) -> f64 {
         let count = self.numbers / self.frames * self.frames.clamp(1.0, FRAMES_THAT_DIFFER).sqrt();
         count * (solved.left / self.squared).max(f64::MIN_POSITIVE).ln() + solved.freedom * count.max(1.0).ln()
     }
 
-    /// The numbers of some columns that leave least.
+    /// Solves for the values of some columns that minimise the residual.
     fn solved(&self, columns: Vec<usize>) -> Option<Solved> {
         let n = columns.len();
         let data = DMatrix::from_fn(n, n, |i, k| self.normal[(columns[i], columns[k])]);
         let right = DVector::from_fn(n, |k, _| self.right[columns[k]]);
-        // The prior counts as one frame's worth, at the scale of what is left.
+        // The prior has the weight of one frame, at the scale of the residual.
         let scale = self.misfit().max(1.0);
         let prior = DVector::from_fn(n, |k, _| scale * self.unknowns.sigma(columns[k]).powi(-2));
         let factor = Cholesky::<f64, Dyn>::new(&data + DMatrix::from_diagonal(&prior))?;
@@ -317,14 +332,14 @@ impl ModelStudy {
     }
 }
 
-/// Normal matrix of a frame's own nuisances before any tile.
+/// Returns the normal matrix of a frame's nuisances before any tile: the prior of its motion.
 pub fn nuisance_normal(rows: &RowDisplacement) -> SMatrix<f64, NUISANCES, NUISANCES> {
     let mut own = SMatrix::<f64, NUISANCES, NUISANCES>::zeros();
     own.fixed_view_mut::<6, 6>(6, 6).copy_from(rows.motion_information());
     own
 }
 
-/// Derivatives of a tile's shift by the frame's own nuisances.
+/// Returns the derivatives of a tile's shift by the frame's nuisances.
 pub fn nuisances(t: &TileResidual, rows: &RowDisplacement) -> SMatrix<f64, 2, NUISANCES> {
     let mut by = SMatrix::<f64, 2, NUISANCES>::zeros();
     by.fixed_columns_mut::<6>(0).copy_from(&t.by_pose);
@@ -334,7 +349,7 @@ pub fn nuisances(t: &TileResidual, rows: &RowDisplacement) -> SMatrix<f64, 2, NU
     by
 }
 
-/// Which part a candidate is.
+/// The part that a candidate stands for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Lens,
@@ -344,7 +359,7 @@ enum Kind {
     Shape(usize),
 }
 
-/// A part that may be other than told.
+/// A part that may differ from the config.
 #[derive(Debug, Clone, PartialEq)]
 struct Candidate {
     kind: Kind,
@@ -352,7 +367,8 @@ struct Candidate {
 }
 
 impl Candidate {
-    /// Whether both have numbers of the same kind. The ratio of a surface's sides is one of the numbers of its corners.
+    /// Whether both belong to the same part. The side ratio of a surface is one of the unknowns of
+    /// its corners.
     fn is_alike(&self, other: &Self) -> bool {
         let kind = |candidate: &Self| match candidate.kind {
             Kind::Ratio(k) => Kind::Corners(k),
@@ -391,7 +407,8 @@ impl Candidate {
     }
 }
 
-/// How far the corner that is off most is off by the numbers of a surface's corners: pixels of its picture, as its file has it, and metres.
+/// Returns the largest displacement of a picture corner by the unknowns of a surface's corners: in
+/// pixels of the picture file, and in metres.
 fn corners_off(spec: &SurfaceSpec, numbers: &[f64]) -> [f64; 2] {
     let corners = [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]];
     let off = corners.map(|[x, y]| {
@@ -403,7 +420,7 @@ fn corners_off(spec: &SurfaceSpec, numbers: &[f64]) -> [f64; 2] {
     [0, 1].map(|k| off.iter().fold(0.0_f64, |most, off| most.max(off[k])))
 }
 
-/// How far the lens' numbers displace the corner of the picture where they do most.
+/// Returns the largest displacement of a frame corner by the lens' unknowns, pixels.
 fn farthest_px(numbers: &[f64], camera: &CameraModel) -> f64 {
     let i = camera.intrinsics();
     let corners = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]];

@@ -27,12 +27,12 @@ fn set() -> Vec<SurfaceSpec> {
     vec![cloth(1), flat(2, Vector3::new(0.9, 0.3, 0.9), 0.4), flat(3, Vector3::new(-1.0, -0.4, 0.6), -0.3)]
 }
 
-/// What a walk past the `real` stage with the `real_lens` says of the `told` one.
+/// Studies a walk past the `real` stage through the `real_lens`, tracked with the `told` stage.
 fn misfits(told: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, real_lens: &CameraModel) -> Vec<Misfit> {
     walk(told, real, real_lens, [0.0; 4]).0
 }
 
-/// The same, and how far the poses are off, root mean square, mm.
+/// The same, with the root mean square pose error, mm.
 fn walk(told: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, real_lens: &CameraModel, askew: [f64; 4]) -> (Vec<Misfit>, f64) {
     let mut random = Pcg64Mcg::seed_from_u64(5);
     let (told, real, told_lens) = (prepared(told), prepared(real), lens(640, 480));
@@ -139,7 +139,8 @@ fn a_stretched_print_is_told_by_its_ratio() {
 
 #[test]
 fn a_picture_that_is_askew_is_told_by_its_corners() {
-    // Sheared by 0.3 %, with keystones of 0.2 %: the corner that is off most is off by 4.5 + 7 mm across, and 3 + 3 mm up.
+    // Sheared by 0.3 %, with keystones of 0.2 %: the worst corner is off by 4.5 + 7 mm across and 3
+    // + 3 mm up.
     let (found, _) = walk(vec![cloth(1)], vec![cloth(1)], &lens(640, 480), [0.0, 0.003, 0.002, 0.002]);
     let [Misfit { part: Part::Corners { surface: 0, most_px, most_mm }, .. }] = found[..] else { panic!("{found:?}") };
     assert!((9.0..18.0).contains(&most_mm) && (most_px / most_mm - 0.16).abs() < 0.01, "{found:?}");
@@ -148,7 +149,7 @@ fn a_picture_that_is_askew_is_told_by_its_corners() {
 #[test]
 fn folds_are_told_by_their_height() {
     let mut bent = vec![cloth(1)];
-    // Without the stretch that these folds have, which is another cause.
+    // Without the stretch of these folds, which is a different cause.
     let SurfaceShape::Bent(shape) = folds() else { unreachable!("folds are bent") };
     let stretch = BicubicSpline::zero([1, 1], bent[0].size_m);
     bent[0].shape = SurfaceShape::Bent(Arc::new(BentShape { stretch, ..(*shape).clone() }));

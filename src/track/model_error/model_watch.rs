@@ -1,8 +1,10 @@
-//! Notices while a body is tracked that it no longer fits its model, and says so once.
+//! Notices during tracking that a body no longer fits its model, and reports it once.
 //!
-//! A flat that a stagehand moved by a centimetre is no reason to stop: the pose goes on by the others, and the moved one's tiles count as outliers. But
-//! somebody should put it back. So some of the frames whose tiles are left displaced are studied (`model_study`), and which part they speak against is told, once.
-//! Where all fits within the noise nothing is studied, and nothing is paid.
+//! If a stagehand moves a flat by a centimetre, tracking need not stop: the pose rests on the other
+//! surfaces, and the tiles of the moved one count as outliers. But somebody should put it back. So
+//! some of the frames with displaced tiles are studied (`model_study`), and the part that
+//! contradicts them is reported once. If everything fits within the noise, nothing is studied and
+//! no time is spent.
 
 use nalgebra::Vector3;
 
@@ -14,54 +16,58 @@ use crate::camera::CameraModel;
 use crate::geometry::{Body, Camera, Pose};
 use crate::track::scene::reference::PreparedBody;
 
-/// Of so many frames one is studied: those between show much the same. Chosen for time. Raised, a fault is told later; lowered, frames cost more.
+/// One frame in this many is studied; those between show much the same. Raised, a fault is reported
+/// later; lowered, frames cost more.
 const EVERY_FRAMES: u32 = 8;
-/// Frames that are studied before a part is asked for, and the share that they then keep. Chosen: some two seconds at 30 frames a second. Raised, a
-/// fault is told later; lowered, by views that differ less.
+/// Number of studied frames before the parts are compared, and the weight that these frames then
+/// keep. Raised, a fault is reported later; lowered, from views that differ less.
 const ASKED_AFTER: u32 = 8;
 const KEPT: f64 = 0.6;
-/// A part is told where it was found so many times in a row. Chosen: what passes by is found once. Raised, a fault is told later.
+/// Consecutive comparisons that must find a part before it is reported. Raised, a fault is reported
+/// later.
 const TIMES: u32 = 3;
-/// And at once where it explains this share of the squared displacements: what passes by is no rigid motion of a flat, nor a lens. Raised, a flat that was
-/// moved is told later; lowered, a part that only resembles the true one is told.
+/// Fraction of the squared displacements at which a part is reported at once. Raised, a moved flat
+/// is reported later; lowered, a part that only resembles the true one is.
 const DECISIVE: f64 = 0.9;
-/// Half waves of the shapes that are tried while tracking. Chosen for time. Raised, finer folds are told from other parts.
+/// Maximum half waves of the shapes that are tried during tracking. Raised, finer folds are told
+/// from other parts, in more time.
 const WAVES: usize = 8;
 
-/// Views differ where the camera's places do by this share of its distance, five degrees around the stage or a step towards it; so many are counted at most. Chosen, not
-/// tuned: from nearer by, a fold and a lens look alike. Raised, only long walks are said to show that no part explains them.
+/// Minimum distance between views, as a fraction of the distance, and their maximum count. Raised,
+/// only long walks count as evidence that no part explains the misfit.
 const VIEWS_DIFFER: f64 = 0.09;
 const MAX_VIEWS: usize = 16;
 
-/// What a part is, whatever its numbers: its word and its surface.
+/// Identifies a part whatever its numbers: its word and its surface.
 type Key = (&'static str, Option<usize>);
 
-/// Studies some frames, or all.
+/// Studies some frames of a body, or all of them.
 #[derive(Debug)]
 pub struct ModelWatch {
     study: ModelStudy,
-    /// Whether every frame is studied, none is forgotten, and nothing is told before the end.
+    /// Whether every frame is studied, none is forgotten, and nothing is reported before the end.
     is_thorough: bool,
-    /// Frames since the last one that was studied.
+    /// Frames since the last one that was due.
     passed: u32,
-    /// Frames that were studied since a part was asked for.
+    /// Studied frames since the last comparison of the parts.
     studied: u32,
-    /// Doubt about the camera's place in each frame that was studied, one sigma: as a share of the distance, and metres.
+    /// Sigma of the camera's position in each frame, from the model error: as a fraction of the
+    /// distance, and in metres.
     doubts: Vec<[f64; 2]>,
-    /// Where the camera was, from the body, in views that differ.
+    /// Camera positions in body axes, of views that differ.
     views: Vec<Vector3<f64>>,
-    /// What was found last, and how many times in a row.
+    /// The part found last, and how many times in a row.
     found: Option<(Key, u32)>,
     told: Vec<Key>,
 }
 
 impl ModelWatch {
-    /// Of a body with so many surfaces, beside tracking.
+    /// Creates a watch during tracking for a body with this many surfaces.
     pub fn new(surfaces: usize) -> Self {
         Self::of(ModelStudy::new(surfaces, WAVES), false)
     }
 
-    /// Of a body with so many surfaces, for what a whole clip says.
+    /// Creates a watch over a whole clip for a body with this many surfaces.
     pub fn thorough(surfaces: usize) -> Self {
         Self::of(ModelStudy::new(surfaces, MAX_WAVES), true)
     }
@@ -75,7 +81,8 @@ impl ModelWatch {
         self.is_thorough
     }
 
-    /// Counts a frame; true if it is one to be studied. `is_lens_right`: see [`TrackedBody::is_study_due`](crate::track::body::tracked_body::TrackedBody::is_study_due).
+    /// Counts a frame; returns whether it is to be studied. `is_lens_right`: see
+    /// [`TrackedBody::is_study_due`](crate::track::body::tracked_body::TrackedBody::is_study_due).
     pub fn is_due(&mut self, is_lens_right: bool) -> bool {
         self.passed += 1;
         let is_due = is_lens_right && (self.is_thorough || self.passed >= EVERY_FRAMES);
@@ -85,7 +92,7 @@ impl ModelWatch {
         is_due
     }
 
-    /// Takes a frame's residuals. Beside tracking those that are no more than noise are passed over.
+    /// Takes a frame's residuals. During tracking, frames with no more than noise are skipped.
     pub fn take(&mut self, frame: &StudiedFrame, body: &PreparedBody) {
         if self.is_thorough || frame.residuals.is_misfit() {
             self.study.add(frame, body);
@@ -93,7 +100,8 @@ impl ModelWatch {
         }
     }
 
-    /// Takes what of the model does not fit leaves open of a frame's pose, whatever its cause. `doubt`: of the camera's place, m².
+    /// Takes the pose covariance from the model error of a frame, whatever its cause. `doubt_m2`:
+    /// variance of the camera's position, m².
     pub fn doubt(&mut self, t_body_camera: &Pose<Body, Camera>, doubt_m2: f64, distance_m: f64) {
         let doubt_m = doubt_m2.sqrt();
         self.doubts.push([doubt_m / distance_m, doubt_m]);
@@ -103,7 +111,7 @@ impl ModelWatch {
         }
     }
 
-    /// A part that frames have spoken against for a while and that was not told yet.
+    /// Returns a part that has contradicted the frames for a while and was not reported yet.
     pub fn news(&mut self, body: &PreparedBody, camera: &CameraModel) -> Option<Misfit> {
         if self.is_thorough || self.studied < ASKED_AFTER {
             return None;
@@ -122,16 +130,16 @@ impl ModelWatch {
         misfit
     }
 
-    /// All parts that the frames spoke against, the likeliest first.
+    /// Returns all parts that contradict the frames, the likeliest first.
     pub fn parts(&self, body: &PreparedBody, camera: &CameraModel) -> Vec<Misfit> {
         self.study.misfits(body, camera)
     }
 
-    /// What the frames say beside the parts.
+    /// Returns the other figures of the report; its parts are empty.
     pub fn report(&self) -> ModelReport {
         let is_misfit = self.study.misfit() >= MIN_MISFIT;
         let share = if is_misfit { self.study.share_left().sqrt() } else { 0.0 };
-        // What most frames show: a person who passes by is no error of the stage.
+        // The median, because a person who passes by is no error of the stage.
         let mut sorted = self.doubts.clone();
         sorted.sort_by(|a, b| a[0].total_cmp(&b[0]));
         let [doubt_share, doubt_m] = sorted.get(sorted.len() / 2).map_or([0.0; 2], |doubt| doubt.map(|sigma| share * sigma));

@@ -1,8 +1,10 @@
-//! What the doubt about the surfaces' shapes and places leaves open of a pose.
+//! Pose covariance from uncertain shapes and places of the surfaces.
 //!
-//! A survey gives the ways in which its shapes may be off, each one sigma: fields of heights and stretches over the pictures. Each moves the points that a pose rests
-//! on, and so the pose, as a lens that is off does ([`lens_doubt`](super::lens_doubt)). It is asked in every frame, so the ways lie side by side: a point
-//! depends on the same few coefficients of all of them.
+//! A survey reports the ways in which its shapes may be off, each scaled to one sigma: fields of
+//! heights and stretches over the pictures. Each moves the points that a pose rests on, and thus
+//! the pose, as a wrong lens does ([`lens_doubt`](super::lens_doubt)). This is computed in every
+//! frame, so the ways lie side by side in memory: a point depends on the same few coefficients of
+//! all of them.
 
 use nalgebra::{Matrix2x3, Matrix6, SMatrix};
 
@@ -15,26 +17,28 @@ use crate::track::patches::fitted_anchor::FittedAnchor;
 use crate::track::scene::reference::PreparedSurface;
 use crate::track::scene::shape::{ShapeWay, SurfaceShape};
 
-/// Ways that are asked at a time: as many as a survey gives. Raised, surfaces of few ways cost more; lowered, the points are gone through more often.
+/// Ways that are processed at a time. Raised, surfaces with few ways cost more; lowered, the points
+/// are visited more often.
 const WAYS: usize = 24;
 
 /// The ways in which the surfaces of a body may be off.
 #[derive(Debug, Default)]
 pub struct ShapeDoubt {
-    /// By the surfaces' indices.
+    /// By the index of the surface.
     tables: Vec<Vec<WayTable>>,
-    /// The most ways of any surface.
+    /// Maximum number of ways of any surface.
     ways: usize,
 }
 
 /// Ways of a surface whose splines have the same grids.
 #[derive(Debug)]
 struct WayTable {
-    /// The first way that the table is of; its columns are those of this one and the next.
+    /// Index of the first way in the table; column k belongs to the way `first` + k.
     first: usize,
-    /// One that has these grids.
+    /// Any way with these grids.
     grid: ShapeWay,
-    /// For each coefficient that of every way, 0 for those of other grids: height, and stretch along x and y.
+    /// For each coefficient its value in every way (0 in ways with other grids): height, and
+    /// stretch along x and y.
     heights: Vec<[f64; WAYS]>,
     stretches: [Vec<[f64; WAYS]>; 2],
 }
@@ -74,7 +78,7 @@ multiversion! {
 
 #[inline(always)]
 fn add_rows_plain(rows: &[[f64; WAYS]], weights: &[(usize, f64)], sums: &mut [f64; WAYS]) {
-    // A copy stays in registers.
+    // A local copy stays in registers.
     let mut own = *sums;
     for (k, weight) in weights {
         own.iter_mut().zip(&rows[*k]).for_each(|(sum, value)| *sum += value * weight);
@@ -83,7 +87,7 @@ fn add_rows_plain(rows: &[[f64; WAYS]], weights: &[(usize, f64)], sums: &mut [f6
 }
 
 impl ShapeDoubt {
-    /// Lays out the ways of a body's surfaces.
+    /// Arranges the ways of a body's surfaces.
     pub fn of(surfaces: &[PreparedSurface]) -> Self {
         let mut doubt = Self::default();
         for surface in surfaces {
@@ -104,7 +108,8 @@ impl ShapeDoubt {
         doubt
     }
 
-    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by how the shapes and places may be off; none where they are not in doubt. `surfaces`: those it is of.
+    /// Returns the covariance of [δp, δθ] of `T_body_camera`, body axes, from uncertain shapes and
+    /// places; `None` if nothing is uncertain. `surfaces`: those that this was built from.
     pub fn covariance(
         &self,
         t_body_camera: &Pose<Body, Camera>,
@@ -129,7 +134,8 @@ impl ShapeDoubt {
                 let mut shifts = [[0.0; WAYS]; 3];
                 let tables = self.tables[anchor.surface as usize].iter().filter(|table| table.first == first);
                 tables.for_each(|table| table.add_shifts(on_picture, &mut shifts));
-                // A point that moves is seen where a camera that moved with it would see it: the first three columns.
+                // A moved point appears where a camera that moved with it would see it: the first
+                // three columns.
                 let by_shift: Matrix2x3<f64> = j.fixed_columns::<3>(0) * (rotation * spec.pose.rotation_matrix());
                 let by_shift = weighted * by_shift;
                 for (row, sums) in right.iter_mut().enumerate() {
@@ -159,14 +165,15 @@ mod tests {
     use crate::track::scene::surface::SurfaceSpec;
     use crate::track::synthetic::{cloth, facing, lens, prepared};
 
-    /// A spline of a grid with coefficients of tenths of a millimetre.
+    /// A spline on a grid with coefficients of tenths of a millimetre.
     fn random_field<const N: usize>(intervals: [usize; 2], size_m: [f64; 2], random: &mut Pcg64Mcg) -> BicubicSpline<N> {
         let mut field = BicubicSpline::zero(intervals, size_m);
         field.coefficients_mut().iter_mut().flatten().for_each(|c| *c = random.random_range(-2e-4..2e-4));
         field
     }
 
-    /// A cloth with this number of ways in which its shape may be off. Every seventh way has splines with fewer knots than the others.
+    /// A cloth with this number of ways in which its shape may be off. Every seventh way has
+    /// splines with fewer knots than the others.
     fn doubted(seed: u32, ways: usize) -> SurfaceSpec {
         let mut random = Pcg64Mcg::seed_from_u64(seed.into());
         let size_m = cloth(seed).size_m;
@@ -178,7 +185,7 @@ mod tests {
         SurfaceSpec { shape: SurfaceShape::Bent(Arc::new(BentShape { height: own.height, stretch: own.stretch, ways })), ..cloth(seed) }
     }
 
-    /// What [`ShapeDoubt::covariance`] is, way by way.
+    /// Computes [`ShapeDoubt::covariance`] way by way.
     fn plain(pose: &Pose<Camera, Body>, camera: &CameraModel, surfaces: &[PreparedSurface], anchors: &[FittedAnchor]) -> Matrix6<f64> {
         let jacobian =
             |anchor: &FittedAnchor| residual_and_jacobian(pose, &MovingCamera::still(camera), &anchor.observation).expect("it is seen").1;

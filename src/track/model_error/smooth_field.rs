@@ -1,44 +1,50 @@
-//! What a smooth field of shifts over the picture does to a pose.
+//! The effect of a smooth field of shifts over the picture on a pose.
 //!
-//! The field is a Gaussian process: the shifts of two tiles correlate by exp(-d² / 2 l²), with their distance d and the field's correlation length l. The pose
-//! is a weighted sum of the tiles' shifts, so that its covariance is a sum over all pairs of tiles. Tiles cannot be merged into
-//! cells to save time: a stage that is seen small has nearly the same shift everywhere, and only the small differences between tiles show in the residuals.
+//! The field is a Gaussian process: the shifts of two tiles correlate by exp(-d² / 2 l²), where d
+//! is their distance and l the field's correlation length. The pose is a weighted sum of the tiles'
+//! shifts, so its covariance is a sum over all pairs of tiles. Tiles cannot be merged into cells to
+//! save time: a stage that appears small has nearly the same shift everywhere, and only the small
+//! differences between tiles show in the residuals.
 //!
-//! But the correlation is a sum of products: exp(-d² / 2 l²) = exp(-x² / 2) exp(-y² / 2) exp(x·y), with the places x and y in units of l, and
-//! exp(x·y) is the sum of all x₁ⁱ x₂ʲ y₁ⁱ y₂ʲ / (i! j!). So each tile has some numbers, its features, whose products are the correlations (the fast Gauss
-//! transform: Greengard and Strain 1991), and sums over all pairs become sums over all tiles.
+//! The correlation, however, is a sum of products: exp(-d² / 2 l²) = exp(-x² / 2) exp(-y² / 2)
+//! exp(x·y), with the places x and y in units of l, and exp(x·y) is the sum of all x₁ⁱ x₂ʲ y₁ⁱ y₂ʲ
+//! / (i! j!). Each tile thus has a few numbers, its features, whose products are the correlations
+//! (the fast Gauss transform, Greengard and Strain 1991). Sums over all pairs become sums over all
+//! tiles.
 
 use nalgebra::{Cholesky, Const, Matrix6, Matrix6x2, Vector2};
 
 use super::tile_residuals::TileResidual;
 use crate::simd::multiversion;
 
-/// Largest error of a correlation by the powers that are left out. Chosen far below what a covariance needs: only differences of correlations show in the residuals. Lowered,
-/// frames cost more.
+/// Maximum error of a correlation from the omitted powers; only differences of correlations show in
+/// the residuals. Lowered, frames cost more.
 const MAX_ERROR: f64 = 1e-10;
-/// Powers that are kept of the nearest tiles too: what is left of a field over a small stage is the fourth power of its size and less. Chosen, not tuned. Lowered, small
-/// stages seem to fit.
+/// Minimum number of powers, for nearby tiles too. Lowered, small stages seem to fit.
 const MIN_ORDER: usize = 8;
-/// Most powers. Chosen: a picture twice as high as it is wide has 26. Raised, buffers grow.
+/// Maximum number of powers. Raised, buffers grow.
 const MAX_ORDER: usize = 32;
 
-/// The covariance that a field of one pixel, root mean square, gives a pose, and the pose's with the field; keeps its buffers.
+/// The covariance that a field of one pixel root mean square causes in a pose, and the pose's
+/// covariance with that field; keeps its buffers.
 #[derive(Debug, Default)]
 pub struct SmoothField {
     pose_with_shift: Vec<Matrix6x2<f64>>,
-    /// By feature: its sum over all tiles, each times how the pose changes with the tile's shift.
+    /// Per feature: the sum over all tiles of the feature times the derivative of the pose by the
+    /// tile's shift.
     pose_by_feature: Vec<Matrix6x2<f64>>,
     of_pose: Matrix6<f64>,
 }
 
 impl SmoothField {
-    /// Buffers that hold this many tiles without growing.
+    /// Creates buffers that hold this many tiles without growing.
     pub fn with_capacity(tiles: usize) -> Self {
         let pose_by_feature = Vec::with_capacity(MAX_ORDER * (MAX_ORDER + 1) / 2);
         Self { pose_with_shift: Vec::with_capacity(tiles), pose_by_feature, of_pose: Matrix6::zeros() }
     }
 
-    /// Works it out for the tiles that a pose was solved from. `normal`: the pose's normal equations; `length_px`: the field's correlation length.
+    /// Computes both covariances for the tiles from which a pose was solved. `normal`: the pose's
+    /// normal equations; `length_px`: the field's correlation length.
     pub fn work_out(&mut self, residuals: &[TileResidual], normal: &Cholesky<f64, Const<6>>, length_px: f64) {
         let Self { pose_with_shift, pose_by_feature, of_pose } = self;
         let expansion = Expansion::of(residuals, length_px);
@@ -54,12 +60,13 @@ impl SmoothField {
         *of_pose = pose_by_feature.iter().map(|by_feature| by_feature * by_feature.transpose()).sum();
     }
 
-    /// Covariance of the pose, [δt, δθ] of `T_camera_body`, camera axes, per squared pixel.
+    /// Returns the covariance of the pose, [δt, δθ] of `T_camera_body`, camera axes, per squared
+    /// pixel.
     pub fn of_pose(&self) -> &Matrix6<f64> {
         &self.of_pose
     }
 
-    /// Covariance of the pose with the field's shift at a tile, per squared pixel.
+    /// Returns the covariance of the pose with the field's shift at a tile, per squared pixel.
     pub fn pose_with_shift(&self, tile: usize) -> &Matrix6x2<f64> {
         &self.pose_with_shift[tile]
     }
@@ -69,21 +76,23 @@ impl SmoothField {
 struct Expansion {
     centre_px: Vector2<f64>,
     length_px: f64,
-    /// Powers of a coordinate, from 0 on; both coordinates' together are below it, too.
+    /// Number of powers of a coordinate, from 0 on; the powers of both coordinates together stay
+    /// below it as well.
     order: usize,
-    /// The root of 1 / n, for each power n.
+    /// sqrt(1 / n) for each power n.
     scales: [f64; MAX_ORDER],
 }
 
 impl Expansion {
-    /// For tiles at these places: the farther they are apart, the more powers it has.
+    /// Creates the expansion for tiles at these places: the farther apart they are, the more powers
+    /// it has.
     fn of(residuals: &[TileResidual], length_px: f64) -> Self {
         let places = || residuals.iter().map(|r| r.place_px);
         let least = places().reduce(|a, b| a.inf(&b)).unwrap_or_default();
         let most = places().reduce(|a, b| a.sup(&b)).unwrap_or_default();
         let centre_px = 0.5 * (least + most);
         let reach = places().map(|p| (p - centre_px).norm_squared()).fold(0.0, f64::max) / length_px.powi(2);
-        // What the power n adds to a correlation is no more than exp(-reach) reachⁿ / n!.
+        // The power n adds at most exp(-reach) reachⁿ / n! to a correlation.
         let (mut order, mut left_out) = (0, (-reach).exp());
         while order < MIN_ORDER || (left_out > MAX_ERROR && order < MAX_ORDER) {
             order += 1;
@@ -92,7 +101,8 @@ impl Expansion {
         Self { centre_px, length_px, order, scales: std::array::from_fn(|n| (1.0 / n as f64).sqrt()) }
     }
 
-    /// exp(-x² / 2) xⁿ / sqrt(n!) of both coordinates of a place, in units of the correlation length.
+    /// Returns exp(-x² / 2) xⁿ / sqrt(n!) for both coordinates of a place, in units of the
+    /// correlation length.
     fn powers(&self, place_px: &Vector2<f64>) -> [[f64; MAX_ORDER]; 2] {
         let place = (place_px - self.centre_px) / self.length_px;
         [place.x, place.y].map(|x| {
@@ -107,7 +117,7 @@ impl Expansion {
 }
 
 multiversion! {
-    /// Adds one tile to the sums by feature.
+    /// Adds one tile to the sums per feature.
     fn add_features(
         sums: &mut [Matrix6x2<f64>],
         pose_by_shift: &Matrix6x2<f64>,
@@ -130,7 +140,7 @@ fn add_features_plain(sums: &mut [Matrix6x2<f64>], pose_by_shift: &Matrix6x2<f64
 }
 
 multiversion! {
-    /// The sum over all features of what belongs to each.
+    /// Returns the sum over all features of their values, weighted by the place's features.
     fn sum_of_features(
         by_feature: &[Matrix6x2<f64>],
         powers: &[[f64; MAX_ORDER]; 2],
@@ -171,7 +181,7 @@ mod tests {
         let mut field = SmoothField::default();
         field.work_out(tiles, &normal, length_px);
 
-        // The pose by all shifts, and their covariance, as whole matrices.
+        // The pose by all shifts, and their covariance, as full matrices.
         let n = tiles.len();
         let by_shifts = DMatrix::from_fn(6, 2 * n, |row, column| {
             let tile = &tiles[column / 2];

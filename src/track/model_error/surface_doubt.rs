@@ -1,7 +1,8 @@
-//! What it leaves open of a pose how far the surfaces may be from where the config has them.
+//! Pose covariance from the stated uncertainty of the surfaces' corners and places.
 //!
-//! Corners are read off a photograph, and places of surfaces are measured: each number may be off by its sigma. To first order the pose then shifts as the least-squares answer to the
-//! pixels' shifts, as for a lens that is off ([`lens_doubt`](super::lens_doubt)).
+//! Corners are read off a photograph, and places of surfaces are measured: each number may be off
+//! by its sigma. To first order the pose then shifts by the least-squares answer to the pixels'
+//! shifts, as for a wrong lens ([`lens_doubt`](super::lens_doubt)).
 
 use nalgebra::{Matrix6, SMatrix, SVector, Vector3};
 
@@ -15,7 +16,8 @@ use crate::track::scene::reference::PreparedSurface;
 /// Ways in which a surface may be off: two numbers of each corner, its position, and its direction.
 const WAYS: usize = 8 + 3 + 3;
 
-/// Covariance of [δp, δθ] of `T_body_camera`, body axes, by how far the surfaces' corners and places may be off; none where they are not in doubt.
+/// Returns the covariance of [δp, δθ] of `T_body_camera`, body axes, from uncertain corners and
+/// places of the surfaces; `None` if nothing is uncertain.
 pub fn covariance_by_surfaces(
     t_body_camera: &Pose<Body, Camera>,
     camera: &CameraModel,
@@ -40,7 +42,8 @@ pub fn covariance_by_surfaces(
         if doubt.is_none() {
             continue;
         }
-        // A point that moves is seen where a camera that moved with it would see it: the first three columns.
+        // A moved point appears where a camera that moved with it would see it: the first three
+        // columns.
         let by_point = weighted * (j.fixed_columns::<3>(0) * rotation);
         let own = &mut right[anchor.surface as usize];
         if let Some(corners) = &surface.corner_ways {
@@ -91,7 +94,7 @@ mod tests {
 
     const CORNERS: [[f64; 2]; 4] = [[60.0, 50.0], [570.0, 70.0], [560.0, 420.0], [80.0, 440.0]];
 
-    /// How far the pose is off that the configured surface finds where the real one is seen.
+    /// The error of the pose that the configured surface yields when the real one is seen.
     fn off(configured: &SurfaceSpec, real: &SurfaceSpec, pose: &Pose<Camera, Body>) -> Vector6<f64> {
         let camera = lens(640, 480);
         let (configured, real) = (prepared(vec![configured.clone()]), prepared(vec![real.clone()]));

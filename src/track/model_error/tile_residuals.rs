@@ -1,11 +1,15 @@
-//! The displacements that a solution leaves: how far from where the pose puts them the frame shows its tiles.
+//! Residual tile displacements of a solved pose: how far from its predicted place the frame shows
+//! each tile.
 //!
-//! On a stage as configured, through a lens as calibrated, they are noise. A pattern in them is an error of the model: of the lens, of a surface's
-//! shape, of the layout. `model_error` says what it leaves open of the pose, `focal_clue` whether another focal length explains it.
+//! If the stage matches the config and the lens matches its calibration, these are noise. A pattern
+//! in them is a model error: of the lens, of a surface's shape or of the layout. `field_error`
+//! turns them into pose covariance; `focal_clue` decides whether another focal length explains
+//! them.
 //!
-//! All is linear about the pose: shift = J x + c δ + noise, with the pose's change x, [δt, δθ] in camera axes, and the change δ of the logarithm of
-//! the focal length. Tiles are weighted by Tukey's biweight of what stays with both free, so that a lens that is off does not count
-//! as outliers.
+//! Everything is linear about the pose: shift = J x + c δ + noise, where x = [δt, δθ] is the change
+//! of the pose in camera axes and δ the change of the logarithm of the focal length. Tiles are
+//! weighted by Tukey's biweight of their residuals with x and δ both free, so that a wrong lens
+//! does not turn tiles into outliers.
 
 use nalgebra::{Matrix2, Matrix6, SMatrix, SVector, Vector2, Vector6};
 
@@ -15,50 +19,53 @@ use crate::geometry::robust_kernel::tukey_weight;
 use crate::geometry::{Body, Camera, Pose};
 use crate::track::patches::fitted_anchor::FittedAnchor;
 
-/// Fewest tiles, by weight, that say anything of the model: 24 numbers for seven unknowns. Chosen, not tuned. Raised, small stages are not
-/// asked; lowered, single tiles pass for a pattern.
+/// Minimum sum of tile weights. Raised, small stages are not checked; lowered, single tiles pass
+/// for a pattern.
 const MIN_TILES: f64 = 12.0;
-/// Solutions that find the weights, the first with all tiles. Chosen: the third hardly differs from the second. Raised, frames cost more;
-/// lowered to 1, outliers count.
+/// Reweighted solutions, the first with equal weights. Raised, frames cost more; at 1, outliers
+/// count fully.
 const ROUNDS: usize = 3;
-/// What is left must be so many times the noise, squared, to count as a misfit of the model. On stages as modelled it is 0.5 to 1.5. Raised, small faults go
-/// unnamed; lowered, noise is searched for causes, in time.
+/// Minimum mean square residual, in variances of noise, that counts as a model misfit. Raised,
+/// small faults go unreported; lowered, time is spent on studying noise.
 pub const MIN_MISFIT: f64 = 3.0;
-/// Squared displacement of a tile, sigmas of noise, beyond which it counts no more. Raised, a single tile passes for a misfit; lowered, a small flat that was moved
-/// does not.
+/// Cap on a tile's squared residual, in variances of noise. Raised, a single tile passes for a
+/// misfit; lowered, a small flat that was moved does not.
 const LARGEST: f64 = 400.0;
-/// Median of the length of a plane vector of unit normal noise: sqrt(2 ln 2).
+/// Median length of a plane vector with unit normal noise: sqrt(2 ln 2).
 const MEDIAN_LENGTH: f64 = 1.177_410_022_515_474_6;
-/// Least scale of what is left, sigmas of noise: exact data have weights too. Lowered to 0, they have none.
+/// Minimum residual scale, in sigmas of noise, so that exact data get weights too. At 0, they get
+/// none.
 const MIN_SCALE: f64 = 1e-6;
-/// Share of itself by which the focal length's information is raised where it is solved for: straight from ahead, another focal length is no
-/// other than another distance, and the equations would be singular. Raised, it counts as known.
+/// Relative increase of the focal length's information that keeps the equations regular: head-on,
+/// focal length and distance cannot be told apart. Raised, the focal length counts as known.
 const RIDGE: f64 = 1e-9;
 
-/// What one tile shows.
+/// The residual of one tile.
 #[derive(Debug, Clone, Copy)]
 pub struct TileResidual {
-    /// Which anchor it is of.
+    /// Index of its anchor.
     pub anchor: usize,
-    /// Where the frame shows it, pixels, with all rows exposed at once.
+    /// Where the frame shows it, pixels, corrected as if all rows were exposed at once.
     pub place_px: Vector2<f64>,
-    /// How far that is from where the pose puts it, pixels.
+    /// Its displacement from where the pose predicts it, pixels.
     pub shift_px: Vector2<f64>,
     /// Derivative by [δt, δθ] of `T_camera_body`, camera axes.
     pub by_pose: SMatrix<f64, 2, 6>,
-    /// Derivative by the logarithm of the focal length: all rays turn outwards in proportion.
+    /// Derivative by the logarithm of the focal length: all rays move outwards in proportion to
+    /// their length.
     pub by_focal: Vector2<f64>,
-    /// Derivative by the first radial coefficient: all rays turn outwards with the cube of their length.
+    /// Derivative by the first radial coefficient: all rays move outwards with the cube of their
+    /// length.
     pub by_radial: Vector2<f64>,
-    /// Inverse covariance of the shift by noise, times the tile's robust weight, pixels⁻².
+    /// Inverse covariance of the shift's noise, times the tile's robust weight, pixels⁻².
     pub information: Matrix2<f64>,
-    /// The same without its weight.
+    /// The same without the weight.
     pub noise_information: Matrix2<f64>,
     weight: f64,
 }
 
 impl TileResidual {
-    /// Its derivatives by pose and focal length.
+    /// Returns the derivatives by pose and focal length.
     fn row(&self) -> SMatrix<f64, 2, 7> {
         let mut row = SMatrix::<f64, 2, 7>::zeros();
         row.fixed_columns_mut::<6>(0).copy_from(&self.by_pose);
@@ -66,24 +73,24 @@ impl TileResidual {
         row
     }
 
-    /// Squared length of what a change leaves, in sigmas of noise.
+    /// Returns the squared residual after a change of pose and focal length, in variances of noise.
     fn squared_left(&self, change: &SVector<f64, 7>) -> f64 {
         let left = self.shift_px - self.row() * change;
         left.dot(&(self.noise_information * left))
     }
 
-    /// What a change of the pose leaves of its shift, pixels.
+    /// Returns the residual after a change of the pose, pixels.
     pub fn left_by_pose(&self, change: &Vector6<f64>) -> Vector2<f64> {
         self.shift_px - self.by_pose * change
     }
 
-    /// Squared length of what a change of the pose leaves of its shift, in sigmas of noise and by weight.
+    /// Returns the squared residual after a change of the pose, in variances of noise, weighted.
     pub fn squared_left_by_pose(&self, change: &Vector6<f64>) -> f64 {
         let left = self.left_by_pose(change);
         left.dot(&(self.information * left))
     }
 
-    /// Its shift's squared length, in sigmas of noise and by weight.
+    /// Returns the squared shift, in variances of noise, weighted.
     pub fn squared(&self) -> f64 {
         self.shift_px.dot(&(self.information * self.shift_px))
     }
@@ -96,12 +103,13 @@ pub struct TileResiduals {
     squares: Vec<f64>,
     normal: Matrix6<f64>,
     weight: f64,
-    /// The change of pose and focal length that explains the shifts best.
+    /// Change of pose and focal length that best explains the shifts.
     change: SVector<f64, 7>,
 }
 
 impl TileResiduals {
-    /// Takes the tiles of a pose that was found; `None` where they are too few to say anything.
+    /// Computes the residuals of a solved pose (`T_camera_body`) and their robust weights; `None`
+    /// if there are too few tiles.
     pub fn take(&mut self, pose: &Pose<Camera, Body>, camera: &CameraModel, anchors: &[FittedAnchor]) -> Option<()> {
         let still = MovingCamera::still(camera);
         let tile = |(anchor, fitted): (usize, &FittedAnchor)| {
@@ -134,17 +142,17 @@ impl TileResiduals {
         Some(())
     }
 
-    /// The tiles.
+    /// Returns the tiles.
     pub fn tiles(&self) -> &[TileResidual] {
         &self.tiles
     }
 
-    /// Normal matrix of the pose.
+    /// Returns the normal matrix of the pose, weighted.
     pub fn normal(&self) -> &Matrix6<f64> {
         &self.normal
     }
 
-    /// The longer side of the rectangle that the tiles lie in, pixels.
+    /// Returns the longer side of the tiles' bounding rectangle, pixels.
     pub fn extent_px(&self) -> f64 {
         let places = self.tiles.iter().map(|tile| tile.place_px);
         let (low, high) = places.fold((Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY)), |(low, high), place| {
@@ -153,41 +161,44 @@ impl TileResiduals {
         (high - low).max()
     }
 
-    /// Sum of the tiles' robust weights.
+    /// Returns the sum of the tiles' robust weights.
     pub fn weight(&self) -> f64 {
         self.weight
     }
 
-    /// Squared length of what the best change of pose and focal length leaves of a tile's shift, in sigmas of noise.
+    /// Returns a tile's squared residual after the best change of pose and focal length, in
+    /// variances of noise.
     pub fn squared_left(&self, tile: &TileResidual) -> f64 {
         tile.squared_left(&self.change)
     }
 
-    /// Whether clearly more than noise is left of the tiles' shifts, each counting up to [`LARGEST`].
+    /// Whether the residuals clearly exceed the noise, each tile capped at [`LARGEST`].
     pub fn is_misfit(&self) -> bool {
         let left: f64 = self.tiles.iter().map(|t| self.squared_left(t).min(LARGEST)).sum();
         left > MIN_MISFIT * 2.0 * self.tiles.len() as f64
     }
 
-    /// Root mean square of the shifts, each counting by its information; pixels.
+    /// Returns the root mean square shift, weighted by information, pixels.
     pub fn rms_px(&self) -> f64 {
         let squared: f64 = self.tiles.iter().map(TileResidual::squared).sum();
         let information: f64 = self.tiles.iter().map(|t| t.information.trace()).sum();
         (2.0 * squared / information.max(f64::MIN_POSITIVE)).sqrt()
     }
 
-    /// Right side of the normal equations of the pose: [`normal`](Self::normal) times the change that explains the shifts best is this.
+    /// Returns the right side of the pose's normal equations: [`normal`](Self::normal) times the
+    /// best change of the pose alone.
     pub fn right_side(&self) -> Vector6<f64> {
         self.tiles.iter().map(|t| t.by_pose.transpose() * (t.information * t.shift_px)).sum()
     }
 
-    /// How far the pose goes astray with the logarithm of the focal length, [δt, δθ] of `T_camera_body`, camera axes.
+    /// Returns the error of the pose per unit of the logarithm of the focal length: [δt, δθ] of
+    /// `T_camera_body`, camera axes.
     pub fn pose_by_focal(&self) -> Option<Vector6<f64>> {
         let right: Vector6<f64> = self.tiles.iter().map(|t| t.by_pose.transpose() * (t.information * t.by_focal)).sum();
         Some(self.normal.cholesky()?.solve(&right))
     }
 
-    /// The robust weights of what a change of pose and focal length leaves.
+    /// Computes the robust weights from the residuals after a change of pose and focal length.
     fn weigh(&mut self, change: &SVector<f64, 7>) -> Option<()> {
         let Self { tiles, squares, .. } = self;
         squares.clear();
@@ -205,7 +216,8 @@ impl TileResiduals {
         Some(())
     }
 
-    /// The change of pose and focal length that explains the shifts best; `None` where too few tiles count.
+    /// Solves for the change of pose and focal length that best explains the shifts; `None` if too
+    /// few tiles have weight.
     fn solved(&mut self) -> Option<SVector<f64, 7>> {
         self.weight = self.tiles.iter().map(|t| t.weight).sum();
         if self.weight < MIN_TILES {
