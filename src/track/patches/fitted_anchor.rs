@@ -1,18 +1,18 @@
-//! An anchor where a verified pose has it and the frame shows it.
+//! An anchor that was located in the frame, with the pixel where the frame shows it.
 
 use nalgebra::Vector2;
 
 use crate::geometry::resection::Observation;
 
-/// An anchor that fits.
+/// An anchor located in the frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FittedAnchor {
-    /// Surface index in its body.
+    /// Index of the surface in its body.
     pub surface: u32,
-    /// On the artwork, pixels.
+    /// Position on the artwork, pixels.
     pub artwork: Vector2<f64>,
-    /// In the frame.
+    /// Its body point and its pixel in the frame, with the pixel's information.
     pub observation: Observation,
-    /// Its raw pixel if all rows were exposed with the middle one.
+    /// The raw pixel at which it would appear if all rows were exposed with the middle one.
     pub corrected_px: Vector2<f64>,
 }

@@ -1,9 +1,12 @@
-//! Near a pose: where are the anchors of the pictures in the frame, and do they agree?
+//! Near a pose: finds where the anchors of the reference pictures are in the frame, and decides
+//! whether they agree with the pose. This is how a candidate pose from features is refined and
+//! accepted.
 //!
-//! - `registration`: finds anchors in the frame by correlation
-//! - `verify`: judges a pose by its anchors: enough inliers, spread over the frame
-//! - `planar_ambiguity`: tells a flat surface from its mirror image in tilt
-//! - `fitted_anchor`, `row_motion`: an anchor that was found, and the motion of the rows
+//! - `registration`: locates anchors in the frame by correlation
+//! - `verify`: refines a pose with them and judges it: enough inliers, spread over the frame, small
+//!   covariance
+//! - `planar_ambiguity`: tells a flat surface's pose from its mirror image in tilt
+//! - `fitted_anchor`, `row_motion`: a located anchor, and the motion during readout
 //!
 //! Uses `scene`.
 

@@ -1,8 +1,10 @@
-//! The tilted twin: seen from afar or through a long lens, a flat surface looks nearly the same when it is tilted the other
-//! way about the line of sight. Which of the two a pose is, only the likelihood of what was seen can tell.
+//! The tilted twin: from afar or through a long lens, a flat surface looks almost the same when it
+//! is tilted the other way about the line of sight. Only the likelihood of the observations can
+//! tell which of the two poses is right.
 //!
-//! Asked of every pose that features found before it is given, and of a followed one from time to time: a track that came through
-//! the view from straight ahead, where both are one, may leave it on the wrong branch.
+//! This is checked for every pose that features found before it is reported, and from time to time
+//! for a tracked pose: a track that passes through the head-on view, where both poses coincide, may
+//! leave it on the wrong branch.
 
 use nalgebra::UnitQuaternion;
 
@@ -12,20 +14,22 @@ use crate::geometry::resection::{MovingCamera, Observation, SquaredResiduals, re
 use crate::geometry::{Body, Camera, Pose, SurfaceFrame};
 use crate::track::scene::reference::PreparedBody;
 
-/// By how much (chi-squared) the twin of a pose that is given must be worse: five sigmas. A followed pose is given up only where the twin
-/// is better by as much. Raised, pictures seen small or from straight ahead are refused more often; lowered, wrong twins pass.
+/// Minimum excess chi-squared of a reported pose's twin; a tracked pose is dropped if its twin is
+/// better by this. Raised, small or head-on views are refused; lowered, wrong twins pass.
 pub const MIN_MARGIN: f64 = 25.0;
-/// Poses nearer to each other are one, radians: half a degree. Chosen: as far as a pose that is given may be uncertain (`MAX_TURN` in
-/// `verify`). Raised, twins of a nearly frontal view are not told apart; lowered, the same minimum counts as a rival.
+/// Angle below which two poses count as one, radians. Raised, twins of a nearly frontal view are
+/// not told apart; lowered, the same minimum counts as a rival.
 const SAME_TURN: f64 = 0.0087;
-/// Largest squared residual that counts, squared scales: the square of Tukey's limit, 4.7. Raised, what is no part of the surface decides.
+/// Cap on the squared residual of an observation, squared scales. Raised, outliers that are no part
+/// of the surface decide.
 const MAX_SQUARED: f64 = 22.0;
-/// Steps of the twin's refinement at most. As many as other poses get; they stop earlier where they converge. Lowered, a twin that is not
-/// at its minimum looks worse than it is.
+/// Maximum iterations of the twin's refinement. Lowered, a twin that has not converged looks worse
+/// than it is.
 const ITERATIONS: usize = 15;
 
-/// How much worse (in robust chi-squared) the best pose near the tilted twin explains what was seen; infinite where there is none.
-/// `surface`: the one that is tilted; `squared`: a buffer.
+/// Returns the excess robust chi-squared of the best pose near the tilted twin over that of `pose`
+/// (`T_camera_body`); infinite if there is no such pose. `surface`: index of the surface that is
+/// tilted; `squared`: a buffer.
 pub fn ambiguity_margin(
     body: &PreparedBody,
     surface: u32,
@@ -37,7 +41,7 @@ pub fn ambiguity_margin(
     let twin = flipped(pose, body, surface);
     let Some(other) = resect_within(&twin, camera, observations, ITERATIONS, squared) else { return f64::INFINITY };
     if other.pose.angle_to(pose) < SAME_TURN {
-        // It fell back into the same minimum.
+        // It converged to the same minimum.
         return f64::INFINITY;
     }
     let Some(scale) = residual_scale(pose, camera, observations, squared) else { return f64::INFINITY };
@@ -48,21 +52,23 @@ pub fn ambiguity_margin(
     cost(&other.pose) - cost(pose)
 }
 
-/// The pose of the same surface tilted the other way about the line of sight: where a wrong twin would lie.
+/// Returns the pose with the surface tilted the other way about the line of sight, where a wrong
+/// twin would lie.
 fn flipped(pose: &Pose<Camera, Body>, body: &PreparedBody, surface: u32) -> Pose<Camera, Body> {
     let spec = &body.surfaces[surface as usize].spec;
     let t_camera_surface = *pose * spec.pose;
     let sight = t_camera_surface.translation.normalize();
     let r = t_camera_surface.rotation_matrix();
     let normal = r.column(2).into_owned();
-    // Mirror the normal across the line of sight, and turn the surface there by the shortest way.
+    // Mirror the normal at the line of sight, and rotate the surface there by the shortest
+    // rotation.
     let mirrored = 2.0 * sight.dot(&normal) * sight - normal;
     let turn = UnitQuaternion::rotation_between(&normal, &mirrored).unwrap_or_else(UnitQuaternion::identity);
     let flipped = Pose::<Camera, SurfaceFrame>::new(turn * t_camera_surface.rotation, t_camera_surface.translation);
     flipped * spec.pose.inverse()
 }
 
-/// The surface that most anchors lie on.
+/// Returns the index of the surface with the most anchors.
 pub fn most_frequent_surface(anchors: &[FittedAnchor], surfaces: usize) -> u32 {
     let count = |s: usize| anchors.iter().filter(|a| a.surface as usize == s).count();
     (0..surfaces).max_by_key(|&s| count(s)).unwrap_or(0) as u32
@@ -77,7 +83,7 @@ mod tests {
     use crate::geometry::resection::resect;
     use crate::track::synthetic::{cloth, facing, lens, prepared};
 
-    /// What a pose shows of a cloth on a grid, each place known to a twentieth of a pixel.
+    /// Observations of a cloth on a grid, each known to a twentieth of a pixel.
     fn seen(body: &PreparedBody, pose: &Pose<Camera, Body>, camera: &CameraModel) -> Vec<Observation> {
         let information = Matrix2::identity() * 400.0;
         let observation = |k: u32| {

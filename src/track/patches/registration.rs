@@ -1,9 +1,11 @@
-//! Registration: where in the frame, to a fraction of a pixel, each anchor of the reference really is.
+//! Registration: locates each anchor of the reference pictures in the frame to a fraction of a
+//! pixel.
 //!
-//! From a pose that is right to a few pixels, a small patch of the artwork around every visible anchor is
-//! drawn as the camera should see it, and slid over the frame until it fits (Lucas-Kanade in Baker & Matthews'
-//! inverse compositional form, with a free gain and bias per patch). Each patch brings its own uncertainty,
-//! from its gradients and from how well it fits. How many fit is what the pose is verified by.
+//! It starts from a pose that is right to a few pixels. Around every visible anchor a small patch
+//! of the artwork is drawn as the camera should see it, and moved over the frame until it fits
+//! (Lucas-Kanade in Baker and Matthews' inverse compositional form, with a free gain and bias per
+//! patch). Each patch has its own covariance, from its gradients and from how well it fits. A pose
+//! is verified by the number of patches that fit.
 
 use image::GrayImage;
 use nalgebra::{Matrix2, Matrix4, Point3, Vector2, Vector3, Vector4};
@@ -17,39 +19,40 @@ use crate::track::scene::bilinear::look_at;
 use crate::track::scene::rectangle::SeenPoint;
 use crate::track::scene::reference::{Octave, PreparedBody, PreparedSurface};
 
-/// Surfaces are not registered where they are seen flatter than this (cosine of the tilt: 88.9 degrees). Chosen, not tuned: beyond, artwork
-/// by pixels is nearly singular. Raised, starts at a steep view are refused.
+/// Minimum cosine of a surface's tilt at which it is registered (88.9 degrees). Raised, starts at a
+/// steep view are refused; lowered, artwork by pixels becomes singular.
 const MIN_COSINE: f64 = 0.02;
-/// Half side of a patch in pixels of the picture searched; its side and area follow. Chosen, not tuned: a search goes at most 5 pixels from
-/// the start. Raised, patches cost more by the square, and are cut off at borders and people; lowered, they fit in wrong places.
+/// Half side of a patch, pixels of the searched picture; the side and area follow. Raised, patches
+/// cost more (squared) and overlap borders and people; lowered, they fit in wrong places.
 const HALF: i32 = 6;
 const SIDE: usize = 2 * HALF as usize + 1;
 const AREA: usize = SIDE * SIDE;
-/// Side with one pixel more around, which gradients need.
+/// Side with a border of one pixel, which gradients need.
 const WIDE: usize = SIDE + 2;
-/// Columns that are worked on together, two registers of eight: as many as a row has, drawn or searched, and a few beyond that count for nothing.
+/// Columns processed together, two registers of eight: a row of a patch, padded with columns that
+/// count for nothing. Raised, more of them are padding.
 const LANES: usize = 16;
-/// Least standard deviation of a drawn patch, grey levels, for it to be asked at all: a few times the noise. Chosen, not tuned. Raised,
-/// faint artwork has too few anchors; lowered, noise decides where plain patches fit.
+/// Minimum standard deviation of a drawn patch, grey levels. Raised, faint artwork has too few
+/// anchors; lowered, noise decides where plain patches fit.
 const MIN_CONTRAST: f32 = 4.0;
-/// Least correlation of a fitting patch. Chosen, not tuned: below the 0.9 of alignment's tiles, as the start is rougher. Raised, noisy or
-/// blurred frames have too few anchors; lowered, more of them fit elsewhere.
+/// Minimum correlation of a fitting patch. Raised, noisy or blurred frames have too few anchors;
+/// lowered, more patches fit in wrong places.
 const MIN_CORRELATION: f32 = 0.75;
-/// Error of the model of a patch that more light does not average away, pixels of the picture searched, one sigma. Assumed. Raised,
-/// covariances grow and strong patches count no more than others; lowered, they are believed too much.
+/// Sigma of a patch's model error, pixels of the searched picture, which more light does not
+/// reduce. Raised, covariances grow and patches count equally; lowered, strong ones are overrated.
 const MODEL_ERROR_PX: f64 = 0.04;
-/// Grey noise never assumed below this, grey levels: a usual camera's read noise. Raised, covariances grow; lowered, patches that fit well
-/// by chance outweigh the others.
+/// Minimum grey noise that is assumed, grey levels. Raised, covariances grow; lowered, patches that
+/// fit well by chance outweigh the others.
 const MIN_NOISE: f32 = 1.5;
 
-/// What became of an anchor.
+/// The result of searching one anchor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Registered {
     /// Index of the surface in its body.
     pub surface: u32,
-    /// Where the anchor is on the artwork, full-size pixels.
+    /// Position of the anchor on the artwork, full-size pixels.
     pub artwork: Vector2<f64>,
-    /// Where the pose put it, raw frame pixels.
+    /// Position predicted by the pose, raw frame pixels.
     pub predicted: Vector2<f64>,
     /// Where it was seen, if the patch fitted.
     pub observation: Option<Observation>,
@@ -57,18 +60,18 @@ pub struct Registered {
     pub correlation: f32,
 }
 
-/// A picture that patches are searched in: the frame, or its half-size copy.
+/// A picture in which patches are searched: the frame or its half-size copy.
 #[derive(Debug, Clone, Copy)]
 pub struct SearchPicture<'a> {
     /// Grey levels.
     pub image: &'a GrayImage,
-    /// Frame pixels per pixel of it: 1 or 2.
+    /// Frame pixels per pixel of this picture: 1 or 2.
     pub scale: f64,
-    /// Pixels to leave out (0), in full frame size.
+    /// Pixels to leave out (0), at full frame size.
     pub mask: Option<&'a GrayImage>,
 }
 
-/// A patch to be searched for.
+/// A patch to search for.
 #[derive(Debug, Clone, Copy)]
 pub struct Target {
     /// Index of the surface in its body.
@@ -77,12 +80,13 @@ pub struct Target {
     artwork: Vector2<f64>,
     point: Point3<f64>,
     predicted: Vector2<f64>,
-    /// Artwork pixels by frame pixels.
+    /// Derivative of artwork pixels by frame pixels.
     artwork_by_frame: Matrix2<f64>,
 }
 
-/// Lists the anchors that the pose puts into the frame, facing the camera and not hidden by another surface of the body:
-/// at most `count`, shared among the surfaces by visible anchors.
+/// Lists the anchors that the pose (`T_camera_body`) predicts in the frame, facing the camera and
+/// not hidden by another surface of the body: at most `count`, shared among the surfaces in
+/// proportion to their visible anchors.
 pub fn visible_targets(
     body: &PreparedBody,
     pose: &Pose<Camera, Body>,
@@ -108,7 +112,8 @@ pub fn visible_targets(
     thin(targets, count);
 }
 
-/// Keeps the first anchors of every surface, in proportion to what each shows (they come best spread first).
+/// Keeps the first anchors of every surface, in proportion to its visible ones. They are sorted so
+/// that the first ones are well spread.
 fn thin(targets: &mut Vec<Target>, count: usize) {
     let all = targets.len();
     if all <= count {
@@ -125,7 +130,8 @@ fn thin(targets: &mut Vec<Target>, count: usize) {
     targets.truncate(kept);
 }
 
-/// The octave one of whose pixels is nearest in size to a pixel of the searched picture, at the part of the surface seen best.
+/// Returns the octave whose pixel size is closest to that of the searched picture, at the median of
+/// the visible points of the surface.
 fn best_octave(surface: &PreparedSurface, t_body_camera: &Pose<Body, Camera>, camera: &CameraModel, scale: f64) -> Option<usize> {
     let size = [f64::from(camera.width()), f64::from(camera.height())];
     let log2 = surface.rectangle.texels_log2(size, |point| surface.rectangle.see(t_body_camera, camera, point, MIN_COSINE))? + scale.log2();
@@ -150,7 +156,7 @@ fn project_anchor(
     if picture.mask.is_some_and(masked) {
         return None;
     }
-    // Rows of the artwork run down, y on the surface up.
+    // Rows of the artwork run down, y on the surface runs up.
     let [across, down] = surface.rectangle.texels_per_m();
     let artwork_by_frame = Matrix2::new(across, 0.0, 0.0, -down) * by_metres.try_inverse()?;
     Some(Target { surface: 0, octave: 0, artwork, point: surface.spec.body_point(artwork), predicted, artwork_by_frame })
@@ -162,7 +168,8 @@ fn occluded(body: &PreparedBody, own: usize, camera: &Vector3<f64>, point: &Poin
     others.into_iter().any(|(_, other)| other.rectangle.hides_any(&[point.coords], camera))
 }
 
-/// Searches every target in the picture.
+/// Searches for every target in the picture. `registered` has one entry per target: `None` if its
+/// patch cannot be drawn or is plain.
 pub fn register(
     body: &PreparedBody,
     targets: &[Target],
@@ -176,18 +183,19 @@ pub fn register(
     });
 }
 
-/// The patch as drawn from the artwork, and what its linear fit needs.
+/// The drawn patch, and the terms of its linear fit.
 struct Template {
-    /// Grey less its mean, row by row; 0 beyond the row, here and in the gradients.
+    /// Grey levels minus their mean, row by row; padded with 0, like the gradients.
     value: [[f32; LANES]; SIDE],
     gx: [[f32; LANES]; SIDE],
     gy: [[f32; LANES]; SIDE],
     inverse: Matrix4<f64>,
-    /// Information of the position per unit of grey variance, gain and bias removed.
+    /// Information of the position per unit of grey variance, with gain and bias eliminated.
     structure: Matrix2<f64>,
 }
 
-/// Draws the patch as the camera should see it: each pixel the mean of 2x2 looks at the octave whose pixels are half as wide.
+/// Draws the patch as the camera should see it: each pixel is the mean of 2x2 samples from the
+/// octave whose pixels are half as wide.
 fn draw(target: &Target, octaves: &[Octave], scale: f64) -> Option<[f32; WIDE * WIDE]> {
     let m = target.artwork_by_frame * scale;
     let footprint = m.determinant().abs().sqrt();
@@ -206,7 +214,7 @@ fn draw(target: &Target, octaves: &[Octave], scale: f64) -> Option<[f32; WIDE * 
     let (cx, cy) = (centre.x as f32, centre.y as f32);
     let mut out = [0.0; WIDE * WIDE];
     for (v, row) in out.chunks_exact_mut(WIDE).enumerate() {
-        // All first looks of the row, then all second ones.
+        // All first samples of the row, then all second ones, and so on.
         let (mut xs, mut ys) = ([0.0; LOOKS.len() * WIDE], [0.0; LOOKS.len() * WIDE]);
         for (look, [ox, oy]) in LOOKS.into_iter().enumerate() {
             let py = v as f32 - (HALF + 1) as f32 + oy;
@@ -224,7 +232,7 @@ fn draw(target: &Target, octaves: &[Octave], scale: f64) -> Option<[f32; WIDE * 
     Some(out)
 }
 
-/// Where a pixel is looked at, from its middle.
+/// Sample positions within a pixel, relative to its centre, pixels.
 const LOOKS: [[f32; 2]; 4] = [[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]];
 
 fn template(wide: &[f32; WIDE * WIDE]) -> Option<Template> {
@@ -236,7 +244,7 @@ fn template(wide: &[f32; WIDE * WIDE]) -> Option<Template> {
         t.gx[v][u] = 0.5 * (wide[at + 1] - wide[at - 1]);
         t.gy[v][u] = 0.5 * (wide[at + WIDE] - wide[at - WIDE]);
     }
-    // Around the mean, gain and bias decouple better.
+    // With the mean removed, gain and bias are better decoupled.
     let mean = t.value.iter().flatten().sum::<f32>() / AREA as f32;
     t.value.iter_mut().for_each(|row| row[..SIDE].iter_mut().for_each(|v| *v -= mean));
     let mut normal = [0.0f32; 10];
@@ -261,8 +269,9 @@ fn template(wide: &[f32; WIDE * WIDE]) -> Option<Template> {
 }
 
 multiversion! {
-    /// Sums over a patch of the frame, whose first pixel is the first of `frame`: of its grey, the square of that, and its products with the template and its gradients.
-    /// `weights`: of a pixel, its right neighbour, and those below.
+    /// Returns sums over a patch of the frame whose first pixel is the first of `frame`: of its
+    /// grey, of the grey's square, and of the grey's products with the template and its two
+    /// gradients. `weights`: bilinear weights of a pixel, its right neighbour, and the two below.
     fn template_products(t: &Template, frame: &[u8], width: usize, weights: &[f32; 4]) -> [f32; 5];
     ["avx2"] => template_products_plain, else template_products_plain
 }
@@ -272,7 +281,7 @@ fn template_products_plain(t: &Template, frame: &[u8], width: usize, weights: &[
     let [w00, w10, w01, w11] = *weights;
     let mut sums = [[0.0f32; LANES]; 5];
     for v in 0..SIDE {
-        // With zeros beyond the row and its right neighbour.
+        // Padded with zeros after the row and its right neighbour.
         let [top, bottom] = [v, v + 1].map(|v| {
             let mut padded = [0; LANES + 1];
             padded[..=SIDE].copy_from_slice(&frame[v * width..][..=SIDE]);
@@ -291,8 +300,8 @@ fn template_products_plain(t: &Template, frame: &[u8], width: usize, weights: &[
     sums.map(|lanes| lanes.iter().sum())
 }
 
-/// One linear step: [gain, gain ex, gain ey, bias] that best turns the template into the frame at (x, y), the correlation and the
-/// residual variance.
+/// Solves one linear step: returns [gain, gain ex, gain ey, bias] that best map the template to the
+/// frame at (x, y), the correlation and the residual variance.
 fn fit(t: &Template, image: &GrayImage, x: f64, y: f64) -> (Vector4<f64>, f32, f32) {
     let (w, h) = (image.width() as usize, image.height() as usize);
     let raw = image.as_raw();
@@ -326,7 +335,8 @@ fn search(target: &Target, octaves: &[Octave], picture: &SearchPicture) -> Optio
         if gain.abs() < 1e-3 {
             break;
         }
-        // The frame at `at` shows the template's point e: the centre lies at at - e. Long steps are cut, the fit is local.
+        // The frame at `at` shows the template's point e, so the centre lies at at - e. Long steps
+        // are shortened because the linear fit is only local.
         let e = Vector2::new(solution[1], solution[2]) / gain;
         let e = e * (1.5 / e.norm()).min(1.0);
         at -= e;

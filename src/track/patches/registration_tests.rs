@@ -31,7 +31,8 @@ fn registered(body: &PreparedBody, frame: &GrayImage, scale: f64, start: &Pose<C
     found.into_iter().flatten().collect()
 }
 
-/// Root mean square distance of the fitting anchors from the truth, pixels; and the share that fits.
+/// Returns the root mean square distance of the fitting anchors from the truth, pixels, and the
+/// fraction that fits.
 fn scatter(body: &PreparedBody, camera: &CameraModel, all: &[Registered]) -> (f64, f64) {
     let squared = |r: &Registered| {
         let point = body.surfaces[r.surface as usize].spec.body_point(r.artwork);
@@ -106,7 +107,7 @@ fn hidden_masked_and_turned_away_anchors_are_not_asked() {
         let behind = t.surface == 0 && (-2.2..-1.15).contains(&t.point.x);
         assert!(!behind, "hidden at {}", t.point);
     }
-    // Seen from behind, nothing is painted.
+    // From behind, nothing is painted.
     let turned = facing(0.0, std::f64::consts::PI, Vector3::new(0.0, 0.0, 4.2));
     visible_targets(&body, &turned, &camera, &SearchPicture { image: &image, scale: 1.0, mask: None }, 1000, &mut targets);
     assert!(targets.is_empty());

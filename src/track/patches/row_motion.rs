@@ -1,7 +1,7 @@
-//! How the body moved while a rolling shutter read the rows of a frame.
+//! The motion of the body while a rolling shutter reads the rows of a frame.
 //!
-//! The motion comes from the difference to the last verified pose, as a nuisance only: the pose itself is always
-//! measured against the reference picture.
+//! It is computed from the difference to the last verified pose and used as a nuisance only: the
+//! pose itself is always measured against the reference picture.
 
 use nalgebra::Vector6;
 
@@ -9,19 +9,20 @@ use crate::camera::Shutter;
 use crate::geometry::resection::Twist;
 use crate::geometry::{Body, Camera, Pose};
 
-/// What is known of the motion while the rows of a frame were read.
+/// What is known about the motion during the readout of a frame.
 #[derive(Debug, Clone, Copy)]
 pub struct RowMotion {
     /// When the rows are exposed.
     pub shutter: Shutter,
-    /// One sigma of its readout, seconds; 0 where it is configured.
+    /// Sigma of its readout time, seconds; 0 if it is configured.
     pub readout_sigma_s: f64,
-    /// The last verified pose, how long ago it was in seconds, and the motion then.
+    /// The last verified pose (`T_camera_body`), its age in seconds, and its motion if known.
     pub before: Option<(Pose<Camera, Body>, f64, Option<Twist>)>,
 }
 
 impl RowMotion {
-    /// The body's motion at the middle row of this frame, if it is now at `pose`.
+    /// Returns the body's motion at the middle row of this frame if its pose is now `pose`
+    /// (`T_camera_body`); zero without a rolling shutter or an earlier pose.
     pub(in crate::track) fn twist(&self, pose: &Pose<Camera, Body>) -> Twist {
         match &self.before {
             Some((before, dt_s, then)) if self.shutter.readout_s > 0.0 => {
@@ -33,16 +34,18 @@ impl RowMotion {
         }
     }
 
-    /// The motion since the last pose, if the body is now at `pose`, and by how much it changed, or may have where that is not known, both per second.
-    /// `None` where there is no last pose.
+    /// Returns the motion since the last pose if the pose is now `pose` (`T_camera_body`), and its
+    /// change, or half the motion if the change is unknown; both per second. `None` without an
+    /// earlier pose.
     pub(in crate::track) fn twist_and_change(&self, pose: &Pose<Camera, Body>) -> Option<(Vector6<f64>, Vector6<f64>)> {
         let (before, dt_s, then) = self.before.as_ref()?;
         let now = Twist::between(before, pose, *dt_s).0;
         Some((now, then.map_or(now * 0.5, |then| now - then.0)))
     }
 
-    /// Standard deviations of [`RowMotion::twist`], per second: how much the motion changed since the last frame, or what a hand-held camera does
-    /// where nothing is known.
+    /// Returns the standard deviations of [`RowMotion::twist`], per second: the change of the
+    /// motion since the last frame, or a typical hand-held motion if nothing is known. `None`
+    /// without a rolling shutter.
     pub(in crate::track) fn twist_deviation(&self, pose: &Pose<Camera, Body>) -> Option<Vector6<f64>> {
         if self.shutter.readout_s <= 0.0 {
             return None;

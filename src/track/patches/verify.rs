@@ -1,9 +1,9 @@
-//! Verification: a candidate pose is refined by registration, and then has to prove itself against the
-//! picture before it may be given.
+//! Verification: refines a candidate pose by registration, then judges it against the frame before
+//! it may be reported.
 //!
-//! What it must show: enough anchors that fit, a large enough share of those that should fit, spread over
-//! the frame; a small enough uncertainty; and that the surface tilted the other way explains the same anchors
-//! clearly worse.
+//! A pose needs enough anchors that fit, a large enough fraction of those that should fit, spread
+//! over the frame; a small enough covariance; and a clear margin over the pose with the surface
+//! tilted the other way.
 
 use nalgebra::Matrix6;
 
@@ -22,37 +22,37 @@ use crate::geometry::robust_kernel::tukey_weight;
 use crate::geometry::{Body, Camera, Pose};
 use crate::track::scene::reference::PreparedBody;
 
-/// Tiles across and down the frame that anchors are grouped by: their errors count as common, and poses must rest on several. Chosen, not
-/// tuned. Raised, neighbours count as independent, and covariances shrink.
+/// Tiles across and down the frame: errors within one count as common, and a pose must rest on
+/// several. Raised, neighbours count as independent and covariances shrink.
 const TILES: [u32; 2] = [8, 6];
-/// Anchors searched in the half-size and in the full frame. Chosen, not tuned: the first only leads to the start of the second. Raised,
-/// verification costs more in proportion; lowered, poses are less sure and small parts of a stage are missed.
+/// Maximum number of anchors searched in the half-size and in the full frame. Raised, verification
+/// costs more in proportion; lowered, poses are less certain and small parts of a stage are missed.
 const COARSE_ANCHORS: usize = 120;
 const FINE_ANCHORS: usize = 300;
-/// Fewest anchors that a pose is computed from. Chosen: 16 numbers for six unknowns, so that a wrong one shows. Raised, small stages are
-/// given up before they are judged.
+/// Minimum number of anchors from which a pose is computed. Raised, small stages are rejected
+/// before they are judged.
 const MIN_RESECTED: usize = 8;
-/// Fewest anchors that must fit at half size for its pose to be taken over: a small stage shows too few there, and the start is better.
-/// Chosen, not tuned. Raised, rough starts are searched at full size, where they are out of reach; lowered, a few wrong anchors spoil a
-/// good start.
+/// Minimum number of anchors at half size for that pose to replace the start. Raised, rough starts
+/// go to full size, out of reach; lowered, a few wrong anchors spoil a good start.
 const MIN_COARSE_FITTING: usize = 24;
-/// Fewest anchors that must fit. Chosen, not tuned. Raised, small or covered stages are refused; lowered, chance passes more easily.
+/// Minimum number of fitting anchors. Raised, small or occluded stages are refused; lowered, chance
+/// passes more easily.
 const MIN_FITTING: usize = 16;
-/// Fewest tiles that they must lie in, of 48. Chosen, not tuned. Raised, stages that are seen small are refused; lowered, a patch of
-/// repeated detail can carry a wrong pose.
+/// Minimum number of tiles that they must lie in, of 48. Raised, stages that appear small are
+/// refused; lowered, a patch of repeated detail can carry a wrong pose.
 const MIN_TILES: usize = 4;
-/// Least share of the anchors asked that must fit, for a pose without history, and for one that continues a track. Chosen, not tuned.
-/// Raised, stages that are partly covered are refused; lowered, wrong poses pass more easily.
+/// Minimum fraction of the searched anchors that must fit, for a new pose and for a continued
+/// track. Raised, partly occluded stages are refused; lowered, wrong poses pass more easily.
 const MIN_SHARE_NEW: f64 = 0.35;
 const MIN_SHARE_CONTINUED: f64 = 0.2;
-/// Anchors found elsewhere than the pose says, for each that fits. What is hidden is not found at all, so even a few speak against it.
-/// Raised, torn frames and wrong poses pass; lowered, repeated detail refuses right ones.
+/// Maximum number of anchors found away from their prediction, per fitting one. Raised, torn frames
+/// and wrong poses pass; lowered, repeated detail refuses right ones.
 const MAX_CONTRADICTION: f64 = 0.5;
-/// Largest residual, in pixels of a 1280-pixel-wide frame, of an anchor that counts as fitting. Chosen, not tuned: wide enough for a lens
-/// that is known roughly. Raised, poses beside the right one pass; lowered, guessed lenses are never verified.
+/// Maximum residual of a fitting anchor, pixels of a frame 1280 pixels wide. Raised, poses beside
+/// the right one pass; lowered, guessed lenses are never verified.
 const MAX_RESIDUAL_PX: f64 = 1.5;
-/// Largest standard deviation of a pose that is given: of the direction in radians (half a degree), and of the position as a share of the
-/// distance. Chosen, not tuned. Raised, poses are given that tell little; lowered, distant or small stages are refused.
+/// Maximum sigma of a reported pose: direction (rad), position (fraction of the distance). Raised,
+/// poses that say little are reported; lowered, distant or small stages are refused.
 const MAX_TURN: f64 = 0.5 * std::f64::consts::PI / 180.0;
 const MAX_SHIFT: f64 = 0.012;
 
@@ -61,42 +61,43 @@ const MAX_SHIFT: f64 = 0.012;
 pub struct Verified {
     /// `T_body_camera`.
     pub pose: Pose<Body, Camera>,
-    /// Of [δp, δθ] in body axes: what this frame's noise leaves open.
+    /// Covariance of [δp, δθ], body axes, from this frame's noise.
     pub covariance: Matrix6<f64>,
-    /// The same of what the doubt about lens and shapes leaves open, and what of the model does not fit: it stays from frame to frame, so that no
-    /// filter can average it away. None where there is none.
+    /// The same from the uncertainty of lens and shapes and from model errors. It persists from
+    /// frame to frame, so that no filter can average it away. `None` if there is none.
     pub by_model: Option<Matrix6<f64>>,
-    /// Share of the anchors asked that fit.
+    /// Fraction of the searched anchors that fit.
     pub share: f64,
-    /// Pixels or anchors that it rests on.
+    /// Number of pixels or anchors that it rests on.
     pub inliers: usize,
-    /// Root mean square of the displacements that are left, pixels: of the tiles, or of the anchors.
+    /// Root mean square residual of the tiles or of the anchors, pixels.
     pub rms_px: f64,
-    /// Whether this frame alone leaves no doubt.
+    /// Whether this frame alone is conclusive.
     pub is_conclusive: bool,
 }
 
-/// Why a candidate was not given.
+/// Why a candidate was refused.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Refusal {
-    /// Too few anchors in view or fitting.
+    /// Too few anchors in view or fitting: their number.
     TooFew(usize),
-    /// They lie in too few tiles.
+    /// They lie in too few tiles: the number of tiles.
     Clustered(usize),
-    /// Too small a share of those asked.
+    /// Too small a fraction of those searched fits: the fraction.
     Share(f64),
-    /// Too many anchors were found, but elsewhere than the pose says: a torn frame, or a wrong pose.
+    /// Too many anchors were found away from their prediction (their number): a torn frame, or a
+    /// wrong pose.
     Contradicted(usize),
     /// The pose is too uncertain.
     Uncertain,
-    /// The tilted twin explains the picture nearly as well; the margin.
+    /// The tilted twin explains the picture nearly as well: the margin in chi-squared.
     Ambiguous(f64),
-    /// The picture repeats itself, and the pose a period aside explains it better.
+    /// The picture repeats itself, and the pose one period aside explains it better.
     Repeated,
 }
 
 impl Refusal {
-    /// How far through the judgement a pose came.
+    /// Returns how far a pose came through the tests, from 0.
     pub fn stage(self) -> u8 {
         match self {
             Self::TooFew(_) => 0,
@@ -109,7 +110,7 @@ impl Refusal {
     }
 }
 
-/// A frame as verification needs it.
+/// The frame, camera and workers that verification uses.
 #[derive(Debug, Clone, Copy)]
 pub struct View<'a> {
     /// The lens.
@@ -118,9 +119,9 @@ pub struct View<'a> {
     pub full: SearchPicture<'a>,
     /// The frame at half size.
     pub half: SearchPicture<'a>,
-    /// What is known of the motion while its rows were read.
+    /// What is known about the motion during its readout.
     pub row_motion: RowMotion,
-    /// Who searches the anchors.
+    /// The workers that search the anchors.
     pub workers: &'a Workers,
 }
 
@@ -131,23 +132,24 @@ pub struct VerifyBuffers {
     registered: Vec<Option<Registered>>,
     observations: Vec<Observation>,
     squared: SquaredResiduals,
-    /// The anchors that fit the last pose that passed.
+    /// The anchors that fit the last judged pose.
     pub anchors: Vec<FittedAnchor>,
-    /// All that were found then, wherever that was.
+    /// All anchors that were found then, wherever they were.
     pub found: Vec<FittedAnchor>,
-    /// Those that [`search_silent`] found.
+    /// The anchors that [`search_silent`] found.
     pub searched: Vec<FittedAnchor>,
     per_surface: Vec<[usize; 2]>,
 }
 
-/// A surface of which alignment shows less than this share of what it shows of all is silent: it is covered, or stands elsewhere. Chosen: a moved flat's tiles fit here
-/// and there by chance. Raised, surfaces with few details are searched in vain, in time; lowered, a flat that was moved by little is not searched for.
+/// Fraction of the usual alignment rate below which a surface is silent. Raised, surfaces with
+/// little detail are searched in vain; lowered, slightly moved flats are missed.
 const SILENT_SHARE: f64 = 0.6;
-/// Anchors in view that a surface must have to be missed. Chosen, not tuned. Raised, small flats are never searched for; lowered, specks are.
+/// Minimum number of anchors in view of a surface that is searched for. Raised, small flats are
+/// never searched for; lowered, specks are.
 const MIN_MISSED: usize = 10;
 
-/// Searches for the anchors of surfaces that should be in view but of which alignment shows little, around where the pose puts them. `aligned`: what it shows. The anchors
-/// are in `buffers.searched` then.
+/// Searches for the anchors of silent surfaces (in view, but hardly aligned) around their predicted
+/// places; the result is in `buffers.searched`. `aligned`: the anchors that alignment shows.
 pub fn search_silent(body: &PreparedBody, pose: &Pose<Camera, Body>, view: &View, aligned: &[FittedAnchor], buffers: &mut VerifyBuffers) {
     let VerifyBuffers { targets, registered, searched, per_surface, .. } = buffers;
     searched.clear();
@@ -176,7 +178,8 @@ pub fn search_silent(body: &PreparedBody, pose: &Pose<Camera, Body>, view: &View
     }));
 }
 
-/// Refines a candidate coarse to fine and judges it. `continued`: the pose continues a confirmed track.
+/// Refines a candidate coarse to fine and judges it. `start`: `T_camera_body`; `continued`: the
+/// pose continues a confirmed track. Returns why if it is refused.
 pub fn verify(
     body: &PreparedBody,
     start: &Pose<Camera, Body>,
@@ -184,7 +187,7 @@ pub fn verify(
     continued: bool,
     buffers: &mut VerifyBuffers,
 ) -> Result<Verified, Refusal> {
-    // A small stage has too little to hold on to at half size: then the start must do.
+    // A small stage shows too few anchors at half size: then the start is used directly.
     let coarse = registered_pose(body, start, view, &view.half, COARSE_ANCHORS, buffers)
         .ok()
         .filter(|_| buffers.observations.len() >= MIN_COARSE_FITTING);
@@ -193,7 +196,7 @@ pub fn verify(
     judge(body, &fine, view, continued, buffers)
 }
 
-/// One round: predict, search, resect.
+/// One iteration: predict, search, resect.
 fn registered_pose(
     body: &PreparedBody,
     start: &Pose<Camera, Body>,
@@ -216,7 +219,7 @@ fn registered_pose(
     }
     let mut found = resect(start, &MovingCamera { lens: camera, twist: row_motion.twist(start) }, &buffers.observations, 15);
     if shutter.readout_s > 0.0 && row_motion.before.is_some() {
-        // The motion follows from the pose, and the pose from the motion.
+        // The motion depends on the pose, and the pose on the motion.
         for _ in 0..2 {
             let Some(pose) = found.map(|f| f.pose) else { break };
             found = resect(&pose, &MovingCamera { lens: camera, twist: row_motion.twist(&pose) }, &buffers.observations, 15);
@@ -268,7 +271,8 @@ fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, bu
     Ok(Verified { pose, covariance, by_model: None, share, inliers: anchors.len(), rms_px, is_conclusive: false })
 }
 
-/// Collects the anchors that were found, and those of them that agree with the pose, in pixels and in sigmas.
+/// Collects the anchors that were found, and those of them that agree with the pose both in pixels
+/// and in sigmas.
 fn collect_anchors(fine: &Resection, moving: &MovingCamera<CameraModel>, buffers: &mut VerifyBuffers) {
     let VerifyBuffers { registered, observations, anchors, found, .. } = buffers;
     let limit = residual_limit_px(moving.lens);
@@ -290,7 +294,8 @@ fn collect_anchors(fine: &Resection, moving: &MovingCamera<CameraModel>, buffers
     anchors.extend(found.iter().filter(fits));
 }
 
-/// Anchors that were found well away from where the pose puts them: more than a lens known only roughly explains.
+/// Returns the number of anchors that were found further from their prediction than a roughly known
+/// lens explains.
 fn contradicting_anchors(fine: &Resection, moving: &MovingCamera<CameraModel>, observations: &[Observation]) -> usize {
     let limit = 2.0 * residual_limit_px(moving.lens);
     let is_far = |o: &&Observation| {
@@ -300,12 +305,13 @@ fn contradicting_anchors(fine: &Resection, moving: &MovingCamera<CameraModel>, o
     observations.iter().filter(is_far).count()
 }
 
-/// [`MAX_RESIDUAL_PX`] at the size of this camera's frames.
+/// Returns [`MAX_RESIDUAL_PX`] scaled to the size of this camera's frames, at least half of it.
 fn residual_limit_px(lens: &CameraModel) -> f64 {
     MAX_RESIDUAL_PX * (f64::from(lens.width().max(lens.height())) / 1280.0).max(0.5)
 }
 
-/// The covariance, refused where noise alone leaves too much open; what the motion leaves open is added after.
+/// Returns the covariance; refuses the pose if noise alone makes it too uncertain. The uncertainty
+/// of the motion is added after that test.
 fn judged_covariance(
     body: &PreparedBody,
     fine: &Resection,
@@ -324,15 +330,15 @@ fn judged_covariance(
     Ok(covariance)
 }
 
-/// Refuses a pose that its noise leaves too uncertain. `covariance`: of shift and turn, of either direction of the pose; `distance_m`: to
-/// the nearest surface.
+/// Refuses a pose whose noise makes it too uncertain. `covariance`: of position and rotation, of
+/// the pose in either direction; `distance_m`: distance to the nearest surface.
 pub fn judged_noise(covariance: &Matrix6<f64>, distance_m: f64) -> Result<(), Refusal> {
     let sigma = |first: usize| covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
     let is_known = sigma(0) <= MAX_SHIFT * distance_m && sigma(3) <= MAX_TURN;
     is_known.then_some(()).ok_or(Refusal::Uncertain)
 }
 
-/// Distance from the camera to the nearest surface centre, metres.
+/// Returns the distance from the camera to the nearest surface centre, metres.
 fn nearest_surface_distance(body: &PreparedBody, pose: &Pose<Camera, Body>) -> f64 {
     body.surfaces.iter().map(|s| (*pose * s.spec.pose).translation.norm()).fold(f64::INFINITY, f64::min)
 }
