@@ -1,32 +1,36 @@
-//! A picture averaged over what one pixel of a frame covers of it.
+//! A picture averaged over the area that one pixel of a frame covers of it.
 //!
-//! A pixel of the camera shows the mean of all texels that it covers. Where it covers several, sampling one of them aliases fine grain. So the picture is low-pass filtered first,
-//! over a square as wide as a pixel, and one sample a pixel is enough (Williams 1983, "Pyramidal parametrics"; here from the octave below, and for the width as it is). It is
-//! averaged anew only when the surface is seen larger or smaller.
+//! A camera pixel shows the mean of all texels that it covers. If it covers several, sampling one
+//! of them aliases fine grain. The picture is therefore low-pass filtered first, over a square as
+//! wide as a pixel, after which one sample per pixel is enough (Williams 1983, "Pyramidal
+//! parametrics"; here from the next finer octave, and for the exact width). It is averaged again
+//! only when the surface is seen larger or smaller.
 
 use image::GrayImage;
 
 use super::reference::Octave;
 use crate::features::resize_buffer;
 
-/// A copy is made anew once the texels along a pixel have changed by more than 2 to the power of this: 7 %. Chosen: with squares that are 7 % too wide, white noise still correlates by 0.93
-/// with what the frame shows, and cells are explained from 0.9 on. Raised, fine grain counts as unexplained; lowered, a camera that moves towards the stage costs more.
+/// Change of log2 of the texels per pixel after which a copy is made anew. Raised, fine grain
+/// counts as unexplained; lowered, a camera that approaches the stage costs more.
 const KEPT_LOG2: f64 = 0.1;
-/// Widest square, texels: what five of them in a row hold. Wider ones are needed of pictures alone that are seen smaller than their last octave.
+/// Maximum side of the square, texels. Raised, the five weights in a row no longer hold it.
 const WIDEST_TEXELS: f64 = 4.5;
 
 /// A picture averaged over a square; keeps its buffers.
 #[derive(Debug, Default)]
 pub struct AveragedPicture {
     image: GrayImage,
-    /// log2 of the texels of the full picture along the square's side; `None` before there is a copy.
+    /// log2 of the texels of the full picture along the square's side; `None` before there is a
+    /// copy.
     made_for: Option<f64>,
     /// Sums over the columns of a row.
     row: Vec<f32>,
 }
 
 impl AveragedPicture {
-    /// The picture averaged over squares whose side is as many texels of its full size as this is the log2 of; never coarser than half such a side.
+    /// Returns the picture averaged over squares of side 2^`texels_log2` texels of the full
+    /// picture, at a resolution of at least two texels per side if there is such an octave.
     pub fn over(&mut self, octaves: &[Octave], texels_log2: f64) -> &GrayImage {
         if self.made_for.is_none_or(|made_for| (made_for - texels_log2).abs() > KEPT_LOG2) {
             let octave = ((texels_log2.floor() - 1.0).max(0.0) as usize).min(octaves.len() - 1);
@@ -41,7 +45,7 @@ impl AveragedPicture {
         let raw = from.as_raw();
         resize_buffer(&mut self.image, from.width(), from.height());
         let weights = weights(side);
-        // Two columns more at each end, so that the square never leaves the row.
+        // Two more columns at each end, so that the square never leaves the row.
         self.row.resize(width + 4, 0.0);
         for (y, out) in self.image.chunks_exact_mut(width).enumerate() {
             let line = |dy: isize| &raw[y.saturating_add_signed(dy).min(height - 1) * width..][..width];
@@ -54,7 +58,8 @@ impl AveragedPicture {
     }
 }
 
-/// What a texel, its neighbours and theirs count of the mean over a square of this side, texels, that lies in their middle.
+/// Returns the weights of a texel, its neighbours and the next ones in the mean over a centred
+/// square with this side, texels.
 fn weights(side: f32) -> [f32; 3] {
     let inside = |distance: f32| (0.5 * side - distance + 0.5).clamp(0.0, 1.0);
     let all = [1.0, inside(1.0), inside(2.0)];
@@ -86,7 +91,7 @@ mod tests {
     use super::*;
     use crate::geometry::Pose;
 
-    /// Octaves of white noise, the worst of all pictures to look at by single texels.
+    /// Octaves of white noise, the worst of all pictures for sampling single texels.
     fn noise() -> Vec<Octave> {
         let mut state = 7_u32;
         let picture = GrayImage::from_fn(300, 200, |_, _| {
@@ -97,7 +102,7 @@ mod tests {
         PreparedBody::new(&BodySpec::new("stage", vec![surface])).surfaces.remove(0).octaves
     }
 
-    /// The mean of a picture over a square around a place: 16 x 16 looks at whole texels.
+    /// The mean of a picture over a square around a place: 16 x 16 samples of whole texels.
     fn plain_mean(picture: &GrayImage, [x, y]: [f64; 2], side: f64) -> f64 {
         let at = |k: u32| ((f64::from(k) + 0.5) / 16.0 - 0.5) * side + 0.5;
         let looks = (0..16).flat_map(|j| (0..16).map(move |i| (i, j)));

@@ -1,17 +1,19 @@
-//! Grey between the pixels of a picture, for many places at once: straight lines between four neighbours; beyond the border that of the border.
+//! Bilinear interpolation of a picture at many places at once. Beyond the border, the border's grey
+//! is used.
 //!
-//! Where the places are and what the four come to is computed in wide registers; the texels alone are looked up one by one.
+//! Positions and blends are computed in wide registers; only the texels are loaded one by one.
 
 use crate::simd::multiversion;
 
-/// Places on a picture for a row of pixels, and the texels there; its buffers stay.
+/// Places on a picture for a row of pixels, and the texels there; keeps its buffers.
 #[derive(Debug, Default)]
 pub struct RowOfTexels {
-    /// The texel above and left of each place, counted row by row, and how far right of and below it that lies.
+    /// Per place: the index of the texel above and left of it (row-major), and the place's offset
+    /// to the right of that texel and below it.
     first: Vec<u32>,
     right: Vec<f32>,
     below: Vec<f32>,
-    /// Of each place the texels above left, above right, below left and below right, a byte each.
+    /// Per place: the texels above left, above right, below left and below right, one byte each.
     quads: Vec<u32>,
 }
 
@@ -24,7 +26,8 @@ impl RowOfTexels {
         self.quads.resize(pixels, 0);
     }
 
-    /// The greys of a picture of this many columns and rows at these places.
+    /// Samples a picture of `size` (columns, rows) at the places (`xs`, `ys`), texels, into
+    /// `greys`.
     pub fn look(&mut self, picture: &[u8], size: [usize; 2], xs: &[f32], ys: &[f32], greys: &mut [f32]) {
         let n = xs.len();
         find_texels(size, xs, ys, &mut self.first[..n], &mut self.right[..n], &mut self.below[..n]);
@@ -34,7 +37,7 @@ impl RowOfTexels {
     }
 }
 
-/// The same of a few places.
+/// Does the same for a few places.
 pub fn look_at<const N: usize>(picture: &[u8], size: [usize; 2], xs: &[f32; N], ys: &[f32; N]) -> [f32; N] {
     let (mut first, mut quads, mut right, mut below, mut greys) = ([0; N], [0; N], [0.0; N], [0.0; N], [0.0; N]);
     find_texels(size, xs, ys, &mut first, &mut right, &mut below);
@@ -43,57 +46,60 @@ pub fn look_at<const N: usize>(picture: &[u8], size: [usize; 2], xs: &[f32; N], 
     greys
 }
 
-/// Places of a row that one line of a cache, 64 texels, holds at least, where places are up to eight texels apart. Raised, lines are waited for; lowered, they are asked for more often than once.
+/// Minimum number of places in a cache line (64 texels) if places are up to eight texels apart.
+/// Raised, lines are waited for; lowered, they are requested more than once.
 const PLACES_OF_LINE: usize = 8;
 
-/// Asks for all texels of a row at once: a picture that was last looked at a frame ago is no longer near, and place by place only two or three lines of it would be on their way at a time.
+/// Requests all texels of a row at once. A picture last used a frame ago is no longer cached, and
+/// place by place only two or three of its lines would be in flight at a time.
 fn ask_for_lines(picture: &[u8], width: usize, first: &[u32]) {
     let texel = |at: usize| picture.get(at).copied().unwrap_or(0);
     let some = first.iter().step_by(PLACES_OF_LINE).map(|at| texel(*at as usize) | texel(*at as usize + width));
     std::hint::black_box(some.fold(0, |all, texel| all | texel));
 }
 
-/// The texels, one place after another.
+/// Loads the four texels of each place, one place after another.
 fn look_up(picture: &[u8], width: usize, first: &[u32], quads: &mut [u32]) {
     for (quad, at) in quads.iter_mut().zip(first) {
         let near = &picture[*at as usize..];
-        // There are two in either row: the last column has no place right of it.
+        // There are two in each row, because no place lies right of the last column.
         let (above, below) = (&near[..2], &near[width..][..2]);
         *quad = u32::from_le_bytes([above[0], above[1], below[0], below[1]]);
     }
 }
 
 multiversion! {
-    /// See [`RowOfTexels`].
+    /// Computes the texel and the offsets of each place; see [`RowOfTexels`].
     fn find_texels(size: [usize; 2], xs: &[f32], ys: &[f32], first: &mut [u32], right: &mut [f32], below: &mut [f32]);
     ["avx2"] => find_texels_plain, else find_texels_plain
 }
 
 #[inline(always)]
 fn find_texels_plain(size: [usize; 2], xs: &[f32], ys: &[f32], first: &mut [u32], right: &mut [f32], below: &mut [f32]) {
-    // A little less than the last one, which has no neighbour.
+    // Slightly less than the last one, which has no neighbour.
     let [last_x, last_y] = size.map(|n| (n - 1) as f32 - 0.001);
     let [last_i, last_j] = size.map(|n| n as i32 - 2);
     for ((((x, y), first), right), below) in xs.iter().zip(ys).zip(first).zip(right).zip(below) {
-        // What is no number is taken for 0.
+        // NaN becomes 0.
         let (x, y) = (x.max(0.0).min(last_x), y.max(0.0).min(last_y));
-        // Of pictures wider than 2^15 texels the fraction is rounded away.
+        // In pictures wider than 2^15 texels the subtracted fraction is lost in rounding.
         let (i, j) = (whole_part(x).min(last_i), whole_part(y).min(last_j));
         (*right, *below) = (x - i as f32, y - j as f32);
         *first = (j * size[0] as i32 + i) as u32;
     }
 }
 
-/// The whole part of a number from 0 to 2^23, which a cast gives as well: but that asks of one number after another whether it is one.
+/// Returns the whole part of a number from 0 to 2^23. A cast returns the same, but its check for
+/// NaN and overflow prevents vectorisation.
 #[inline(always)]
 fn whole_part(v: f32) -> i32 {
-    // From here on, numbers are a whole one apart.
+    // Spacing of floats is 1 from here on.
     const WHOLE: f32 = (1u32 << 23) as f32;
     (v.trunc() + WHOLE).to_bits().wrapping_sub(WHOLE.to_bits()) as i32
 }
 
 multiversion! {
-    /// See [`RowOfTexels`].
+    /// Blends the four texels of each place; see [`RowOfTexels`].
     fn blend_texels(quads: &[u32], right: &[f32], below: &[f32], greys: &mut [f32]); ["avx2"] => blend_texels_plain, else blend_texels_plain
 }
 
@@ -107,7 +113,7 @@ fn blend_texels_plain(quads: &[u32], right: &[f32], below: &[f32], greys: &mut [
     }
 }
 
-/// The plain twin, place by place.
+/// The scalar version, one place at a time.
 #[cfg(test)]
 pub fn bilinear(picture: &image::GrayImage, x: f32, y: f32) -> f32 {
     let (image, width, height) = (picture.as_raw(), picture.width() as usize, picture.height() as usize);

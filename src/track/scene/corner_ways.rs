@@ -1,4 +1,4 @@
-//! How the picture of a photographed surface moves where its corners are typed a little wrong.
+//! How the picture of a photographed surface moves if its configured corners are slightly wrong.
 
 use nalgebra::{Matrix3, Vector2};
 
@@ -6,12 +6,14 @@ use super::surface::SurfaceSpec;
 use crate::camera::Pixel;
 use crate::geometry::{Homography, PointPair};
 
-/// How one sigma of each corner moves the points of a surface's picture.
+/// How one sigma of each corner coordinate moves the points of a surface's picture.
 #[derive(Debug, Clone)]
 pub struct CornerWays([Homography; 8]);
 
 impl CornerWays {
-    /// Of a surface whose corners are in doubt: the picture is mapped by four corners, one number of which is off.
+    /// Computes them for a surface with uncertain corners: in each way, one coordinate of one
+    /// corner is off by a sigma. `None` if the corners are certain or the photograph's lens does
+    /// not map them.
     pub fn of(spec: &SurfaceSpec) -> Option<Self> {
         let outer = [(-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)].map(|(x, y)| Vector2::new(x * spec.size_m[0], y * spec.size_m[1]));
         let sigma_px = spec.doubt.corner_px;
@@ -29,7 +31,7 @@ impl CornerWays {
         Some(Self(ways))
     }
 
-    /// How each moves a point of the picture, metres.
+    /// Returns how each way moves a point of the picture, metres.
     pub fn shifts(&self, at: Vector2<f64>) -> [Vector2<f64>; 8] {
         std::array::from_fn(|k| self.0[k].map(at).map_or(Vector2::zeros(), |moved| moved - at))
     }

@@ -1,13 +1,14 @@
-//! What is tracked: surfaces, their shapes and their reference pictures. Immutable after load.
+//! What is tracked: surfaces, their shapes and their reference pictures, prepared once at load and
+//! immutable afterwards.
 //!
 //! - `surface`, `shape`, `corner_ways`: a surface as configured, flat or bent, and how its corners
 //!   may be off
 //! - `rectangle`: where a surface lies in its body, and where the camera sees it
 //! - `repetition`: the periods of a picture that repeats itself
 //! - `reference`: the picture prepared for search: octaves and anchors
-//! - `averaged_picture`, `bilinear`: how the picture is read
+//! - `averaged_picture`, `bilinear`: how the picture is sampled
 //!
-//! Uses the core's geometry and camera only.
+//! Uses only the core's geometry and camera.
 
 pub mod averaged_picture;
 pub mod bilinear;

@@ -1,4 +1,5 @@
-//! A surface's rectangle, and how a camera sees it: shared by what selects pixels for alignment and what registers anchors.
+//! The rectangle of a surface, and how a camera sees it. Used both to select pixels for alignment
+//! and to register anchors.
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
@@ -10,9 +11,9 @@ use crate::geometry::{Body, Camera, Pose};
 /// A rectangle in the frame of its body.
 #[derive(Debug, Clone)]
 pub struct Rectangle {
-    /// Of `T_body_surface`.
+    /// Rotation of `T_body_surface`.
     pub rotation: Matrix3<f64>,
-    /// See `rotation`.
+    /// Translation of `T_body_surface`, metres.
     pub centre: Vector3<f64>,
     /// Width and height, metres.
     pub size_m: [f64; 2],
@@ -32,19 +33,19 @@ pub struct SeenPoint {
 }
 
 impl SeenPoint {
-    /// The same in a copy of the frame whose pixels are `scale` times as wide.
+    /// Converts it to a copy of the frame whose pixels are `scale` times as wide.
     pub fn in_smaller(self, scale: f64) -> Self {
         let half = Vector2::new(0.5, 0.5);
         Self { pixel: (self.pixel + half) / scale - half, by_metres: self.by_metres / scale }
     }
 }
 
-/// Points across and down a rectangle by which its size in the frame is found. Chosen, not tuned: the median of those in view. Raised, it
-/// costs more; lowered, a surface of which a corner is seen shows no point.
+/// Points across and down a rectangle at which its size in the frame is measured. Raised, it costs
+/// more; lowered, a surface of which only a corner is visible shows no point.
 const GRID: u32 = 5;
 
 impl Rectangle {
-    /// Of a surface.
+    /// Creates the rectangle of a surface.
     pub fn of(spec: &SurfaceSpec) -> Self {
         Self {
             rotation: spec.pose.rotation_matrix(),
@@ -55,18 +56,19 @@ impl Rectangle {
         }
     }
 
-    /// Pixels of the picture to a metre, across and down.
+    /// Returns the pixels of the picture per metre, across and down.
     pub fn texels_per_m(&self) -> [f64; 2] {
         [self.size_px[0] / self.size_m[0], self.size_px[1] / self.size_m[1]]
     }
 
-    /// Where a camera sees the point (`x`, `y`), metres from the centre; `None` behind it, beyond the lens model, or where the surface is tilted
-    /// further than `least_cosine`.
+    /// Returns where a camera sees the point (`x`, `y`), metres from the centre. `None` if it is
+    /// behind the camera, beyond the lens model, or the surface is tilted further than
+    /// `least_cosine`.
     pub fn see(&self, t_body_camera: &Pose<Body, Camera>, camera: &CameraModel, point: [f64; 2], least_cosine: f64) -> Option<SeenPoint> {
         self.see_place(t_body_camera, camera, &self.shape.at(point), least_cosine)
     }
 
-    /// The same of a point whose place is known.
+    /// The same for a point whose place on the surface's shape is known.
     pub fn see_place(
         &self,
         t_body_camera: &Pose<Body, Camera>,
@@ -93,7 +95,8 @@ impl Rectangle {
         Some(SeenPoint { pixel: pixel.0, by_metres: by_ray * Matrix2::from_columns(&[by_metre(by_x), by_metre(by_y)]) })
     }
 
-    /// log2 of how many pixels of the picture lie along a pixel of a frame of this size: the median over what is seen; `None` where nothing is.
+    /// Returns log2 of the number of picture pixels along a pixel of a frame of this size: the
+    /// median over the visible points. `None` if none is visible.
     pub fn texels_log2(&self, frame: [f64; 2], see: impl Fn([f64; 2]) -> Option<SeenPoint>) -> Option<f64> {
         let [across, down] = self.texels_per_m();
         let mut logs = [0.0; (GRID * GRID) as usize];
@@ -110,7 +113,8 @@ impl Rectangle {
         logs[..n].get(n / 2).copied()
     }
 
-    /// Whether the rectangle stands between a camera and any of these points, all in body coordinates.
+    /// Whether the rectangle lies between a camera and any of these points, all in body
+    /// coordinates. The shape is taken as flat.
     pub fn hides_any(&self, points: &[Vector3<f64>], from: &Vector3<f64>) -> bool {
         let [across, up, normal] = [0, 1, 2].map(|k| self.rotation.column(k));
         let plane = normal.dot(&self.centre);

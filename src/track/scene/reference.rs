@@ -1,6 +1,6 @@
-//! The reference pictures, prepared once at start: averaged copies of the artwork at every octave, and
-//! anchors on each - places with detail in two directions, spread over the picture - at which frames are
-//! registered to a fraction of a pixel.
+//! Prepares the reference pictures once at start: averaged copies of the artwork at every octave,
+//! and anchors on each. Anchors are places with detail in two directions, spread over the picture,
+//! at which frames are registered to a fraction of a pixel.
 
 use image::GrayImage;
 use nalgebra::Vector2;
@@ -12,10 +12,10 @@ use super::surface::{BodySpec, SurfaceSpec};
 use crate::features::halved;
 use crate::features::{CornerBuffers, CornerOptions, detect_corners};
 
-/// A place on the artwork to register at.
+/// A place on the artwork at which frames are registered.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Anchor {
-    /// Artwork pixels (of the full picture).
+    /// Pixels of the full-size artwork.
     pub position: Vector2<f64>,
 }
 
@@ -24,14 +24,15 @@ pub struct Anchor {
 pub struct Octave {
     /// The picture averaged over 2^k x 2^k pixels.
     pub image: GrayImage,
-    /// Anchors whose detail is of this octave's size, strongest and best spread first; none before they are found, or taken from what was kept.
+    /// Anchors whose detail has this octave's size, strongest and best spread first; empty until
+    /// they are found or taken from a cache.
     pub anchors: Vec<Anchor>,
 }
 
 /// A surface with its octaves, full size first.
 #[derive(Debug, Clone)]
 pub struct PreparedSurface {
-    /// What was configured.
+    /// The configured surface.
     pub spec: SurfaceSpec,
     /// Where it is in the body.
     pub rectangle: Rectangle,
@@ -39,7 +40,7 @@ pub struct PreparedSurface {
     pub octaves: Vec<Octave>,
     /// Shifts by which its picture repeats itself, artwork pixels; see [`periods`].
     pub periods: Vec<Vector2<f64>>,
-    /// How its picture moves where its corners are off, if they are in doubt.
+    /// How its picture moves if its corners are off; `None` if they are certain.
     pub corner_ways: Option<CornerWays>,
 }
 
@@ -52,19 +53,20 @@ pub struct PreparedBody {
     pub surfaces: Vec<PreparedSurface>,
 }
 
-/// Anchors kept per octave: more than verification asks (`FINE_ANCHORS`), as a frame may show a part of the surface. Chosen, not tuned.
-/// Raised, the start takes longer; lowered, close views have few.
+/// Maximum number of anchors per octave. Raised, the start takes longer; lowered, close views have
+/// few.
 pub const ANCHORS: usize = 500;
-/// Octaves end when a side falls below this many pixels: a patch with its border takes 15 of them. Raised, surfaces seen small have no
+/// Side of an octave below which there are no more, pixels. Raised, surfaces seen small have no
 /// octave of their size; lowered, nothing is gained.
 const MIN_SIDE: u32 = 24;
-/// Octaves at most: pictures of a hundred thousand pixels have as many. Raised, nothing is gained.
+/// Maximum number of octaves. Raised, nothing is gained.
 const MAX_OCTAVES: usize = 13;
-/// Pixels at an octave's border that have no anchors: a patch around one would lie half outside.
+/// Border of an octave without anchors, pixels: a patch around one would lie half outside. Raised,
+/// small pictures lose anchors.
 pub const ANCHOR_BORDER: u32 = 5;
 
 impl PreparedBody {
-    /// Prepares every surface of a body, but for the anchors.
+    /// Prepares every surface of a body, without the anchors.
     pub fn new(spec: &BodySpec) -> Self {
         let prepared = |s: &SurfaceSpec| {
             let octaves = octaves(&s.artwork);
@@ -79,7 +81,7 @@ impl PreparedBody {
         Self { name: spec.name.clone(), surfaces: spec.surfaces.iter().map(prepared).collect() }
     }
 
-    /// The same with the anchors of its pictures.
+    /// Adds the anchors of its pictures.
     pub fn with_anchors(mut self) -> Self {
         for surface in &mut self.surfaces {
             surface.take_anchors(surface.find_anchors());
@@ -89,13 +91,13 @@ impl PreparedBody {
 }
 
 impl PreparedSurface {
-    /// The anchors of its picture, octave by octave.
+    /// Finds the anchors of its picture, octave by octave.
     pub fn find_anchors(&self) -> Vec<Vec<Anchor>> {
         let mut buffers = CornerBuffers::default();
         (0..).zip(&self.octaves).map(|(k, octave)| anchors_of(&octave.image, k, &mut buffers)).collect()
     }
 
-    /// Has these from now on.
+    /// Sets the anchors, octave by octave.
     pub fn take_anchors(&mut self, anchors: Vec<Vec<Anchor>>) {
         self.octaves.iter_mut().zip(anchors).for_each(|(octave, own)| octave.anchors = own);
     }
@@ -106,7 +108,7 @@ fn octaves(artwork: &GrayImage) -> Vec<Octave> {
     images.take(octave_count(artwork.dimensions())).map(|image| Octave { image, anchors: Vec::new() }).collect()
 }
 
-/// Octaves of a picture of this size, one at least.
+/// Returns the number of octaves of a picture of this size, at least one.
 pub fn octave_count((width, height): (u32, u32)) -> usize {
     (1..MAX_OCTAVES).find(|k| width.min(height) >> k < MIN_SIDE).unwrap_or(MAX_OCTAVES)
 }
@@ -125,13 +127,13 @@ fn anchors_of(image: &GrayImage, octave: usize, buffers: &mut CornerBuffers) -> 
 }
 
 impl Anchor {
-    /// At a pixel of an octave.
+    /// Creates the anchor at a pixel of an octave.
     pub fn at(pixel: [u32; 2], octave: usize) -> Self {
         let scale = f64::from(1u32 << octave);
         Self { position: Vector2::from(pixel.map(|v| (f64::from(v) + 0.5) * scale - 0.5)) }
     }
 
-    /// Which pixel of that octave it is.
+    /// Returns its pixel in that octave.
     pub fn pixel(&self, octave: usize) -> [u32; 2] {
         let scale = f64::from(1u32 << octave);
         [self.position.x, self.position.y].map(|v| ((v + 0.5) / scale) as u32)

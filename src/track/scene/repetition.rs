@@ -1,33 +1,37 @@
-//! Pictures that repeat themselves: windows, tiles, stripes.
+//! Finds the periods of pictures that repeat themselves: windows, tiles, stripes.
 //!
-//! Seen a period aside, such a picture looks nearly the same. What tells is its grain, one mark, or its border; from a start half a period off alignment finds the
-//! wrong pose as readily as the right one, and most of its tiles agree. So the periods are found when the picture is loaded, by its correlation with itself, and a pose that may
-//! be a period off is compared with those beside it. Other pictures have no period, and nothing is compared.
+//! One period aside, such a picture looks nearly the same; only its grain, a single mark or its
+//! border differs. From a start half a period off, alignment finds the wrong pose as readily as the
+//! right one, and most of its tiles agree. The periods are therefore found by autocorrelation when
+//! the picture is loaded, and a pose that may be off by a period is compared with its neighbours.
+//! Other pictures have no period, and nothing is compared.
 
 use image::GrayImage;
 use nalgebra::Vector2;
 
-/// Most pixels of the copy that is compared with itself. Chosen: pictures with up to 20 periods each way show them. Raised, the start takes longer, by the square; lowered, narrow
-/// stripes pass.
+/// Maximum number of pixels of the autocorrelated copy. Raised, the start takes longer (squared);
+/// lowered, narrow stripes are missed.
 const MAX_PIXELS: u32 = 12_000;
-/// Half width of the window whose mean is taken off each pixel, as a share of the picture's side. Chosen, not tuned: what is left has detail of all sizes that a period may
-/// have. Raised, bright and dark halves of any picture count as detail; lowered, wide periods vanish.
+/// The local mean is taken over a half width of the picture's side divided by this. Lowered, bright
+/// and dark halves of any picture count as detail; raised, wide periods vanish.
 const MEAN_SHARE: usize = 8;
-/// Least correlation of a picture with itself, shifted, for the shift to be a period. Of 70 photographs and paintings none had above 0.63 at a maximum, of windows, tiles, stripes and
-/// chessboards, with marks and grain and a picture amidst, all above 0.9. Raised, periods that much stands in front of pass; lowered, poses on ordinary pictures take longer.
+/// Minimum autocorrelation of a period. Raised, periods with much in front of them are missed;
+/// lowered, poses on ordinary pictures take longer.
 const MIN_CORRELATION: f32 = 0.75;
-/// By so much the correlation must be less somewhere on the way to a period. Along a stripe it never is: there a picture is the same everywhere, and its border tells. Raised, short
-/// periods of soft pictures pass; lowered, ramps have periods.
+/// Minimum fall of the autocorrelation on the way to a period; along a stripe there is none.
+/// Raised, short periods of soft pictures are missed; lowered, ramps have periods.
 const MIN_DIP: f32 = 0.2;
-/// Shortest period, pixels of the copy. Below, neighbours correlate in any picture.
+/// Minimum period, pixels of the copy. Lowered, neighbours correlate in any picture.
 const MIN_PERIOD_PX: i64 = 3;
-/// Two periods at least so far apart in direction, as the sine of the angle, are independent: 10 degrees. Chosen. Lowered, a period and twice itself are two.
+/// Minimum sine of the angle between independent periods. Lowered, a period and its double count as
+/// two.
 const INDEPENDENT: f64 = 0.17;
-/// Periods kept of a picture: one each way. Raised, a comparison takes longer.
+/// Maximum number of periods of a picture: one each way. Raised, a comparison takes longer.
 const MOST: usize = 2;
 
-/// The shortest independent shifts by which a picture is nearly the same, artwork pixels; none for most pictures. `octaves`: the picture, and copies of
-/// which each is half as large as the one before.
+/// Returns the shortest independent shifts by which a picture is nearly the same, artwork pixels;
+/// none for most pictures. `octaves`: the picture, and copies that are each half the size of the
+/// one before.
 pub fn periods<'a>(octaves: impl Iterator<Item = &'a GrayImage>) -> Vec<Vector2<f64>> {
     let is_small = |image: &GrayImage| image.width() * image.height() <= MAX_PIXELS;
     let Some((k, octave)) = octaves.enumerate().find(|(_, image)| is_small(image)) else { return Vec::new() };
@@ -44,12 +48,12 @@ pub fn periods<'a>(octaves: impl Iterator<Item = &'a GrayImage>) -> Vec<Vector2<
     kept.iter().map(|shift| shift * f64::from(1_u32 << k)).collect()
 }
 
-/// A picture less its local mean, with the sums that correlations need.
+/// A picture minus its local mean, with the sums that correlations need.
 struct Detail {
     width: usize,
     height: usize,
     grey: Vec<f32>,
-    /// Sums over the rectangle above and left of each corner: of the grey, and of its square.
+    /// Per corner: sums over the rectangle above and left of it, of the grey and of its square.
     sums: Vec<[f64; 2]>,
 }
 
@@ -70,7 +74,8 @@ impl Detail {
         Self { width, height, grey, sums }
     }
 
-    /// Correlation of the picture with itself, `dx` pixels to the right and `dy` down, over what the two share.
+    /// Returns the correlation of the picture with itself, shifted `dx` pixels to the right and
+    /// `dy` down, over their common part.
     fn correlation(&self, dx: i64, dy: i64) -> f32 {
         let (shift_x, shift_y) = (dx.unsigned_abs() as usize, dy.unsigned_abs() as usize);
         let (columns, rows) = (self.width - shift_x, self.height - shift_y);
@@ -88,7 +93,7 @@ impl Detail {
             (sum, squares - sum * sum / n)
         };
         let ((sum_a, variance_a), (sum_b, variance_b)) = (moments(a), moments(b));
-        // A plain part correlates with nothing.
+        // A plain part (variance below one squared grey level) correlates with nothing.
         let least = n;
         if variance_a < least || variance_b < least {
             return 0.0;
@@ -96,7 +101,8 @@ impl Detail {
         ((both - sum_a * sum_b / n) / (variance_a * variance_b).sqrt()) as f32
     }
 
-    /// Shifts of up to half of the picture at which the correlation is a clear maximum, of each pair of opposite ones the one that points down, or right.
+    /// Returns the shifts of up to half of the picture at which the correlation has a clear
+    /// maximum. Of two opposite shifts, only the one that points down, or right, is returned.
     fn maxima(&self) -> Vec<Vector2<f64>> {
         let (most_x, most_y) = ((self.width / 2) as i64, (self.height / 2) as i64);
         let across = (2 * most_x + 1) as usize;
@@ -105,7 +111,7 @@ impl Detail {
         for dy in 0..=most_y {
             (-most_x..=most_x).for_each(|dx| all[place(dx, dy)] = self.correlation(dx, dy));
         }
-        // A shift and its opposite are one.
+        // A shift and its opposite are equivalent.
         let at = |dx: i64, dy: i64| {
             let (dx, dy) = if dy < 0 { (-dx, -dy) } else { (dx, dy) };
             if dx.abs() <= most_x && dy <= most_y { all[place(dx, dy)] } else { 0.0 }
@@ -134,13 +140,14 @@ impl Detail {
     }
 }
 
-/// Where the parabola through three neighbours has its top, from the middle one.
+/// Returns the maximum of the parabola through three neighbours, relative to the middle one.
 fn peak_of(before: f32, here: f32, after: f32) -> f32 {
     let bend = before - 2.0 * here + after;
     if bend < 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 }
 }
 
-/// Sums of greys and of their squares over the rectangles from the first pixel to each corner.
+/// Returns the sums of greys and of their squares over the rectangles from the first pixel to each
+/// corner.
 fn corner_sums(width: usize, grey: &[f32]) -> Vec<[f64; 2]> {
     let height = grey.len() / width.max(1);
     let mut sums = vec![[0.0; 2]; (width + 1) * (height + 1)];
@@ -156,7 +163,7 @@ fn corner_sums(width: usize, grey: &[f32]) -> Vec<[f64; 2]> {
     sums
 }
 
-/// Of a rectangle: first column and row, and the ends, exclusive.
+/// Returns the sums over a rectangle: its first column and row, and its ends, exclusive.
 fn within(sums: &[[f64; 2]], width: usize, [left, top]: [usize; 2], [right, bottom]: [usize; 2]) -> [f64; 2] {
     let at = |x: usize, y: usize| sums[y * (width + 1) + x];
     [0, 1].map(|k| at(right, bottom)[k] - at(left, bottom)[k] - at(right, top)[k] + at(left, top)[k])

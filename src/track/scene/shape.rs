@@ -1,8 +1,10 @@
 //! The shape of a surface: how far it stands out of its plane, and how it is stretched within it.
 //!
-//! A painted cloth hangs in folds, a print is longer than its file says. A [`SurfaceShape`] says where each point of the picture really is, in
-//! the frame of its surface. Flat is the special case, and costs nothing. Other kinds of shape can stand beside these two: whoever needs a
-//! shape asks it where a point is ([`SurfaceShape::at`]) and where a ray meets it ([`SurfaceShape::meet`]).
+//! A painted cloth hangs in folds, a print is longer than its file says. A [`SurfaceShape`] says
+//! where each point of the picture really is, in the frame of its surface. Flat is the special
+//! case, and costs nothing. Other kinds of shape can be added: code that needs a shape only asks
+//! where a point is ([`SurfaceShape::at`]) and where a ray meets the surface
+//! ([`SurfaceShape::meet`]).
 
 use std::sync::Arc;
 
@@ -10,8 +12,8 @@ use nalgebra::{Matrix2, Vector2, Vector3};
 
 use crate::geometry::bspline::BicubicSpline;
 
-/// Steps by which a ray's meeting point is found: the first takes it from the plane to the height below, each later one squares what is left. Raised,
-/// nothing is gained; lowered to 1, steep views of deep folds are off by a part of a millimetre.
+/// Newton steps for the meeting point of a ray. Raised, nothing is gained; at 1, steep views of
+/// deep folds are off by a fraction of a millimetre.
 const MEETING_STEPS: usize = 3;
 
 /// Where the points of a picture are, in the frame of its surface.
@@ -32,7 +34,7 @@ pub struct BentShape {
     pub height: BicubicSpline<1>,
     /// Metres along the picture's x and y.
     pub stretch: BicubicSpline<2>,
-    /// Ways in which the shape may be off, each one sigma: shapes to be added.
+    /// Ways in which the shape may be off, one sigma each: shapes to be added.
     pub ways: Vec<ShapeWay>,
 }
 
@@ -45,17 +47,17 @@ pub struct ShapeWay {
     pub stretch: BicubicSpline<2>,
 }
 
-/// A point of a surface and the plane that touches it there.
+/// A point of a surface and its tangent plane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ShapePoint {
-    /// Where it is, metres in the surface's frame.
+    /// Position in the surface's frame, metres.
     pub place: Vector3<f64>,
-    /// How that changes by a metre along the picture's x and y.
+    /// Its derivatives by a metre along the picture's x and y.
     pub by_picture: [Vector3<f64>; 2],
 }
 
 impl ShapePoint {
-    /// The surface's normal there, out of its face; not of unit length.
+    /// Returns the surface's normal there, out of its face; not of unit length.
     pub fn normal(&self) -> Vector3<f64> {
         self.by_picture[0].cross(&self.by_picture[1])
     }
@@ -80,7 +82,7 @@ impl SurfaceShape {
         matches!(self, Self::Flat)
     }
 
-    /// Where the picture's point (x, y), metres from the centre, is.
+    /// Returns where the picture's point (x, y), metres from the centre, is.
     pub fn at(&self, point: [f64; 2]) -> ShapePoint {
         match self {
             Self::Flat => ShapePoint { place: Vector3::new(point[0], point[1], 0.0), by_picture: [Vector3::x(), Vector3::y()] },
@@ -88,7 +90,8 @@ impl SurfaceShape {
         }
     }
 
-    /// The picture's point that a ray meets, metres from the centre; both in the surface's frame. `None` where it runs along the surface.
+    /// Returns the picture's point that a ray meets, metres from the centre; the ray is in the
+    /// surface's frame. `None` if it runs along the surface.
     pub fn meet(&self, from: &Vector3<f64>, direction: &Vector3<f64>) -> Option<[f64; 2]> {
         let on_plane = (from - direction * (from.z / direction.z)).xy();
         let mut point = [on_plane.x, on_plane.y];
@@ -102,7 +105,8 @@ impl SurfaceShape {
 }
 
 impl ShapePoint {
-    /// Where a ray meets the plane that touches the surface at the picture's point `point`, as a point of the picture.
+    /// Intersects a ray with the tangent plane at the picture's point `point`; returns the
+    /// intersection as a point of the picture.
     fn meet(&self, point: [f64; 2], from: &Vector3<f64>, direction: &Vector3<f64>) -> Option<[f64; 2]> {
         let normal = self.normal();
         let hit = from + direction * (normal.dot(&(self.place - from)) / normal.dot(direction));

@@ -1,9 +1,9 @@
 //! Surfaces and bodies: the textured rectangles that the camera is compared with.
 //!
-//! A [`SurfaceSpec`] is one flat picture of known size, placed in the frame of its body. A body (the
-//! stage, or a tracked object) is a rigid set of them. A photograph becomes artwork once, at load: the
-//! part between its four corners is undistorted and laid flat, so that everything behind this file sees
-//! one kind of picture.
+//! A [`SurfaceSpec`] is one picture of known size, placed in the frame of its body. A body (the
+//! stage, or a tracked object) is a rigid set of them. A photograph becomes artwork once, at load:
+//! the part between its four corners is undistorted and rectified, so that all code after this file
+//! sees one kind of picture.
 
 use image::GrayImage;
 use nalgebra::{Matrix3, Point3, Vector2};
@@ -19,23 +19,24 @@ use crate::geometry::{Body, Homography, PointPair, Pose, ReferenceCamera, Surfac
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct SurfaceSpec {
-    /// What to call it in messages (the picture's file name).
+    /// Its name in messages (the picture's file name).
     pub name: String,
     /// The flat artwork as grey levels; for a photograph, its rectified part.
     pub artwork: GrayImage,
-    /// Width and height in metres between the artwork's outer edges.
+    /// Width and height between the artwork's outer edges, metres.
     pub size_m: [f64; 2],
-    /// `T_body_surface`: where the surface stands in its body.
+    /// `T_body_surface`: the pose of the surface in its body.
     pub pose: Pose<Body, SurfaceFrame>,
-    /// Where the artwork came from; decides the reference camera and the pixels `homography` starts from.
+    /// Where the artwork came from; decides the reference camera and the pixels that `homography`
+    /// starts from.
     pub kind: ReferenceKind,
     /// How it hangs: where the points of its picture are.
     pub shape: SurfaceShape,
-    /// How far it may be from where all this puts it.
+    /// How far it may be from its configured place.
     pub doubt: SurfaceDoubt,
 }
 
-/// How far a surface may be from where the config has it, one sigma of each number.
+/// Uncertainty of a surface's configured place, one sigma of each number.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct SurfaceDoubt {
@@ -45,28 +46,29 @@ pub struct SurfaceDoubt {
     pub position_m: f64,
     /// Of its direction about each axis, radians.
     pub rotation_rad: f64,
-    /// The shorter side of the photographed surface, pixels of the photograph.
+    /// Shorter side of the photographed surface, pixels of the photograph.
     shorter_px: f64,
 }
 
 impl SurfaceDoubt {
-    /// Of a photographed surface whose shorter side is so long in the photograph.
+    /// Creates the uncertainty of a photographed surface. `shorter_px`: its shorter side in the
+    /// photograph.
     fn of_corners(corner_px: f64, shorter_px: f64) -> Self {
         Self { corner_px, shorter_px, ..Self::default() }
     }
 
-    /// How far a corner may be off, as a share of half the shorter side; 0 of flat artwork.
+    /// Returns the sigma of a corner as a fraction of half the shorter side; 0 for flat artwork.
     pub fn corners_share(&self) -> f64 {
         if self.shorter_px > 0.0 { 2.0 * self.corner_px / self.shorter_px } else { 0.0 }
     }
 
-    /// Whether nothing of it is in doubt.
+    /// Whether nothing is uncertain.
     pub(in crate::track) fn is_none(&self) -> bool {
         self.corners_share() == 0.0 && self.position_m == 0.0 && self.rotation_rad == 0.0
     }
 }
 
-/// Whether a surface was given as flat artwork or as a photograph.
+/// Whether a surface was configured as flat artwork or as a photograph.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub enum ReferenceKind {
@@ -74,11 +76,13 @@ pub enum ReferenceKind {
     Artwork,
     /// A photograph of the surface.
     Photograph {
-        /// Maps artwork pixels (of [`SurfaceSpec::artwork`]) to undistorted pixels of the photograph.
+        /// Maps artwork pixels (of [`SurfaceSpec::artwork`]) to undistorted pixels of the
+        /// photograph.
         h_photo_artwork: Matrix3<f64>,
         /// The camera that took it.
         camera: Box<CameraModel>,
-        /// `T_reference_surface`: the surface as that camera saw it, from its four corners.
+        /// `T_reference_surface`: the pose of the surface as that camera saw it, from its four
+        /// corners.
         pose: Pose<ReferenceCamera, SurfaceFrame>,
     },
 }
@@ -94,7 +98,7 @@ pub struct BodySpec {
 }
 
 impl BodySpec {
-    /// A body of this name.
+    /// Creates a body with this name.
     pub fn new(name: impl Into<String>, surfaces: Vec<SurfaceSpec>) -> Self {
         Self { name: name.into(), surfaces }
     }
@@ -114,10 +118,10 @@ pub enum SurfaceError {
         width: u32,
         /// Pixels down.
         height: u32,
-        /// The least side.
+        /// The minimum side.
         least: u32,
     },
-    /// The picture has nothing to hold on to.
+    /// The picture has too little texture.
     #[error(
         "the picture has too little texture: {found} distinct corners were found, at least {least} are needed; use a picture with more detail"
     )]
@@ -127,18 +131,20 @@ pub enum SurfaceError {
         /// Corners needed.
         least: usize,
     },
-    /// The four corners do not make a convex quadrilateral, clockwise from the top left.
+    /// The four corners do not form a convex quadrilateral, clockwise from the top left. Contains
+    /// the corners in the right order if one exists.
     #[error(
         "corners_px is not a convex quadrilateral; give top left, top right, bottom right, bottom left, clockwise in the photograph, in pixels{}",
         .0.map_or(String::new(), |c| format!("; these run anticlockwise or cross: write corners_px = {c:?}"))
     )]
     Corners(Option<[[f64; 2]; 4]>),
-    /// A corner lies where the photograph's calibration cannot be inverted, or outside of the photograph.
+    /// A corner lies where the photograph's calibration cannot be inverted, or outside of the
+    /// photograph.
     #[error(
         "corner {number} at [{u}, {v}] lies outside of the photograph or of its calibration's valid field; corner 1 is the top left one"
     )]
     CornerOutside {
-        /// As the user counts: from 1, the top left one.
+        /// Number of the corner as users count: from 1, the top left one.
         number: usize,
         /// Pixel column.
         u: f64,
@@ -147,29 +153,32 @@ pub enum SurfaceError {
     },
 }
 
-/// Least side of a picture, pixels: as little as features can find (`failure`). Raised, small props are refused; lowered, pictures are
-/// taken that are never found.
+/// Minimum side of a picture, pixels. Raised, small props are refused; lowered, pictures are
+/// accepted that are never found.
 const MIN_SIDE_PX: u32 = 64;
-/// Fewest corners of a picture that can be found again, over all octaves. Chosen, not tuned: verification wants 16 anchors that fit.
-/// Raised, plain artwork is refused that may do; lowered, it is taken and not found.
+/// Minimum number of recognisable corners over all octaves. Raised, plain artwork is refused that
+/// may do; lowered, it is accepted and not found.
 const MIN_CORNERS: usize = 40;
-/// Least strength of such a corner (smaller eigenvalue of the structure tensor), (grey/px)². Chosen, not tuned. Raised, faint artwork
-/// counts as plain; lowered, the grain of a photograph counts as corners.
+/// Minimum strength of such a corner (smaller eigenvalue of the structure tensor), (grey/px)².
+/// Raised, faint artwork counts as plain; lowered, the grain of a photograph counts as corners.
 const MIN_STRENGTH: f32 = 12.0;
-/// Longest side that a photograph is laid flat to, pixels: as long as a 4K camera's frame. Raised, large photographs take more memory and a
+/// Maximum side of a rectified photograph, pixels. Raised, large photographs take more memory and a
 /// longer start; lowered, they lose detail.
 const MAX_FLAT_SIDE_PX: f64 = 4096.0;
-/// How far a corner that was read off a photograph is off along each axis, one sigma, pixels. Raised, poses by photographs are less sure; lowered, corners as people read them pass for another lens.
+/// Sigma of a corner read off a photograph, pixels along each axis. Raised, poses from photographs
+/// are less certain; lowered, corners as people read them pass for another lens.
 const CORNER_SIGMA_PX: f64 = 1.0;
 
 impl SurfaceSpec {
-    /// A surface from its flat artwork.
+    /// Creates a surface from its flat artwork. Errors: a bad size, too few pixels, or too little
+    /// texture.
     pub fn from_artwork(name: String, picture: GrayImage, size_m: [f64; 2], pose: Pose<Body, SurfaceFrame>) -> Result<Self, SurfaceError> {
         let spec = Self::from_any_artwork(name, picture, size_m, pose)?;
         spec.check_texture().map(|()| spec)
     }
 
-    /// As [`from_artwork`](Self::from_artwork), of a picture that may be plain: see [`check_texture`](Self::check_texture).
+    /// As [`from_artwork`](Self::from_artwork), but accepts a plain picture: see
+    /// [`check_texture`](Self::check_texture).
     pub fn from_any_artwork(
         name: String,
         picture: GrayImage,
@@ -189,8 +198,9 @@ impl SurfaceSpec {
         })
     }
 
-    /// A surface from a photograph of it: `corners` are the raw pixels of its four corners, clockwise from the top left, which
-    /// become +- size / 2.
+    /// Creates a surface from a photograph of it. `corners`: raw pixels of its four corners,
+    /// clockwise from the top left, which become +- size / 2; `camera`: the camera that took it.
+    /// Errors: as [`from_artwork`](Self::from_artwork), or bad corners.
     pub fn from_photograph(
         name: String,
         photo: &GrayImage,
@@ -203,7 +213,8 @@ impl SurfaceSpec {
         spec.check_texture().map(|()| spec)
     }
 
-    /// As [`from_photograph`](Self::from_photograph), of a surface that may be plain: see [`check_texture`](Self::check_texture).
+    /// As [`from_photograph`](Self::from_photograph), but accepts a plain surface: see
+    /// [`check_texture`](Self::check_texture).
     pub fn from_any_photograph(
         name: String,
         photo: &GrayImage,
@@ -245,7 +256,7 @@ impl SurfaceSpec {
         if found < MIN_CORNERS { Err(SurfaceError::Textureless { found, least: MIN_CORNERS }) } else { Ok(()) }
     }
 
-    /// That there is a picture, and a size to place it with.
+    /// Checks that there is a picture, and a size to place it with.
     pub(crate) fn check(&self) -> Result<(), SurfaceError> {
         let (width, height) = self.artwork.dimensions();
         if width == 0 || height == 0 {
@@ -254,21 +265,22 @@ impl SurfaceSpec {
         check_size(self.size_m)
     }
 
-    /// The same surface left out: nothing is on its picture, so that it is never looked for. It keeps its place among the others, and what is
-    /// told relative to the first surface stays so.
+    /// Returns the surface with an empty picture, so that it is never searched for. It keeps its
+    /// index, and the first surface remains the reference of the others.
     pub fn left_out(mut self) -> Self {
         self.artwork.fill(128);
         self
     }
 
-    /// Artwork pixels (centres at integers) to metres on the surface: x right, y up, origin at the centre.
+    /// Converts artwork pixels (centres at integers) to metres on the surface: x right, y up,
+    /// origin at the centre.
     pub fn to_metres(&self, p: Vector2<f64>) -> Vector2<f64> {
         let (w, h) = (f64::from(self.artwork.width()), f64::from(self.artwork.height()));
         Vector2::new(((p.x + 0.5) / w - 0.5) * self.size_m[0], (0.5 - (p.y + 0.5) / h) * self.size_m[1])
     }
 
-    /// A raw pixel of the file that the surface was given as (of the photograph, where it was one) as a pixel of the artwork; none where the photograph's
-    /// lens or corners do not map it.
+    /// Converts a raw pixel of the configured file (artwork or photograph) to a pixel of the
+    /// artwork; `None` if the photograph's lens or corners do not map it.
     pub fn artwork_pixel(&self, raw: Pixel) -> Option<Vector2<f64>> {
         let ReferenceKind::Photograph { h_photo_artwork, camera, .. } = &self.kind else { return Some(raw.0) };
         let seen = camera.undistorted_pixel(camera.unproject(raw)?);
@@ -276,19 +288,20 @@ impl SurfaceSpec {
         (flat.z.abs() > f64::EPSILON).then(|| flat.xy() / flat.z)
     }
 
-    /// The other way round: an artwork pixel as a raw pixel of the file.
+    /// Converts an artwork pixel to a raw pixel of the configured file; `None` if the corners do
+    /// not map it.
     pub fn raw_pixel(&self, p: Vector2<f64>) -> Option<Vector2<f64>> {
         let ReferenceKind::Photograph { h_photo_artwork, camera, .. } = &self.kind else { return Some(p) };
         Some(camera.project(camera.from_undistorted_pixel(Homography(*h_photo_artwork).map(p)?)).0)
     }
 
-    /// Metres on the surface to artwork pixels.
+    /// Converts metres on the surface to artwork pixels.
     pub fn to_artwork(&self, p: Vector2<f64>) -> Vector2<f64> {
         let (w, h) = (f64::from(self.artwork.width()), f64::from(self.artwork.height()));
         Vector2::new((p.x / self.size_m[0] + 0.5) * w - 0.5, (0.5 - p.y / self.size_m[1]) * h - 0.5)
     }
 
-    /// An artwork pixel as a point of the body, metres.
+    /// Returns the body point of an artwork pixel, metres.
     pub fn body_point(&self, p: Vector2<f64>) -> Point3<f64> {
         let m = self.to_metres(p);
         self.pose.transform(&Point3::from(self.shape.at([m.x, m.y]).place))
@@ -306,7 +319,8 @@ fn check_sides(picture: &GrayImage) -> Result<(), SurfaceError> {
     if is_small { Err(SurfaceError::TooSmall { width, height, least: MIN_SIDE_PX }) } else { Ok(()) }
 }
 
-/// Corners of a picture that a camera could find again. Detail may be of any size: every octave is looked at.
+/// Returns the number of corners of a picture that a camera could find again, in all octaves,
+/// because detail may have any size.
 fn corners_to_find(picture: &GrayImage) -> usize {
     let cell_px = (picture.width().max(picture.height()) / 8).max(8);
     let options = CornerOptions { count: 4 * MIN_CORNERS, threshold: 15, least_threshold: 8, border: 5, cell_px };
@@ -332,12 +346,12 @@ fn corner_rays(photo: &GrayImage, corners: &[Pixel; 4], camera: &CameraModel) ->
     Ok(rays)
 }
 
-/// Convex, and clockwise as seen (y down).
+/// Whether the corners are convex and in clockwise order as seen (y down).
 fn is_convex_clockwise(p: &[Vector2<f64>; 4]) -> bool {
     (0..4).all(|k| (p[(k + 1) % 4] - p[k]).perp(&(p[(k + 2) % 4] - p[(k + 1) % 4])) > 1.0)
 }
 
-/// The same corners clockwise from the top left one, where that order goes round a convex quadrilateral.
+/// Returns the corners clockwise from the top left one, if that order makes a convex quadrilateral.
 fn clockwise(corners: &[Pixel; 4]) -> Option<[[f64; 2]; 4]> {
     let mut around = corners.map(|c| c.0);
     let centre = around.iter().sum::<Vector2<f64>>() / 4.0;
@@ -356,7 +370,7 @@ fn rectified(photo: &GrayImage, h_photo_artwork: &Homography, camera: &CameraMod
     })
 }
 
-/// Catmull-Rom interpolation of a picture, the border repeated.
+/// Catmull-Rom interpolation of a picture, with the border repeated.
 fn cubic(picture: &GrayImage, p: Vector2<f64>) -> u8 {
     let weights = |t: f64| {
         [((-0.5 * t + 1.0) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1.0, ((-1.5 * t + 2.0) * t + 0.5) * t, (0.5 * t - 0.5) * t * t]

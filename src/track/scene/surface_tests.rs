@@ -24,14 +24,14 @@ fn metres_span_the_outer_edges() {
     assert_eq!(spec.to_metres(Vector2::new(399.5, 299.5)), Vector2::new(2.0, -1.5));
     let p = Vector2::new(12.25, 77.5);
     assert!((spec.to_artwork(spec.to_metres(p)) - p).norm() < 1e-12);
-    // Upright at (0, 1, 2): the top left corner is up, left, and no nearer than the middle.
+    // Upright at (0, 1, 2): the top left corner is up and left, at the depth of the centre.
     assert!((spec.body_point(Vector2::new(-0.5, -0.5)) - Point3::new(-2.0, 1.0, 3.5)).norm() < 1e-12);
 }
 
 #[test]
 fn pictures_without_hold_are_refused() {
     assert!(matches!(artwork(GrayImage::from_pixel(400, 300, image::Luma([90]))), Err(SurfaceError::Textureless { found: 0, .. })));
-    // Two long edges are no corners either.
+    // Two long edges have no corners either.
     let stripes = GrayImage::from_fn(400, 300, |x, _| image::Luma([if (100..200).contains(&x) { 200 } else { 20 }]));
     assert!(matches!(artwork(stripes), Err(SurfaceError::Textureless { .. })));
     assert_eq!(artwork(texture(63, 300, 1)).unwrap_err(), SurfaceError::TooSmall { width: 63, height: 300, least: 64 });
@@ -58,7 +58,7 @@ fn bad_corners_are_refused() {
     ] {
         assert!(matches!(photo(corners).unwrap_err(), SurfaceError::Corners(_)), "{corners:?}");
     }
-    // Where an order goes round clockwise, it is said.
+    // If a clockwise order exists, the message names it.
     let upright = [[20.0, 20.0], [300.0, 30.0], [290.0, 220.0], [25.0, 210.0]];
     for order in [[0, 3, 2, 1], [1, 0, 3, 2], [0, 2, 1, 3]] {
         assert_eq!(photo(order.map(|k| upright[k])).unwrap_err(), SurfaceError::Corners(Some(upright)), "{order:?}");
@@ -84,7 +84,8 @@ fn a_photographed_checker_comes_out_straight() {
     let laid = SurfaceSpec::from_photograph("photo".into(), &seen, corners, camera, [4.0, 3.0], Pose::identity()).unwrap();
     let ReferenceKind::Photograph { pose: seen_from, .. } = &laid.kind else { panic!("it is a photograph") };
     assert!((seen_from.translation - pose.translation).norm() < 1e-6 && seen_from.rotation.angle_to(&pose.rotation) < 1e-6);
-    // Every square's middle is where the artwork has it; every edge is crossed half way between two middles.
+    // The middle of every square is where the artwork has it; every edge is crossed half way
+    // between two middles.
     for (i, k) in (0..15).flat_map(|i| (0..12).map(move |k| (i, k))) {
         let middle = laid.to_artwork(flat.to_metres(Vector2::new(f64::from(40 * i) + 19.5, f64::from(40 * k) + 19.5)));
         let next = laid.to_artwork(flat.to_metres(Vector2::new(f64::from(40 * i) + 59.5, f64::from(40 * k) + 19.5)));
@@ -93,7 +94,7 @@ fn a_photographed_checker_comes_out_straight() {
             .collect();
         let (first, last) = if (i + k) % 2 == 0 { (40.0, 210.0) } else { (210.0, 40.0) };
         assert!((levels[0] - first).abs() < 12.0 && (levels[levels.len() - 1] - last).abs() < 12.0, "{i} {k}: {levels:?}");
-        // The area under the step is the edge's place.
+        // The area under the step is the position of the edge.
         let before = levels.iter().map(|l| (l - last) / (first - last)).sum::<f64>();
         let edge = middle.x.round() - 0.5 + before;
         let expected = 0.5 * (middle.x + next.x);
