@@ -1,23 +1,23 @@
-//! A frame at a half to a sixteenth of its size, as exact sums of its grey levels: rounding would add a noise of
-//! its own to what averaging gains.
+//! A frame at a half to a sixteenth of its size, as exact sums of its grey levels: rounding would
+//! add noise to what averaging gains.
 
 use image::GrayImage;
 use nalgebra::Vector2;
 
 use crate::simd::multiversion;
 
-/// Sizes from full to a sixteenth; level 0 is the frame itself, which is not kept. Without the last one the basin was smaller than fast
-/// motion, and a clip of every third frame had wrong poses. Raised, the sums of a level no longer fit 16 bits.
+/// Number of sizes from full to a sixteenth; level 0 is the frame itself and is not stored. Raised,
+/// the sums no longer fit 16 bits; lowered, fast motion is lost.
 pub const LEVELS: usize = 5;
-/// The level that alignment ends at: four pixels of the frame make one, with half the noise. With equally many pixels, poses are 1.2 to
-/// 1.75 times better than at full size (Fisher information, in a prototype). Raised, detail is lost.
+/// The level at which alignment ends: four pixels of the frame make one, with half the noise.
+/// Raised, detail is lost.
 pub const FINEST: usize = 1;
 
 /// The frame at levels 1 and up.
 #[derive(Debug, Default)]
 pub struct FrameLevels {
     levels: [Level; LEVELS - 1],
-    /// How many of them are filled so far: coarse ones only when they are asked for.
+    /// Number of levels filled so far: coarse ones are computed on demand.
     filled: usize,
 }
 
@@ -30,12 +30,13 @@ pub struct Level {
 }
 
 impl Level {
-    /// The sums, row by row.
+    /// Returns the sums, row by row.
     pub fn sums(&self) -> &[u16] {
         &self.sums
     }
 
-    /// The gradient at the pixel in this column and row, across and down, by central differences, in sums per pixel; `None` on the border and beyond.
+    /// Returns the gradient at the pixel in this column and row, across and down, by central
+    /// differences, in sums per pixel; `None` on the border and beyond.
     #[inline]
     pub fn gradient(&self, [u, v]: [usize; 2]) -> Option<Vector2<f64>> {
         let is_inside = u > 0 && u + 1 < self.width && v > 0 && v + 1 < self.height;
@@ -55,7 +56,7 @@ impl FrameLevels {
         self.filled = 1;
     }
 
-    /// The frame at half its size, rounded to whole grey levels.
+    /// Writes the frame at half its size, rounded to whole grey levels.
     pub fn half_into(&self, out: &mut GrayImage) {
         let half = &self.levels[0];
         let mut raw = std::mem::take(out).into_raw();
@@ -65,7 +66,7 @@ impl FrameLevels {
         *out = GrayImage::from_raw(half.width as u32, half.height as u32, raw).unwrap_or_default();
     }
 
-    /// Level `l`, from 1.
+    /// Returns level `l`, from 1.
     pub fn level(&mut self, l: usize) -> &Level {
         while self.filled < l {
             let (before, after) = self.levels.split_at_mut(self.filled);
@@ -83,7 +84,7 @@ fn resize(level: &mut Level, width: usize, height: usize) {
     level.sums.resize(width * height, 0);
 }
 
-/// Sums of two by two bytes. `stride`: bytes per row.
+/// Sums two by two bytes. `stride`: bytes per row.
 fn halve_bytes(raw: &[u8], stride: usize, out: &mut Level) {
     let w = out.width;
     for (v, row) in out.sums.chunks_exact_mut(w.max(1)).enumerate() {
@@ -100,7 +101,7 @@ multiversion! {
 #[inline(always)]
 fn halve_rows_plain(top: &[u8], bottom: &[u8], out: &mut [u16]) {
     for ((o, t), b) in out.iter_mut().zip(top.chunks_exact(2)).zip(bottom.chunks_exact(2)) {
-        // Two bytes as one number: that is what the compiler makes wide steps of.
+        // Two bytes read as one number: the compiler vectorises this.
         let (t, b) = (u16::from_le_bytes([t[0], t[1]]), u16::from_le_bytes([b[0], b[1]]));
         *o = (t & 255) + (t >> 8) + (b & 255) + (b >> 8);
     }

@@ -1,4 +1,5 @@
-//! How a frame looks as a picture, whatever it shows: dark, white, plain or blurred. Asked only of frames without a pose.
+//! Judges how a frame looks as a picture, whatever it shows: dark, white, plain or blurred. Used
+//! only for frames without a pose, to say why.
 
 use image::GrayImage;
 
@@ -15,43 +16,45 @@ pub enum PictureFault {
     Blank,
 }
 
-/// Light, contrast and sharpness of a frame.
+/// Brightness, contrast and sharpness of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameLook {
-    /// Levels that 0.2, 50, 98 and 99.8 % of the pixels lie below. A lamp in a dark frame may take 2 % of it, and so may a picture in a plain one.
+    /// Grey levels below which 0.2, 50, 98 and 99.8 % of the pixels lie. A lamp may take 2 % of a
+    /// dark frame, and a picture 2 % of a plain one.
     darkest: u8,
     middle: u8,
     bright: u8,
     brightest: u8,
-    /// Mean square of the grey step between neighbours over that between pixels four apart, in the direction where it is less: near 1/16
-    /// where every edge is a slope, 1/4 where edges are steps, however few there are.
+    /// Mean square grey step between neighbours over that between pixels four apart, in the
+    /// direction where it is smaller: near 1/16 if every edge is a slope, 1/4 if edges are steps,
+    /// however few.
     sharpness: f32,
 }
 
 impl Default for FrameLook {
-    /// A frame with which nothing is wrong.
+    /// A frame without faults.
     fn default() -> Self {
         Self { darkest: 20, middle: 110, bright: 200, brightest: 220, sharpness: 0.25 }
     }
 }
 
-/// Stride, across and down, pixels: 14,000 of a half-size frame of 640 x 360. Raised, a look costs less, and thin detail is passed over.
+/// Sampling stride across and down, pixels of the half-size frame. Raised, a look costs less and
+/// misses thin detail.
 const STRIDE: usize = 4;
-/// Distance of the wider step, pixels of the half-size frame: with it a slope gives 1/16 and a step 1/4 (`FrameLook::sharpness`), and with
-/// another `BLURRED` would be another. Raised, more blur is needed to be called so.
+/// Distance of the wider step, pixels of the half-size frame. Raised, more blur is needed for a
+/// frame to count as blurred; `BLURRED` depends on it.
 const WIDE: usize = 4;
-/// Grey levels: a frame whose bright end is below `DARK` is dark, one whose middle is above `WHITE` is white, one with less than `PLAIN`
-/// between its ends is plain. Chosen, not tuned: a good picture at 0.3 of its light must pass, at 0.1 be dark. `DARK` and `PLAIN` raised,
-/// or `WHITE` lowered, more frames have that reason; nothing else depends on them.
+/// Grey levels: bright end of a dark frame, middle of a white one, range of a plain one. `DARK` or
+/// `PLAIN` raised, or `WHITE` lowered, more frames count as such.
 const DARK: u8 = 45;
 const WHITE: u8 = 240;
 const PLAIN: u8 = 20;
-/// A frame is blurred below this, see [`FrameLook::sharpness`]. Sharp pictures of stages and streets have 0.2 to 0.3; a Gaussian blur of 2
-/// pixels of the frame leaves 0.11, one of 4 pixels 0.08. Raised, soft lenses are called blurred.
+/// Sharpness below which a frame is blurred, see [`FrameLook::sharpness`]. Raised, soft lenses
+/// count as blurred.
 const BLURRED: f32 = 0.095;
 
 impl FrameLook {
-    /// Looks at the half-size copy of a frame.
+    /// Measures the half-size copy of a frame.
     pub fn at(half: &GrayImage) -> Self {
         let (width, height) = (half.width() as usize, half.height() as usize);
         if width <= WIDE || height <= WIDE {
@@ -86,7 +89,7 @@ impl FrameLook {
         Self { darkest: below(2), middle: below(500), bright: below(980), brightest: below(998), sharpness }
     }
 
-    /// What is wrong with the frame as a picture, worst first.
+    /// Returns what is wrong with the frame as a picture, worst first; `None` if nothing is.
     pub fn fault(&self) -> Option<PictureFault> {
         if self.bright < DARK {
             Some(PictureFault::TooDark)

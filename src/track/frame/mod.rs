@@ -1,11 +1,12 @@
-//! One frame and the camera's rays. Nothing here knows a body.
+//! One frame and the camera's rays: what is computed once per frame or per camera, whatever is
+//! tracked. Nothing here knows a body.
 //!
 //! - `frame_levels`: the frame at a half to a sixteenth of its size
 //! - `rays`: the ray of every pixel, computed once per level
 //! - `tile_grid`: the cells of the frame whose pixels vote together
 //! - `frame_look`: whether the frame is dark, white, plain or blurred
 //!
-//! Uses the core's camera only.
+//! Uses only the core's camera.
 
 pub mod frame_levels;
 pub mod frame_look;

@@ -1,5 +1,5 @@
-//! The ray of every pixel, computed once per level of the frame: the exact inverse of the lens, so that no picture
-//! is ever undistorted.
+//! The ray of every pixel, computed once per level of the frame by the exact inverse of the lens
+//! model, so that no picture is ever undistorted.
 
 use image::GrayImage;
 use nalgebra::Vector2;
@@ -7,11 +7,11 @@ use nalgebra::Vector2;
 use super::frame_levels::LEVELS;
 use crate::camera::{CameraModel, Pixel};
 
-/// Side of the squares of pixels that share the derivatives of their rays: these shape a pixel's footprint, and change slowly. Chosen, not
-/// tuned. Raised, footprints near the edge of a wide lens are off; lowered, the table grows by the square and leaves the cache.
+/// Side of the squares of pixels that share the derivatives of their rays. Raised, footprints near
+/// the edge of a wide lens are off; lowered, the table grows (squared) and leaves the cache.
 const SQUARE: usize = 8;
 
-/// The camera's part of alignment, shared by all bodies.
+/// The rays of a camera at all levels, shared by all bodies.
 #[derive(Debug)]
 pub struct CameraRays {
     camera: CameraModel,
@@ -20,24 +20,25 @@ pub struct CameraRays {
 }
 
 impl CameraRays {
-    /// Finds the rays of a camera's pixels. `mask`: pixels to leave out (0), of the frame's size.
+    /// Computes the rays of a camera's pixels. `mask`: pixels to leave out (0), of the frame's
+    /// size.
     pub fn new(camera: CameraModel, mask: Option<GrayImage>) -> Self {
         let tables = std::array::from_fn(|k| RayTable::new(&camera, k + 1, mask.as_ref()));
         Self { camera, tables }
     }
 
-    /// Rays of a level, from 1.
+    /// Returns the rays of a level, from 1.
     pub fn table(&self, level: usize) -> &RayTable {
         &self.tables[level - 1]
     }
 
-    /// The lens.
+    /// Returns the lens.
     pub fn camera(&self) -> &CameraModel {
         &self.camera
     }
 }
 
-/// Derivatives of a ray by pixels of the level.
+/// Derivatives of a ray by the level's pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RaySlope {
     /// Of x, across.
@@ -57,16 +58,17 @@ pub struct RayTable {
     pub width: usize,
     /// Pixels down.
     pub height: usize,
-    /// (x, y) at depth 1, row by row; not a number where the lens has no ray.
+    /// (x, y) at depth 1, row by row; NaN where the lens has no ray.
     pub rays: Vec<[f32; 2]>,
     slopes: Vec<RaySlope>,
     squares_across: usize,
-    /// One bit a pixel: set where it may not be asked.
+    /// One bit per pixel: set if it must not be used.
     pub closed: Vec<u64>,
 }
 
 impl RayTable {
-    /// The rays of level `l` of a camera's frames (see [`frame_pixel`]). `mask`: pixels of the frame to leave out (0).
+    /// Computes the rays of level `l` of a camera's frames (see [`frame_pixel`]). `mask`: pixels of
+    /// the frame to leave out (0).
     pub fn new(camera: &CameraModel, l: usize, mask: Option<&GrayImage>) -> Self {
         let (width, height) = (camera.width() as usize >> l, camera.height() as usize >> l);
         let ray = |u: f64, v: f64| camera.unproject(Pixel(frame_pixel(l, u, v))).map_or([f32::NAN; 2], |n| [n.0.x as f32, n.0.y as f32]);
@@ -97,7 +99,7 @@ impl RayTable {
         table
     }
 
-    /// The derivatives at a pixel.
+    /// Returns the derivatives at a pixel.
     pub fn slope(&self, u: usize, v: usize) -> RaySlope {
         self.slopes[v / SQUARE * self.squares_across + u / SQUARE]
     }
@@ -110,7 +112,7 @@ fn is_masked(mask: &GrayImage, level: usize, u: usize, v: usize) -> bool {
     (0..n * n).any(|k| mask.get_pixel_checked(x + k % n, y + k / n).is_none_or(|p| p[0] == 0))
 }
 
-/// A level's pixel centre in pixels of the frame.
+/// Converts a level's pixel position to pixels of the frame.
 pub fn frame_pixel(l: usize, u: f64, v: f64) -> Vector2<f64> {
     let n = f64::from(1u32 << l);
     Vector2::new(n * u + 0.5 * (n - 1.0), n * v + 0.5 * (n - 1.0))

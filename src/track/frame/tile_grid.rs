@@ -1,36 +1,35 @@
-//! The tiles that a level's pixels are grouped by, and the nodes of the light between them.
+//! Tiles, into which a level's pixels are grouped, and the nodes of the light grid between them.
+//! The pixels of a tile vote together on a pose.
 
-/// A pixel that was chosen.
+/// A pixel selected for alignment.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Chosen {
-    /// Surface index in the body.
+    /// Index of its surface in the body.
     pub surface: u16,
     /// Column and row of the level.
     pub place: [u16; 2],
 }
 
-/// Most tiles across and down the part of the frame that the body covers: with 10,000 pixels, 60 in each. Two by two tiles share a cell of
-/// the light grid; where their number is odd, the last cells are half as wide. Raised, tiles have too few pixels to be judged by, and the
-/// system grows; lowered, a tile is lost with what covers a part of it.
+/// Maximum tiles across and down the part of the frame that the body covers. Raised, tiles have too
+/// few pixels and the system grows; lowered, an occluder costs larger tiles.
 pub const MAX_TILES: [usize; 2] = [16, 10];
-/// Least side of a tile, pixels of the level. A tile votes on a pose by the correlation of its pixels, of which it needs a dozen: smaller
-/// ones have too few. Larger, and a picture seen small has too few tiles to be believed, however well all of them agree: with 8, one of 27 by
-/// 39 pixels of the level (a tenth of the frame's width) has four.
+/// Minimum side of a tile, pixels of the level. Raised, small pictures have too few tiles to be
+/// trusted; lowered, tiles have too few pixels for a correlation.
 const MIN_TILE_PX: usize = 6;
 
-/// The tiles that a body's pixels are grouped by: a grid over the part of the frame that they cover.
+/// The tiles of a body: a grid over the part of the frame that its selected pixels cover.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct TileGrid {
     /// Tiles across and down.
     count: [usize; 2],
     /// First pixel column and row of the level.
     origin: [usize; 2],
-    /// Pixels of the level covered.
+    /// Pixels of the level covered, across and down.
     size: [usize; 2],
 }
 
 impl TileGrid {
-    /// Over all that was chosen.
+    /// Creates the grid over all selected pixels.
     pub fn covering(chosen: &[Chosen]) -> Self {
         let (mut low, mut high) = ([u16::MAX; 2], [0; 2]);
         for c in chosen {
@@ -44,8 +43,8 @@ impl TileGrid {
         Self { count, origin: low.map(|v| if v == u16::MAX { 0 } else { usize::from(v) }), size }
     }
 
-    /// For each column (`axis` 0) or row (1) covered, from the first: its tile column or row, and where it is in the cell of two by two
-    /// tiles, 0 to 1.
+    /// Writes for each covered column (`axis` 0) or row (1) its tile column or row, and its
+    /// position within the cell of two by two tiles, 0 to 1.
     pub fn places(&self, axis: usize, places: &mut Vec<(u16, f32)>) {
         let (count, size) = (self.count[axis], self.size[axis]);
         let cells = count as f32 / 2.0;
@@ -56,28 +55,28 @@ impl TileGrid {
         }));
     }
 
-    /// The tile in a column and a row of tiles.
+    /// Returns the index of the tile in a column and a row of tiles.
     pub fn tile(&self, column: u16, row: u16) -> usize {
         usize::from(row) * self.count[0] + usize::from(column)
     }
 
-    /// First pixel column and row of the level.
+    /// Returns the first pixel column and row of the level.
     pub fn origin(&self) -> [usize; 2] {
         self.origin
     }
 
-    /// Tiles in all.
+    /// Returns the number of tiles.
     pub fn len(&self) -> usize {
         self.count[0] * self.count[1]
     }
 
-    /// Nodes of the light grid across and down: the corners of the cells.
+    /// Returns the number of light-grid nodes across and down: the corners of the cells.
     pub fn nodes(&self) -> [usize; 2] {
         self.count.map(|c| c.div_ceil(2) + 1)
     }
 
-    /// The light nodes at the corners of a tile's cell: top left, top right, bottom left, bottom right. Nodes are numbered
-    /// column by column.
+    /// Returns the light nodes at the corners of a tile's cell: top left, top right, bottom left,
+    /// bottom right. Nodes are numbered column by column.
     pub fn nodes_of(&self, tile: usize) -> [usize; 4] {
         let rows = self.nodes()[1];
         let (column, row) = (tile % self.count[0] / 2, tile / self.count[0] / 2);
@@ -111,7 +110,7 @@ mod tests {
             for axis in [0, 1] {
                 grid.places(axis, &mut places);
                 assert_eq!(places.len(), grid.size[axis]);
-                // A pixel across the border of two cells belongs to one of them.
+                // A pixel on the border of two cells belongs to one of them.
                 assert!(places.iter().all(|(tile, at)| usize::from(*tile) < grid.count[axis] && (-0.05..=1.05).contains(at)), "{grid:?}");
             }
         }
