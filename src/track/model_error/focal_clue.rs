@@ -37,7 +37,7 @@ const SURE_SHARE: f64 = 0.1;
 /// Minimum sigma of the motion during readout, m/s and rad/s; keeps the equations regular at rest.
 /// Raised, it acts like a raised [`MOTION_SIGMA`].
 const MIN_MOTION: f64 = 1e-4;
-/// Minimum relative change of the focal length that counts. Raised, larger errors are reported;
+/// Minimum relative change of the focal length that counts. Raised, poses with larger errors pass;
 /// lowered, lenses that breathe with focus are refused.
 const MIN_CHANGE: f64 = 0.005;
 /// Minimum change in sigmas of the frame's estimate and of the calibration's uncertainty. Raised, a
@@ -57,7 +57,7 @@ const STRAYED_SIGMAS: f64 = 3.0;
 /// noticed later; lowered, a draught passes for one.
 const CHANGED_SIGMAS: f64 = 4.0;
 /// Maximum sigma of the log focal length at which a frame can show a change. Raised, coloured light
-/// passes for a zoom; lowered, a zoom of a stage that does not fit shows from fewer views.
+/// passes for a zoom; lowered, fewer views reveal a zoom of a stage that does not fit.
 const MAX_CHANGED_SIGMA: f64 = 0.02;
 /// Maximum sigma of the log focal length at which a frame can show that it is the usual one again.
 /// Raised, views from ahead bring poses back.
@@ -407,7 +407,7 @@ mod tests {
         asked(&configured, &anchors, start)
     }
 
-    /// The same from given observations and a start near the pose.
+    /// The same from these observations and a start near the pose.
     fn asked(configured: &PreparedBody, anchors: &[FittedAnchor], start: &Pose<Camera, Body>) -> (bool, FocalClue) {
         let observations: Vec<Observation> = anchors.iter().map(|a| a.observation).collect();
         let told = lens(640, 480);

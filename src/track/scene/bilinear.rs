@@ -37,7 +37,7 @@ impl RowOfTexels {
     }
 }
 
-/// Does the same for a few places.
+/// Samples a picture at a few places; see [`RowOfTexels::look`]. Returns the greys.
 pub fn look_at<const N: usize>(picture: &[u8], size: [usize; 2], xs: &[f32; N], ys: &[f32; N]) -> [f32; N] {
     let (mut first, mut quads, mut right, mut below, mut greys) = ([0; N], [0; N], [0.0; N], [0.0; N], [0.0; N]);
     find_texels(size, xs, ys, &mut first, &mut right, &mut below);
