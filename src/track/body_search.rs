@@ -1,9 +1,12 @@
-//! Looking for the bodies that are not followed.
+//! Searches for the bodies that are not followed.
 //!
-//! Features put a body somewhere; the first of these poses that the picture bears out once it is aligned is the body's. Only where none is, patches are
-//! asked: around those poses, and where the body should be by now.
+//! Features propose candidate poses of a body. Each is aligned; the first one that the picture
+//! confirms is the body's pose. Only if none is confirmed are patches registered, around the
+//! candidates and around the predicted pose.
 //!
-//! Where nothing is known, the whole frame is searched: quickly, then closely. Once the stage's pose is known, only what that leaves unexplained is.
+//! If nothing is known, the whole frame is searched: first with few features, then with all. Once
+//! the stage's pose is known, only the parts of the frame that it leaves unexplained are searched,
+//! with a limited amount of work per frame.
 
 use image::GrayImage;
 use tracing::{debug, debug_span};
@@ -31,37 +34,39 @@ use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::MotionEstimate;
 
-/// Candidates of a body that are put to the test per frame, of four at most, best first. Two planar poses and one in reserve. Raised,
-/// frames without the stage cost more; lowered to 1, the wrong one of two planar poses may be the only one tried.
+/// Candidates per body that are aligned in a frame, out of at most four, best first: two planar
+/// poses and one in reserve. Raised, frames without the stage cost more; lowered to 1, only the
+/// wrong one of two planar poses may be tried.
 const TRIED: usize = 3;
-/// A frame with fewer features at a glance is not looked at closely: it is black or blank. Raised, dim stages are not looked for; lowered,
-/// black frames cost more.
+/// Minimum features at the first look for a closer look; fewer mean a black or blank frame. Raised,
+/// dim stages are not searched for; lowered, black frames cost more.
 const MIN_FEATURES: usize = 16;
-/// Tests in a frame whose stage is known, over all missing bodies: bodies that were followed in vain, candidates that are aligned, poses that patches are asked
-/// about. Two are both planar poses of one body. Raised, a frame takes longer, as much as two more followed bodies each; lowered, the wrong one of two planar poses may be the
-/// only one tried.
+/// Attempts per frame once the stage is known, over all missing bodies: unsuccessful follows,
+/// candidates aligned, poses checked by patches. Raised, a frame costs up to two followed bodies
+/// more per attempt; lowered, only the wrong one of two planar poses may be tried.
 const TRIED_BESIDE: usize = 2;
 
-/// Candidates of a second copy of a body that are put to the test: both planar poses. Raised,
-/// frames that find a body take longer; lowered to 1, the wrong one may be the only one tried.
+/// Candidates of a second copy of a body that are checked: both planar poses. Raised, frames that
+/// find a body take longer; lowered to 1, only the wrong one may be tried.
 const TRIED_COPIES: usize = 2;
 
 /// A frame in which bodies are missing, and what is known of it.
 pub struct Scene<'a> {
     /// The frame.
     pub frame: &'a Frame,
-    /// The same, smaller.
+    /// Its smaller levels.
     pub levels: &'a mut FrameLevels,
     /// The camera's rays.
     pub rays: &'a CameraRays,
     /// The stage first, then the objects.
     pub bodies: &'a mut [TrackedBody],
-    /// What the frame showed of each so far.
+    /// The verified pose of each body, as far as found.
     pub verified: &'a mut [Option<Verified>],
 }
 
 impl Scene<'_> {
-    /// How the camera moves in the stage, for an object that is looked for beside it.
+    /// Returns how the camera moves relative to the stage, for an object that is searched for once
+    /// the stage is known.
     fn camera_motion(&self, body: usize) -> Option<MotionEstimate> {
         let is_known = body > 0 && self.verified[0].is_some();
         self.bodies[0].motion_at(self.frame.timestamp).filter(|_| is_known).copied()
@@ -71,13 +76,13 @@ impl Scene<'_> {
         self.verified.iter().all(Option::is_some)
     }
 
-    /// The bodies that the frame was not found to show.
+    /// Returns the bodies that are not found in this frame.
     fn missing(&self) -> impl Iterator<Item = &TrackedBody> + Clone {
         self.bodies.iter().zip(&*self.verified).filter(|(_, verified)| verified.is_none()).map(|(body, _)| body)
     }
 }
 
-/// Compute that a search took, milliseconds over all workers.
+/// Compute spent on a search, milliseconds summed over all workers.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Spent {
     /// On finding candidates.
@@ -86,7 +91,7 @@ pub struct Spent {
     pub align_ms: f64,
 }
 
-/// Looks for bodies; keeps its buffers.
+/// Searches for bodies; keeps its buffers between frames.
 pub struct BodySearch {
     camera: CameraModel,
     shutter: Shutter,
@@ -99,17 +104,18 @@ pub struct BodySearch {
     unexplained: Unexplained,
     verify_buffers: VerifyBuffers,
     half: GrayImage,
-    /// Which missing body is the first to be asked while the stage is known; each has its turn.
+    /// Rotates which missing body is tried first once the stage is known, so that each has its
+    /// turn.
     turn: usize,
-    /// Whether the stage is known and others are looked for beside it.
+    /// Whether the stage is known, so that only what it leaves unexplained is searched.
     is_beside: bool,
-    /// Tests that may still be made in this frame.
+    /// Attempts left in this frame.
     tries: usize,
     spent: Spent,
 }
 
 impl BodySearch {
-    /// With the features of all bodies' pictures.
+    /// Creates the search. `features`: of all bodies' pictures.
     pub fn new(
         camera: CameraModel,
         shutter: Shutter,
@@ -138,17 +144,18 @@ impl BodySearch {
         }
     }
 
-    /// How long the rows of a frame may take, as far as that is known, seconds.
+    /// Returns an upper bound of the readout time as far as it is known, seconds.
     fn longest_readout_s(&self) -> f64 {
         self.shutter.readout_s.abs().max(self.readout_sigma_s)
     }
 
-    /// From now on the shutter is this one, its readout known to one sigma, seconds.
+    /// Sets the shutter; `readout_sigma_s`: one sigma of its readout time, seconds.
     pub fn set_shutter(&mut self, shutter: Shutter, readout_sigma_s: f64) {
         (self.shutter, self.readout_sigma_s) = (shutter, readout_sigma_s);
     }
 
-    /// Looks for the bodies of a frame that are missing, says of each that stays so why, and what it took.
+    /// Searches for the missing bodies of a frame and records why each one that stays missing has
+    /// no pose. Returns the compute spent.
     pub fn find_missing(&mut self, scene: &mut Scene) -> Spent {
         self.spent = Spent::default();
         if scene.is_complete() {
@@ -168,19 +175,20 @@ impl BodySearch {
         self.spent
     }
 
-    /// What was spent on the frame so far.
+    /// Returns the compute spent on the current frame so far.
     pub fn spent(&self) -> Spent {
         self.spent
     }
 
-    /// Looks in the whole frame: at a glance, quickly where that is not enough, and closely for the stage if it is not found so.
+    /// Searches the whole frame: with the fewest features first, with more if those do not match
+    /// enough, and with all if the stage is still missing.
     fn find_anywhere(&mut self, scene: &mut Scene) {
         (self.is_beside, self.tries) = (false, usize::MAX);
         self.timed(|search| {
             let Self { features, mask, workers, .. } = search;
             let (image, mask) = (&scene.frame.image, mask.as_ref());
             features.look(image, mask, Look::Glance, workers);
-            // A frame as plain as that has no others.
+            // So plain a frame has no further features.
             let is_plain = features.features().len() < MIN_FEATURES;
             if !is_plain && !scene.missing().all(|body| features.is_enough(body.surfaces.clone())) {
                 features.look_again(image, mask, Look::Quick, workers);
@@ -197,7 +205,8 @@ impl BodySearch {
         }
     }
 
-    /// Whether the stage was found, which ends the search of the whole frame: what else is missing is looked for beside it.
+    /// Returns whether the stage was found. If so, searches for the other missing bodies in what it
+    /// leaves unexplained.
     fn ends_with_stage(&mut self, scene: &mut Scene) -> bool {
         let is_found = scene.verified[0].is_some();
         if is_found && !scene.is_complete() {
@@ -206,7 +215,8 @@ impl BodySearch {
         is_found
     }
 
-    /// Asks the views of all bodies from far aside, too: first with the features that a quick look took, which are enough for most of these views, then with all.
+    /// Compares with all views, including tilted ones: first using the features already extracted,
+    /// which suffice for most of these views, then using all features.
     fn find_closely(&mut self, scene: &mut Scene) {
         self.timed(|search| search.features.compare_with_all_views(&search.workers));
         self.find_each(scene, false);
@@ -217,16 +227,17 @@ impl BodySearch {
         self.find_each(scene, true);
     }
 
-    /// Looks only where the frame shows something else than the bodies that were found: once the stage's pose is known, the rest need not be looked
-    /// for in front of what is plainly it. Of much that is unexplained a part is searched, and little is tried in each frame, so that frames take about as
-    /// long whether a body is missing or not.
+    /// Searches for the missing bodies only where the frame differs from what the found ones
+    /// explain. If much is unexplained, each frame searches a part of it and makes few attempts, so
+    /// that frames take about as long whether or not a body is missing.
     fn find_beside_stage(&mut self, scene: &mut Scene) {
         let in_vain = || scene.missing().filter(|body| body.followed_from.is_some());
         (self.is_beside, self.tries) = (true, TRIED_BESIDE.saturating_sub(in_vain().count()));
         let is_covered = in_vain().any(|body| body.track.is_continued() && body.has_motion());
         if is_covered {
-            // A tracked body took this frame's time. It is likely to be where it was expected, behind something: patches tell. One that was found just now was expected where
-            // it stood, and may be elsewhere.
+            // Following a tracked body already cost this frame's time. It is probably at its
+            // predicted pose but occluded, which patches can tell. (A body found only in the last
+            // frame is excluded: its prediction assumes rest, so it may be elsewhere.)
             self.find_by_prediction(scene);
             return;
         }
@@ -243,18 +254,20 @@ impl BodySearch {
         self.find_each(scene, true);
     }
 
-    /// Looks for each missing body by the features that were taken. `is_last`: no closer look follows, which may find what can be aligned, so a handful of matches is
-    /// asked as well, and patches where that fails.
+    /// Searches for each missing body among the extracted features. `is_last`: no closer look
+    /// follows that might find a better candidate, so candidates with few matches are tried too,
+    /// then patches.
     fn find_each(&mut self, scene: &mut Scene, is_last: bool) {
         let bodies = scene.bodies.len();
-        // The stage is the first to be looked for; the objects take turns.
+        // The stage first; the objects take turns.
         self.find_all_of(std::iter::once(0), scene, is_last);
         let turn = self.turn;
         self.find_all_of((1..bodies).map(move |k| 1 + (k + turn) % (bodies - 1)), scene, is_last);
     }
 
-    /// The same of some bodies. Those that most matches speak for are tried first, of equal ones the first in this order, but those that were tried in vain in the last frame come after all others:
-    /// another picture like theirs takes no time from these. Patches are asked once all candidates were aligned.
+    /// Searches for some bodies, in the order of their candidates' support (ties: in the order
+    /// passed). Bodies that were tried in vain in the last frame come last, so a look-alike cannot
+    /// starve the others. Patches are registered once all candidates have been aligned.
     fn find_all_of(&mut self, order: impl Iterator<Item = usize>, scene: &mut Scene, is_last: bool) {
         let start = self.clock.start();
         let missing = order.filter(|&k| scene.verified[k].is_none());
@@ -269,7 +282,7 @@ impl BodySearch {
         for (k, candidates) in &mut found {
             candidates.truncate(TRIED.min(self.tries));
             scene.verified[*k] = self.align_best(*k, scene, candidates);
-            // One whose turn did not come was not tried.
+            // A body whose turn did not come was not tried in vain.
             scene.bodies[*k].is_in_vain = !candidates.is_empty() && scene.verified[*k].is_none();
         }
         self.spent.align_ms += start.elapsed_ms();
@@ -280,7 +293,7 @@ impl BodySearch {
         }
     }
 
-    /// Looks for the missing bodies where they should be by now.
+    /// Searches for the missing bodies at their predicted poses, by patches.
     fn find_by_prediction(&mut self, scene: &mut Scene) {
         for k in 0..scene.bodies.len() {
             if scene.verified[k].is_none() && self.tries > 0 {
@@ -289,7 +302,7 @@ impl BodySearch {
         }
     }
 
-    /// Does a piece of acquisition, and counts its time.
+    /// Runs a piece of acquisition and counts its time.
     fn timed(&mut self, work: impl FnOnce(&mut Self)) {
         let _span = debug_span!("detect").entered();
         let start = self.clock.start();
@@ -297,15 +310,17 @@ impl BodySearch {
         self.spent.acquire_ms += start.elapsed_ms() + self.workers.take_extra_ms();
     }
 
-    /// Where the frame's matches put a body.
+    /// Returns the candidate poses that the frame's matches support.
     fn candidates(&self, tracked: &mut TrackedBody, timestamp: Timestamp, is_last: bool) -> Vec<Candidate> {
         let _span = debug_span!("acquire", body = %tracked.body.name).entered();
         let own = self.features.of_body(tracked.surfaces.clone(), &self.camera);
-        // Beside the stage most bodies are looked for in vain, and seen small: samples of four are drawn from the matches that agree, and none where no handful does.
+        // Once the stage is known, most searches are in vain and most bodies are seen small.
+        // Drawing samples only from matches that agree locally, and none if not even a handful
+        // agree, saves time.
         let agreeing = self.is_beside.then(|| agreeing_matches(&tracked.body, &own));
         let sampled = agreeing.as_ref().unwrap_or(&own);
         let (mut found, seen) = candidates(&tracked.body, &own, sampled, &self.camera, self.seed);
-        // Of a picture that repeats itself a handful of wrong matches agree with each other.
+        // In a repetitive picture, a handful of wrong matches agree with each other.
         if is_last && !tracked.repeats() {
             if !sampled.is_empty() {
                 add_candidates_of_few(&tracked.body, &own, &self.camera, &mut found);
@@ -323,9 +338,11 @@ impl BodySearch {
         found
     }
 
-    /// The first of a body's candidates that the picture agrees with once it is aligned.
+    /// Returns the first candidate of a body that the picture confirms after alignment.
     fn align_best(&mut self, k: usize, scene: &mut Scene, candidates: &[Candidate]) -> Option<Verified> {
-        // Beside the stage, one that was tried in vain in the last frame is aligned from nearby in this: each candidate has its turn to begin further off, too, which takes more than half of the time.
+        // Once the stage is known, a body tried in vain in the last frame starts only from nearby
+        // levels: starting further off takes more than half of the time, so the candidates take
+        // turns at it.
         let is_retried = self.is_beside && scene.bodies[k].is_in_vain;
         let turn = self.turn;
         let has_turn = |number: usize| turn.is_multiple_of(2) && number % TRIED_BESIDE == turn / 2 % TRIED_BESIDE;
@@ -334,7 +351,7 @@ impl BodySearch {
         for (number, candidate) in candidates.iter().enumerate() {
             scene.bodies[k].aligner.begin_nearby(is_retried && !has_turn(number));
             verified = self.align_candidate(k, scene, candidate);
-            // Where it is seen in part it would not be tilted the other way.
+            // The body is partly visible here; the other planar pose would not fit better.
             if verified.is_some() || scene.bodies[k].is_seen_in_part {
                 break;
             }
@@ -343,13 +360,14 @@ impl BodySearch {
         verified
     }
 
-    /// Aligns a candidate; `None` where the picture does not agree with the result, or alignment began there before.
+    /// Aligns a candidate; `None` if the picture does not confirm the result or an alignment was
+    /// already started there.
     fn align_candidate(&mut self, k: usize, scene: &mut Scene, candidate: &Candidate) -> Option<Verified> {
         let camera = scene.camera_motion(k);
         let tracked = &mut scene.bodies[k];
         let _span = debug_span!("align found", body = %tracked.body.name).entered();
         let start = candidate.pose.inverse();
-        // A closer look finds what the quick one tried in vain.
+        // A closer look repeats candidates that were already tried in vain.
         let is_new = !tracked.tried.iter().any(|tried| is_near(tried, &start));
         if !is_new || !candidate.off.iter().all(|sigma| sigma.is_finite()) {
             return None;
@@ -361,7 +379,7 @@ impl BodySearch {
         tracked.align_found(scene.frame, scene.levels, scene.rays, &expected)
     }
 
-    /// The best pose that patches verify around the candidates, aligned where that succeeds.
+    /// Returns the best pose that patches verify around the candidates, aligned if that succeeds.
     fn find_by_patches(&mut self, k: usize, scene: &mut Scene, found: &[Candidate]) -> Option<Verified> {
         let camera = scene.camera_motion(k);
         let tracked = &mut scene.bodies[k];
@@ -370,7 +388,8 @@ impl BodySearch {
         let _span = debug_span!("align", body = %tracked.body.name).entered();
         let mut buffers = std::mem::take(&mut self.verify_buffers);
         let view = self.view(frame, tracked);
-        // One of them costs as much as two more followed bodies: beside the stage the likeliest is asked alone.
+        // One check costs as much as following two more bodies, so once the stage is known only the
+        // likeliest candidate is checked.
         let asked = match (self.is_beside, tracked.track.is_continued()) {
             (false, _) => found.len(),
             (true, false) => 1,
@@ -379,11 +398,12 @@ impl BodySearch {
         let starts = found.iter().take(asked).map(|c| c.pose);
         let mut best = tracked.best_verified(starts, &view, &mut buffers);
         if best.is_none() && tracked.track.is_continued() {
-            // Too few features, as under blur or steep tilt: where the body should be by now is a start as good as any.
+            // Blur or a steep tilt leaves too few features; then the predicted pose is as good a
+            // start.
             let predicted = tracked.predicted(frame.timestamp);
             best = tracked.best_verified(predicted.into_iter(), &view, &mut buffers);
         }
-        // Beside the stage there is no time to begin twice from one place.
+        // Once the stage is known there is no time to start twice from the same place.
         let is_new = |verified: &Verified| {
             !(self.is_beside && tracked.tried.iter().chain(&tracked.followed_from).any(|tried| is_near(tried, &verified.pose)))
         };
@@ -396,11 +416,11 @@ impl BodySearch {
         let has_asked = tracked.track.is_continued() || !found.is_empty();
         self.tries = self.tries.saturating_sub(usize::from(has_asked));
         self.spent.align_ms += start.elapsed_ms() + self.workers.take_extra_ms();
-        // Patches of a picture that repeats itself fit a period aside as well.
+        // Patches of a repetitive picture also fit when displaced by one period.
         aligned.or(best.filter(|_| !tracked.repeats()))
     }
 
-    /// A frame as verification of a body needs it.
+    /// Returns the frame as verification of a body needs it.
     fn view<'a>(&'a self, frame: &'a Frame, tracked: &TrackedBody) -> View<'a> {
         View {
             camera: &self.camera,
@@ -415,7 +435,8 @@ impl BodySearch {
         }
     }
 
-    /// Lets the frame of a followed body say what of its model it speaks against; see [`TrackedBody::study`]. And the workers' time, milliseconds.
+    /// Checks a frame against the model of a followed body; see [`TrackedBody::study`]. Returns the
+    /// news and the workers' time, milliseconds.
     pub fn study(&mut self, frame: &Frame, tracked: &mut TrackedBody, verified: &Verified) -> (Option<ModelNews>, f64) {
         let mut buffers = std::mem::take(&mut self.verify_buffers);
         let view = self.view(frame, tracked);
@@ -424,12 +445,12 @@ impl BodySearch {
         (news, self.workers.take_extra_ms())
     }
 
-    /// Another pose of a body that was found in this frame, which patches verify where the frame
-    /// shows something else: there is a copy of its picture. It may be seen smaller, and nothing of
-    /// the first need be hidden.
+    /// Searches a frame for a second copy of a body's picture: another pose that patches verify in
+    /// the unexplained part of the frame. The copy may be seen smaller, and need not occlude the
+    /// first.
     pub fn find_copy(&mut self, k: usize, scene: &mut Scene) -> Option<Verified> {
         let first = scene.verified[k]?;
-        // Of a picture that repeats itself a part is like another.
+        // In a repetitive picture one part looks like another.
         if scene.bodies[k].repeats() {
             return None;
         }
@@ -467,7 +488,7 @@ impl BodySearch {
         copy
     }
 
-    /// Aligns a body at a pose that patches verified, instead of the one that was found.
+    /// Aligns a body at a pose that patches verified, replacing the pose found first.
     pub fn align_copy(&mut self, k: usize, scene: &mut Scene, copy: &Verified) {
         let tracked = &mut scene.bodies[k];
         let distance_m = tracked.aligner.distance_m(&copy.pose);
@@ -475,7 +496,7 @@ impl BodySearch {
         scene.verified[k] = tracked.align_found(scene.frame, scene.levels, scene.rays, &expected);
     }
 
-    /// Says of every body without a verified pose why it has none.
+    /// Records for every body without a verified pose why it has none.
     fn give_reasons(&self, scene: &mut Scene) {
         let mut look = None;
         for (tracked, _) in scene.bodies.iter_mut().zip(&*scene.verified).filter(|(_, verified)| verified.is_none()) {
@@ -486,20 +507,23 @@ impl BodySearch {
         }
     }
 
-    /// A body's surfaces that are recognised in a picture, before any size is asked.
+    /// Returns a body's surfaces that are recognised in a picture, without using any configured
+    /// size.
     pub fn recognise(&mut self, image: &GrayImage, tracked: &TrackedBody) -> Vec<SurfaceView> {
         let own = self.matches_in(image, Look::Frontal, tracked);
         self.views(&own, tracked)
     }
 
-    /// Where features put a body in a picture, and the matches that speak for it.
+    /// Returns the pose of a body estimated from features in a picture, and the matches that
+    /// support it.
     pub fn recognised_pose(&mut self, image: &GrayImage, tracked: &TrackedBody) -> Option<(Pose<Body, Camera>, Vec<SurfaceMatch>)> {
         let own = self.matches_in(image, Look::Frontal, tracked);
         let pose = self.likeliest_pose(&own, tracked)?;
         Some((pose, self.views(&own, tracked).into_iter().flat_map(|view| view.matches).collect()))
     }
 
-    /// The same pose by the strongest features alone, in a fifth of the time; `None` also where a closer look would find one.
+    /// Like [`recognised_pose`](Self::recognised_pose), but uses only the strongest features, in a
+    /// fifth of the time. May return `None` where a closer look finds a pose.
     pub fn quickly_recognised_pose(&mut self, image: &GrayImage, tracked: &TrackedBody) -> Option<Pose<Body, Camera>> {
         let own = self.matches_in(image, Look::Quick, tracked);
         self.likeliest_pose(&own, tracked)
@@ -520,7 +544,8 @@ impl BodySearch {
     }
 }
 
-/// How far off a pose that features found may be, one sigma, metres and radians; `noise`: what their noise leaves open.
+/// Returns one sigma of a pose found by features: metres and radians. `noise`: the part due to the
+/// matches' noise.
 fn first_off(readout_s: f64, distance_m: f64, noise: [f64; 2]) -> [f64; 2] {
     let [shift, turn] = MotionEstimate::off_by_readout(readout_s, distance_m);
     [FIRST_SHIFT * distance_m + shift + 2.0 * noise[0], FIRST_TURN + turn + 2.0 * noise[1]]

@@ -1,8 +1,10 @@
-//! From what a frame showed to the reason why it has no pose.
+//! Decides why a frame has no pose.
 //!
-//! A reason is found where the decision falls: acquisition knows how many of the frame's details are the picture's, and
-//! whether any pose explains them; verification knows what its anchors lacked; the track state knows which poses disagree; and
-//! the frame itself is dark, blank or blurred (`frame_look`).
+//! Each stage of the search records what it lacked: acquisition knows how many matches agree and
+//! whether any pose explains them; verification knows what its anchors lacked; the track state
+//! knows which poses disagree; `frame_look` knows whether the frame is dark, blank or blurred. This
+//! module combines them into one [`Reason`], from the earliest stage that failed. It does not
+//! influence tracking.
 
 use super::acquire::candidate::Recognition;
 use super::body::reason::Reason;
@@ -10,20 +12,20 @@ use super::body::track_state::Doubt;
 use super::frame::frame_look::FrameLook;
 use super::patches::verify::Refusal;
 
-/// Matches that agree on one homography from here on are no chance. Chance agrees on 8 now and then where a frame is full of detail.
-/// Raised, a picture that is hardly seen counts as not recognised. Only the reason that is given depends on it.
+/// Minimum matches on one homography for the picture to count as recognised. Raised, a picture that
+/// is barely seen counts as not recognised. Only the reported reason depends on it.
 const MIN_RECOGNISED: usize = 12;
-/// Side of the picture (root of its area) below which size is what is wrong with it, as a share of the frame's width and in pixels:
-/// features need some 60 pixels of it. Raised, other faults of a small picture are called its size.
+/// Minimum side of the picture (square root of its area), as a fraction of the frame's width and in
+/// pixels; below it the reason is its size. Raised, other faults of a small picture are attributed
+/// to size.
 const MIN_SIDE: f64 = 0.09;
 const MIN_SIDE_PX: f64 = 60.0;
-/// What a pose may leave of the matches beyond a homography, for the geometry not to be what is wrong: right ones leave 0.1 at most, a
-/// width and a height that are swapped 2, and a rolling shutter that the config does not mention a few tenths. Raised, wrong sizes go
-/// unnamed.
+/// Maximum residual of the best pose beyond that of the homographies (see [`Recognition::misfit`])
+/// for the geometry to count as right. Raised, wrong sizes are not reported as the reason.
 const MAX_MISFIT: f64 = 0.6;
 
 impl Reason {
-    /// Why a verified pose was not given.
+    /// Returns why a verified pose was not reported.
     pub(super) fn of_doubt(doubt: Doubt) -> Self {
         match doubt {
             Doubt::First => Self::Unconfirmed,
@@ -31,7 +33,8 @@ impl Reason {
         }
     }
 
-    /// Why no pose was verified in a frame: what was recognised, what verification refused, and how the frame looks.
+    /// Returns why no pose was verified. `seen`: what was recognised; `refusal`: why verification
+    /// refused; `look`: the frame's appearance; `width_px`: the frame's width.
     pub(super) fn of_failure(seen: &Recognition, refusal: Option<Refusal>, look: &FrameLook, width_px: u32) -> Self {
         let of_frame = look.fault().map(Self::from);
         if seen.agreeing < MIN_RECOGNISED {
@@ -40,7 +43,8 @@ impl Reason {
         if seen.outline_px.is_some_and(|side| side < MIN_SIDE_PX.max(MIN_SIDE * f64::from(width_px))) {
             return Self::TooSmall;
         }
-        // A homography needs no lens and no size. Where it explains the matches far better than any pose does, those are wrong.
+        // A homography assumes neither lens nor size. If it explains the matches far better than
+        // any pose does, lens or size is wrong.
         if seen.misfit.is_none_or(|misfit| misfit > MAX_MISFIT) {
             return of_frame.unwrap_or(Self::NoPoseFits);
         }

@@ -1,7 +1,10 @@
-//! The matcher: a frame in, a sighting of every body out.
+//! The matcher takes a frame and returns what it shows of every body, the stage and the objects.
 //!
-//! A body that was aligned lately is followed: aligned from where it should be by now. The others are looked for. Its track state decides what the
-//! outcome means for each.
+//! Per frame it runs in this order: [`TrackedBody::follow`] aligns each body that was aligned
+//! lately, starting at its predicted pose; [`BodySearch`] searches for the others; model checks may
+//! then refuse or withhold poses and widen their covariance; each body's track state turns the
+//! result into a [`BodySighting`]; last, the matcher learns the shutter. It may use all rooms of
+//! `track`.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -44,63 +47,64 @@ use crate::geometry::resection::perturbed;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
 
-/// Largest standard deviation of an object's direction, radians (one degree), by what its tiles leave displaced. A false pose of a small picture has half its tiles, and
-/// their pixels tell it well; but they lie where no pose puts them: of 16 objects one was followed so for 28 frames, with 0.033 to 0.085. Of 2300 right poses of small,
-/// quick and blurred objects none had more than 0.008 (with a correlation length of 0.3 of the
-/// object; with 0.4 they are somewhat larger, and were not counted again). Raised, such poses are given; lowered, blurred objects are given up.
+/// Maximum standard deviation of an object's direction, as implied by its residual tile
+/// displacements, radians (one degree). Raised, false poses of small pictures are reported;
+/// lowered, blurred objects are given up.
 const MAX_MISFIT_TURN: f64 = std::f64::consts::PI / 180.0;
 
-/// So long after a second copy of the stage's picture was seen it may still be there, seconds.
-/// Chosen: a dozen frames in which it may be overlooked. Raised, the stage is given later once the
-/// copy is gone; lowered, a copy that is hard to see is forgotten.
+/// How long after a second copy of the stage's picture was seen it counts as still there, seconds.
+/// Raised, the stage returns later once the copy is gone; lowered, a copy that is hard to see is
+/// forgotten.
 const COPY_REMEMBERED_S: f64 = 0.5;
 
-/// A followed stage is recognised no more often than this for what matches say of the focal length,
-/// seconds. Raised, a doubt stays longer; lowered, more frames take a search's time.
+/// Minimum interval between recognitions of a followed stage for the focal length that its matches
+/// imply, seconds. Raised, a doubt lasts longer; lowered, more frames cost a search.
 const MATCHES_PACE_S: f64 = 1.0;
 
-/// What a frame showed of one body.
+/// What a frame shows of one body.
 #[derive(Debug, Clone)]
 pub struct BodySighting {
     /// The track state's verdict.
     pub state: State,
     /// The verified pose; present while tracking.
     pub verified: Option<Verified>,
-    /// Why it is not tracking; `None` while it is.
+    /// Why the body is not tracked; `None` while it is.
     pub reason: Option<Reason>,
 }
 
-/// What a frame showed.
+/// What a frame shows of all bodies.
 #[derive(Debug, Clone)]
 pub struct Sighting {
-    /// Row number.
+    /// Row number of the record.
     pub sequence: u64,
-    /// Stamp of the frame.
+    /// Timestamp of the frame.
     pub timestamp: Timestamp,
-    /// False for a skipped row: its stamp tells nothing of the time, so it neither continues nor ends a track.
+    /// False for a skipped row: its timestamp is unreliable, so it neither continues nor ends a
+    /// track.
     pub is_timed: bool,
-    /// The stage itself.
+    /// The stage.
     pub stage: BodySighting,
     /// Homography and essential matrix of the stage; present while tracking.
     pub two_view: Option<TwoView>,
     /// The objects, in the order of the config.
     pub objects: Vec<BodySighting>,
-    /// A part of the stage's model that the frames speak against, told once each.
+    /// A part of the stage's model that the frames contradict; each is reported once.
     pub misfit: Option<ModelNews>,
-    /// What frames are made of that show two moments at once, once.
+    /// How frames that show two moments at once are composed; reported once.
     pub mixture: Option<Mixture>,
-    /// What there is to say of the shutter, once each.
+    /// News about the shutter; each is reported once.
     pub shutter_news: Option<ShutterNews>,
-    /// What was known of the camera before this frame, by its pictures.
+    /// What earlier frames had taught about the camera before this one.
     pub learnt: LearntCamera,
-    /// Compute on finding candidates, milliseconds over all workers.
+    /// Compute spent on finding candidates, milliseconds summed over all workers.
     pub acquire_ms: f64,
-    /// Compute on registration and verification, milliseconds over all workers.
+    /// Compute spent on registration and verification, milliseconds summed over all workers.
     pub align_ms: f64,
 }
 
 impl Sighting {
-    /// A row without a picture, for this reason; the states are the stage's and the objects'.
+    /// Returns the sighting of a row without a picture. `states`: the stage's first, then the
+    /// objects'.
     fn without_picture(
         sequence: u64,
         timestamp: Timestamp,
@@ -109,7 +113,7 @@ impl Sighting {
         states: impl IntoIterator<Item = State>,
     ) -> Self {
         let mut bodies = states.into_iter().map(|state| BodySighting { state, verified: None, reason: Some(reason) });
-        // There is always a stage.
+        // There is always a stage; the fallback only avoids a panic.
         let stage = bodies.next().unwrap_or(BodySighting { state: State::Searching, verified: None, reason: Some(reason) });
         Self {
             sequence,
@@ -128,31 +132,32 @@ impl Sighting {
     }
 }
 
-/// Finds all bodies in every frame, from scratch.
+/// Finds all bodies in every frame; needs no starting pose.
 pub struct Matcher {
     camera: CameraModel,
     settings: TrackerSettings,
     clock: ComputeClock,
     shutter: Shutter,
     readout: LearntReadout,
-    /// Whether the shutter is taken as given, and only asked.
+    /// Whether the shutter is fixed by [`ask_shutter`](Self::ask_shutter): frames are asked about
+    /// it but do not change it.
     is_shutter_given: bool,
-    /// Whether it was said that frames contradict the configured exposure.
+    /// Whether it was already reported that frames contradict the configured exposure.
     is_exposure_contradicted: bool,
     interval: FrameInterval,
     /// The stage first, then the objects.
     bodies: Vec<TrackedBody>,
     search: BodySearch,
     two_view_buffers: TwoViewBuffers,
-    /// What the frame showed of each body.
+    /// The current frame's verified pose of each body.
     verified: Vec<Option<Verified>>,
-    /// How well the model fits what was shown.
+    /// How well the model fits each verified body.
     fits: Vec<Option<ModelFit>>,
     lens_watch: LensWatch,
-    /// When a followed stage was last recognised for what its matches say of the focal length.
+    /// When a followed stage was last recognised to check the focal length by its matches.
     matches_asked: Option<Timestamp>,
     mixtures: MixtureWatch,
-    /// Covariance of the stage's pose by its motion within a frame that is a mixture.
+    /// Covariance of the stage's pose due to its motion within a frame that mixes two moments.
     by_mixture: Option<Matrix6<f64>>,
     clock_steps: ClockSteps,
     camera_rays: CameraRays,
@@ -163,7 +168,8 @@ pub struct Matcher {
 }
 
 impl Matcher {
-    /// Prepares the reference pictures of all bodies, the stage first; takes a fraction of a second per surface whose views the store does not have.
+    /// Prepares the reference pictures of all bodies, the stage first. Takes a fraction of a second
+    /// per surface whose views `store` does not have.
     pub fn new(
         camera: CameraModel,
         shutter: KnownShutter,
@@ -213,12 +219,14 @@ impl Matcher {
         }
     }
 
-    /// A row's stamp in the matcher's own time, in which rows are to be looked at where the clock may be set back.
+    /// Converts a row's timestamp into the matcher's own time, which never runs backwards. Use it
+    /// for all rows where the source's clock may be set back.
     pub fn own_time(&mut self, stamp: Timestamp) -> Timestamp {
         self.clock_steps.own(stamp)
     }
 
-    /// Looks for every body in a frame. A frame of another size than the camera's shows nothing.
+    /// Searches for every body in a frame. A frame whose size differs from the camera's is reported
+    /// as skipped.
     pub fn look(&mut self, frame: &Frame) -> Sighting {
         let _span = debug_span!("match", sequence = frame.sequence).entered();
         if frame.image.dimensions() != (self.camera.width(), self.camera.height()) {
@@ -282,7 +290,7 @@ impl Matcher {
         }
     }
 
-    /// Begins with what an earlier session learnt of the camera. What is configured stays.
+    /// Starts from what an earlier run learnt about the camera. Configured values take precedence.
     pub fn begin_with(&mut self, learnt: &LearntCamera) {
         self.readout = self.readout.begun_with(learnt.readout.map(|LearntTime { seconds, sigma_s }| Known { readout_s: seconds, sigma_s }));
         let used = self.readout.used();
@@ -294,21 +302,23 @@ impl Matcher {
         }
     }
 
-    /// What is known of the camera by its pictures; nothing of what is configured.
+    /// Returns what frames have taught about the camera; excludes configured values.
     pub fn learnt(&self) -> LearntCamera {
         let readout = self.readout.learnt().map(|known| known.as_time());
         let exposure = self.bodies.first().and_then(|stage| stage.aligner.learnt_exposure());
         LearntCamera { readout, exposure: exposure.map(|(seconds, sigma_s)| LearntTime { seconds, sigma_s }) }
     }
 
-    /// Learns from what the frame says of the readout: through the stage, or through an object where the stage is not seen.
+    /// Learns the readout time from this frame: from the stage, or from an object if the stage is
+    /// not seen.
     fn learn_readout(&mut self) {
-        // The rows of a mixture tell of its moments.
+        // In a mixture, rows differ because they show different moments, not because of the
+        // readout.
         if self.mixtures.is_mixing() {
             return;
         }
         let given = self.bodies.iter().zip(&self.verified).filter(|(_, verified)| verified.is_some()).map(|(body, _)| body);
-        // A configured readout is not blamed for what of the model does not fit anyway.
+        // Do not blame a configured readout for residuals that the model does not explain anyway.
         let is_configured = self.readout.used().sigma_s == 0.0;
         let mut clues = given.filter(|body| !is_configured || body.covariance_by_misfit() == Matrix6::zeros()).filter_map(|body| body.clue);
         let Some(clue) = clues.find(|clue| clue.may_teach).filter(|_| !self.is_shutter_given) else { return };
@@ -330,7 +340,7 @@ impl Matcher {
         );
     }
 
-    /// What there is to say of the shutter after this frame.
+    /// Returns the news about the shutter after this frame, if any.
     fn shutter_news(&mut self) -> Option<ShutterNews> {
         if let Some(news) = self.readout.news() {
             return Some(news);
@@ -340,14 +350,15 @@ impl Matcher {
         Some(ShutterNews::ExposureContradicted { configured_s, found_s })
     }
 
-    /// Withholds the stage's pose where a moving frame shows two moments at once. Where it hardly
-    /// moves, its pose is that of some moment of the frame's time before it.
+    /// Withholds the stage's pose if the camera moves and the frame shows two moments at once. If
+    /// the camera hardly moves, the pose is kept, with a covariance for the unknown moment within
+    /// the frame interval before it.
     fn withhold_mixture(&mut self, frame: &Frame) {
         self.by_mixture = None;
         let interval_s = self.interval.to_next_s();
         let Self { levels, bodies, verified, mixtures, camera, .. } = self;
         let (Some(pose), Some(stage)) = (verified[0].map(|v| v.pose), bodies.first_mut()) else { return };
-        // By the poses alone: what a frame shows of its velocity, a mixture shows wrong.
+        // Uses poses alone: the velocity estimated within a mixed frame is wrong.
         let Some((before, dt_s, twist)) = stage.before_at(frame.timestamp) else {
             if mixtures.is_mixing() {
                 verified[0] = None;
@@ -380,10 +391,11 @@ impl Matcher {
         }
     }
 
-    /// Asks, where the stage was found and does not go on with a track, whether the frame shows
-    /// another copy of its picture. Where one of the two is where the stage can be by now, that is
-    /// the stage; else nothing is given as long as both are seen. While the lens counts as moved
-    /// nothing is given anyway, and what its pose does not explain is the stage itself.
+    /// Checks whether the frame shows a second copy of the stage's picture. Runs only when the
+    /// stage was found without continuing its track. If exactly one of the two is where the stage
+    /// can be by now, that one is the stage; if both are, nothing is reported as long as both are
+    /// seen. Skipped while the lens counts as moved: nothing is reported then, and what the pose
+    /// leaves unexplained is the stage itself.
     fn ask_for_copies(&mut self, frame: &Frame, spent: Spent) -> Spent {
         if self.lens_watch.is_moved() {
             return spent;
@@ -400,7 +412,7 @@ impl Matcher {
         match copy {
             Some(copy) if come == [false, true] => {
                 search.align_copy(0, &mut scene, &copy);
-                // What was found instead of it is not the stage.
+                // What was found first is not the stage.
                 scene.bodies[0].reason = scene.verified[0].is_none().then_some(Reason::Jumped);
             }
             Some(_) if come == [true, true] => scene.bodies[0].two_seen = Some(frame.timestamp),
@@ -415,7 +427,7 @@ impl Matcher {
         self.search.spent()
     }
 
-    /// Asks every body that was found how well the model fits.
+    /// Computes how well the model fits every body that was found.
     fn fit_models(&mut self, timestamp: Timestamp) {
         let (camera, shutter, asks_focal) = (&self.camera, self.shutter, self.lens_watch.asks());
         let readout_sigma_s = self.readout.used().sigma_s;
@@ -431,13 +443,15 @@ impl Matcher {
         }));
     }
 
-    /// What of the models' misfit a lens that was moved would explain.
+    /// Updates the lens watch with this frame and returns whether a moved lens would explain the
+    /// misfit.
     fn watch_lens(&mut self, frame: &Frame) -> LensState {
-        // All are seen through one lens: the body that tells most of it speaks. An object that was just found may be none.
+        // All bodies are seen through one lens, so the body with the smallest sigma decides. An
+        // object that was only just found may be a false detection and does not count.
         let bodies = &self.bodies;
         let may_speak = |k: usize| k == 0 || bodies[k].track.is_continued();
         let clues = self.fits.iter().enumerate().filter_map(|(k, fit)| Some((k, fit.as_ref()?.focal.as_ref()?)));
-        // What displaces rows as a lens would may be the shutter.
+        // An unknown readout time displaces rows as a changed focal length would.
         let clues = clues.filter(|(k, _)| may_speak(*k) && !bodies[*k].is_readout_in_doubt());
         let clue = clues.min_by(|a, b| a.1.sigma.total_cmp(&b.1.sigma));
         let clue = clue.map(|(body, clue)| {
@@ -452,8 +466,8 @@ impl Matcher {
         self.lens_watch.update(clue.as_ref(), step, is_seen, doubt)
     }
 
-    /// Asks matches for the focal length: those that found the stage, and now and then those of a
-    /// frame whose tiles contradict them.
+    /// Asks feature matches for the focal length: those that found the stage, and, at most once per
+    /// [`MATCHES_PACE_S`], those of a frame whose tiles disagree with earlier matches.
     fn ask_matches(&mut self, frame: &Frame, clue: Option<&FocalClue>) {
         let Some(found) = self.verified[0] else { return };
         let stage = &mut self.bodies[0];
@@ -472,8 +486,9 @@ impl Matcher {
         }
     }
 
-    /// Refuses the objects whose tiles lie so far from where any pose puts them that the pose is none. But blur displaces tiles as well while the motion is unknown, so an object that was just
-    /// found is followed for one more frame, which shows its motion.
+    /// Refuses objects whose residual tile displacements no pose explains. Blur displaces tiles too
+    /// while the motion is unknown, so a newly found object is followed for one more frame, which
+    /// shows its motion.
     fn refuse_misfits(&mut self) {
         for k in 1..self.bodies.len() {
             let turn = self.fits[k].and_then(|fit| fit.at_most).map_or(0.0, |c| c.fixed_view::<3, 3>(3, 3).trace().max(0.0).sqrt());
@@ -487,7 +502,8 @@ impl Matcher {
         }
     }
 
-    /// Lets the frame say what of the stage's model it speaks against, if it is time for one; and the workers' time, milliseconds.
+    /// Checks the frame against the stage's model, if a check is due. Returns the news and the
+    /// workers' time, milliseconds.
     fn study_stage(&mut self, frame: &Frame, lens: LensState) -> Option<(Option<ModelNews>, f64)> {
         let tracked = self.bodies.first_mut()?;
         if !tracked.is_study_due(lens == LensState::Fits && !tracked.is_readout_in_doubt()) {
@@ -497,7 +513,7 @@ impl Matcher {
         Some(self.search.study(frame, tracked, verified))
     }
 
-    /// What the track state makes of the frame's pose of body `k`.
+    /// Updates the track state of body `k` with the frame's pose and returns the sighting.
     fn sighting_of(&mut self, k: usize, timestamp: Timestamp, lens: LensState) -> BodySighting {
         let (tracked, mut verified) = (&mut self.bodies[k], self.verified[k]);
         if let Some(v) = &verified {
@@ -509,7 +525,7 @@ impl Matcher {
         if lens == LensState::Moved {
             return BodySighting { state: tracked.track.withhold(), verified: None, reason: tracked.reason.or(Some(Reason::LensMoved)) };
         }
-        // A frame that leaves no doubt confirms itself, unless what of the model does not fit leaves some.
+        // A conclusive frame confirms itself, unless model misfit leaves the pose uncertain.
         let is_known = |v: &Verified| is_sharp(&(v.covariance + tracked.covariance_by_misfit()), tracked.aligner.distance_m(&v.pose));
         let conclusive = verified.is_some_and(|v| v.is_conclusive && is_known(&v));
         let confirm_frames = if conclusive { 1 } else { self.settings.confirm_frames };
@@ -536,12 +552,12 @@ impl Matcher {
         BodySighting { state, verified, reason }
     }
 
-    /// Whether the picture that was looked at last gave the stage's pose.
+    /// Whether the last frame resulted in a tracked pose of the stage.
     pub fn has_given(&self) -> bool {
         self.has_given
     }
 
-    /// Time went on, but there was no picture, for this reason.
+    /// Advances the time by a row without a picture and returns its sighting.
     pub fn look_away(&mut self, sequence: u64, timestamp: Timestamp, reason: Reason) -> Sighting {
         self.interval.update(timestamp);
         let (coast_s, confirm) = (longest_coast_s(&self.settings, &self.interval), self.settings.confirm_frames);
@@ -550,19 +566,21 @@ impl Matcher {
         Sighting { learnt, ..Sighting::without_picture(sequence, timestamp, true, reason, states) }
     }
 
-    /// A row that tells nothing of its time (a stamp out of order): nothing changes.
+    /// Returns the sighting of a row whose timestamp is unusable (out of order); changes no state.
     pub fn look_past(&self, sequence: u64, timestamp: Timestamp) -> Sighting {
         let idle = |b: &TrackedBody| if b.track.state() == State::Searching { State::Searching } else { State::Lost };
         let sighting = Sighting::without_picture(sequence, timestamp, false, Reason::Skipped, self.bodies.iter().map(idle));
         Sighting { learnt: self.learnt(), ..sighting }
     }
 
-    /// From now on the pixels that poses rest on are sent here, frame by frame, before the frame's sighting is given.
+    /// Starts sending the pixels that poses rest on: per frame, before the frame's sighting is
+    /// returned.
     pub fn watch_pixels(&mut self) -> Receiver<UsedPixels> {
         self.watch(None)
     }
 
-    /// The same for the frames that come while `wanted` is true; the others cost nothing.
+    /// Like [`watch_pixels`](Self::watch_pixels), but only for frames that arrive while `wanted` is
+    /// true; the others cost nothing.
     pub fn watch_pixels_while(&mut self, wanted: Arc<AtomicBool>) -> Receiver<UsedPixels> {
         self.watch(Some(wanted))
     }
@@ -573,7 +591,7 @@ impl Matcher {
         receiver
     }
 
-    /// Before a frame: its pixels are noted where somebody wants them.
+    /// Turns the recording of used pixels on or off before a frame.
     fn note_pixels(&mut self) {
         let Some(watcher) = &self.watcher else { return };
         let is_wanted = watcher.is_wanted();
@@ -584,36 +602,39 @@ impl Matcher {
 
     fn show_pixels(&mut self, sequence: u64) {
         let Some(watcher) = &self.watcher else { return };
-        // All of them note, or none.
+        // Either all bodies record their pixels or none does.
         if self.bodies.iter().any(|body| body.used.is_some()) {
             watcher.show(sequence, self.bodies.iter_mut().filter_map(|body| body.used.as_mut()));
         }
     }
 
-    /// From now on the shutter is taken as given, and every frame is asked what it says of it.
+    /// Fixes the shutter to this one; from now on every frame is asked what it says about it (see
+    /// [`shutter_clue`](Self::shutter_clue)).
     pub fn ask_shutter(&mut self, shutter: Shutter) {
         (self.shutter, self.is_shutter_given) = (shutter, true);
         self.search.set_shutter(shutter, 0.0);
         self.bodies.iter_mut().for_each(|b| b.aligner.ask_shutter(shutter));
     }
 
-    /// From now on every frame is asked which part of the stage's model it speaks against, for [`model_report`](Self::model_report).
+    /// From now on checks every frame against the stage's model, for
+    /// [`model_report`](Self::model_report).
     pub fn study_model(&mut self) {
         self.bodies.iter_mut().take(1).for_each(TrackedBody::study_model);
     }
 
-    /// How well the stage's model fitted the frames.
+    /// Returns how well the stage's model fitted the frames.
     pub fn model_report(&self) -> ModelReport {
         self.bodies.first().map_or_else(ModelReport::default, |stage| stage.model_report(&self.camera))
     }
 
-    /// What the last frame said of the shutter through the stage; `None` where it is not asked, or the stage was not aligned.
+    /// Returns what the last frame says about the shutter, estimated on the stage; `None` if the
+    /// shutter is not asked or the stage was not aligned.
     pub fn shutter_clue(&self) -> Option<ShutterClue> {
         self.bodies.first()?.clue
     }
 
-    /// Aligns the stage from a start that is known to so much (one sigma, metres and radians), and tells what came of it. `None` where
-    /// nothing converges. Neither the track state nor the motion take notice.
+    /// Aligns the stage from a start with the given uncertainty (one sigma, metres and radians) and
+    /// returns the result; `None` if nothing converges. Leaves track state and motion unchanged.
     pub fn try_start(&mut self, frame: &Frame, start: &Pose<Body, Camera>, shift_m: f64, turn_rad: f64) -> Option<Alignment> {
         if frame.image.dimensions() != (self.camera.width(), self.camera.height()) {
             return None;
@@ -624,8 +645,8 @@ impl Matcher {
         Some(stage.aligner.align(&mut self.levels, &self.camera_rays, &expected, None)?.alignment)
     }
 
-    /// The stage's surfaces that are recognised in a picture, before any size is asked: for studies of a config that does not fit. Neither the
-    /// lock nor the motion take notice.
+    /// Returns the stage's surfaces that are recognised in a picture, without using any configured
+    /// size; for diagnosing a config that does not fit. Leaves track state and motion unchanged.
     pub fn recognise(&mut self, image: &GrayImage) -> Vec<SurfaceView> {
         if image.dimensions() != (self.camera.width(), self.camera.height()) {
             return Vec::new();
@@ -633,8 +654,9 @@ impl Matcher {
         self.bodies.first().map_or(Vec::new(), |stage| self.search.recognise(image, stage))
     }
 
-    /// Where features put the stage in a picture, and the matches that speak for it; for studies of a model that does not fit yet. Neither the lock nor the
-    /// motion take notice.
+    /// Returns the pose of the stage estimated from features in a picture, and the matches that
+    /// support it; for diagnosing a model that does not fit yet. Leaves track state and motion
+    /// unchanged.
     pub fn recognised_pose(&mut self, image: &GrayImage) -> Option<(Pose<Body, Camera>, Vec<SurfaceMatch>)> {
         if image.dimensions() != (self.camera.width(), self.camera.height()) {
             return None;
@@ -642,7 +664,8 @@ impl Matcher {
         self.search.recognised_pose(image, self.bodies.first()?)
     }
 
-    /// The same pose by the strongest features alone, in a fifth of the time; `None` also where [`recognised_pose`](Self::recognised_pose) would find one.
+    /// Like [`recognised_pose`](Self::recognised_pose), but uses only the strongest features, in a
+    /// fifth of the time. May return `None` where that one finds a pose.
     pub fn quickly_recognised_pose(&mut self, image: &GrayImage) -> Option<Pose<Body, Camera>> {
         if image.dimensions() != (self.camera.width(), self.camera.height()) {
             return None;
@@ -650,18 +673,20 @@ impl Matcher {
         self.search.quickly_recognised_pose(image, self.bodies.first()?)
     }
 
-    /// Patches of one of the stage's surfaces that fitted the last verified pose.
+    /// Returns the number of patches of one of the stage's surfaces that fitted the last verified
+    /// pose.
     pub fn fitting_patches(&self, surface: usize) -> usize {
         self.bodies.first().map_or(0, |stage| stage.anchors.iter().filter(|a| a.surface as usize == surface).count())
     }
 
-    /// The camera that frames are taken with.
+    /// Returns the camera that takes the frames.
     pub fn camera(&self) -> &CameraModel {
         &self.camera
     }
 }
 
-/// How long a body may coast: to the next frame at least, or a slow camera could not miss one. 0 stays: no pose is ever predicted.
+/// Returns how long a body may coast, seconds: at least to the next frame, so that a slow camera
+/// can miss one. A configured 0 stays 0: no pose is ever predicted.
 fn longest_coast_s(settings: &TrackerSettings, interval: &FrameInterval) -> f64 {
     if settings.coast_s > 0.0 { settings.coast_s.max(interval.to_next_s()) } else { 0.0 }
 }

@@ -1,19 +1,19 @@
-//! Tracking: a frame becomes an estimate of every body.
+//! Tracking turns a frame into an estimate of every body's pose.
 //!
-//! Each room is a folder and uses only the rooms above it; a test holds the order.
+//! Each room is a folder and uses only the rooms above it; a test enforces the order.
 //!
 //! - `scene`: surfaces, shapes and reference pictures; immutable after load
-//! - `frame`: one frame: its levels and the camera's rays; no body
-//! - `patches`: near a pose: where are the anchors, do they agree?
-//! - `align`: a predicted motion in; motion, covariance and evidence out
-//! - `model_error`: what residuals say of lens, shape, layout and shutter
+//! - `frame`: one frame: its levels and the camera's rays; knows no body
+//! - `patches`: near a given pose: where are the anchors, do they agree?
+//! - `align`: takes a predicted motion; returns motion, covariance and evidence
+//! - `model_error`: what residuals say about lens, shape, layout and shutter
 //! - `acquire`: candidates for a body's pose, within a work budget
 //! - `body`: what is remembered of a body; with `align::learned` the only memory
 //!
-//! The files here are the order of a frame: `matcher` runs it, `body_search` finds missing bodies,
-//! `failure` says why a frame has no pose, `two_view` describes the frame by a homography and an
-//! essential matrix, `tile_observer` is the survey's view of a frame, `settings` is what is
-//! configured.
+//! The files in this folder define the order of a frame: `matcher` runs it, `body_search` finds
+//! missing bodies, `failure` says why a frame has no pose, `two_view` describes the frame by a
+//! homography and an essential matrix, `tile_observer` measures single frames for the survey,
+//! `settings` holds what is configured.
 
 mod acquire;
 mod align;

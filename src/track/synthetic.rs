@@ -1,4 +1,5 @@
-//! Pictures made by hand for the tests of this room: smooth random texture, and a surface as a camera sees it.
+//! Synthetic pictures for the tests of `track`: smooth random texture, surfaces as a still or
+//! moving camera sees them, and matching anchors.
 
 use image::{GrayImage, Luma};
 use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
@@ -11,7 +12,8 @@ use crate::geometry::resection::Observation;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
 
-/// Smooth random texture: noise on lattices of three pitches, so that there is detail of every size.
+/// Returns smooth random texture: noise on lattices of three pitches, so that there is detail of
+/// every size.
 pub fn texture(width: u32, height: u32, seed: u32) -> GrayImage {
     let pitches = [(23.0, 110.0), (9.0, 80.0), (5.0, 40.0)];
     GrayImage::from_fn(width, height, |x, y| {
@@ -22,7 +24,7 @@ pub fn texture(width: u32, height: u32, seed: u32) -> GrayImage {
     })
 }
 
-/// Value noise from 0 to 1 with smooth steps between the lattice's points.
+/// Value noise from 0 to 1, smoothly interpolated between lattice points.
 fn lattice(x: f64, y: f64, seed: u32) -> f64 {
     let (i, j) = (x.floor(), y.floor());
     let smooth = |t: f64| t * t * (3.0 - 2.0 * t);
@@ -46,12 +48,12 @@ pub fn lens(width: u32, height: u32) -> CameraModel {
     CameraModel::new(Intrinsics { width, height, fx: w, fy: 1.01 * w, cx: 0.5 * w, cy: 0.49 * h, skew: 0.0, distortion }).expect("a camera")
 }
 
-/// A surface of 4 x 3 m at the body's origin, x right and y up in the body too.
+/// Returns a surface of 4 x 3 m at the body's origin; x right and y up, as in the body.
 pub fn cloth(seed: u32) -> SurfaceSpec {
     SurfaceSpec::from_artwork("cloth".into(), texture(640, 480, seed), [4.0, 3.0], Pose::identity()).expect("texture enough")
 }
 
-/// A [`cloth`], and a flat in front of it that stands at an angle.
+/// Returns a [`cloth`] and a smaller flat in front of it, at an angle.
 pub fn with_flat() -> Vec<SurfaceSpec> {
     let mut flat = cloth(2);
     flat.pose = Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.4, 0.0), Vector3::new(0.7, 0.1, 0.9));
@@ -59,7 +61,7 @@ pub fn with_flat() -> Vec<SurfaceSpec> {
     vec![cloth(1), flat]
 }
 
-/// The [`lens`] of 640 x 480 pixels with so many times its focal length.
+/// Returns the [`lens`] of 640 x 480 pixels with its focal length multiplied by `by`.
 pub fn zoomed(by: f64) -> CameraModel {
     let i = *lens(640, 480).intrinsics();
     CameraModel::new(Intrinsics { fx: by * i.fx, fy: by * i.fy, ..i }).expect("a camera")
@@ -69,10 +71,11 @@ pub fn prepared(surfaces: Vec<SurfaceSpec>) -> PreparedBody {
     PreparedBody::new(&BodySpec::new("stage", surfaces)).with_anchors()
 }
 
-/// Instants that a row is seen at while the shutter is open.
+/// Instants per exposure at which a row is rendered. Raised, blur is smoother and tests are slower.
 const INSTANTS: u32 = 8;
 
-/// What a camera that moves sees of a surface: each row is the mean of what it would see at instants of its own exposure.
+/// Renders what a moving camera sees of a surface: each row is the mean over instants of its own
+/// exposure.
 pub fn moving_view(surface: &SurfaceSpec, motion: &Motion, shutter: &Shutter, lens: &CameraModel) -> GrayImage {
     let (width, height) = (lens.width(), lens.height());
     let reach_s = 0.5 * (shutter.readout_s + shutter.exposure_s);
@@ -91,7 +94,8 @@ pub fn moving_view(surface: &SurfaceSpec, motion: &Motion, shutter: &Shutter, le
     GrayImage::from_raw(width, height, sums.iter().map(|[sum, n]| (sum / n).round() as u8).collect()).expect("one byte for each pixel")
 }
 
-/// Where a camera sees a place of a surface's artwork, and the derivative by it, pixels.
+/// Returns where a camera sees a place of a surface's artwork, pixels, and the derivative of that
+/// by the place.
 pub fn seen(camera: &CameraModel, pose: &Pose<Camera, Body>, spec: &SurfaceSpec, artwork: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
     let at = |artwork: Vector2<f64>| {
         let point = pose.transform(&spec.body_point(artwork));
@@ -100,14 +104,16 @@ pub fn seen(camera: &CameraModel, pose: &Pose<Camera, Body>, spec: &SurfaceSpec,
     (at(artwork), Matrix2::from_columns(&[Vector2::x(), Vector2::y()].map(|step| at(artwork + step) - at(artwork))))
 }
 
-/// `T_camera_body` of a camera that looks at the face of a [`cloth`], tilted by rotations about its x and y.
+/// Returns `T_camera_body` of a camera that faces a [`cloth`], tilted by rotations about its x and
+/// y.
 pub fn facing(tilt_x: f64, tilt_y: f64, shift: Vector3<f64>) -> Pose<Camera, Body> {
     let turn_over = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     Pose::new(UnitQuaternion::from_euler_angles(tilt_x, tilt_y, 0.02) * turn_over, shift)
 }
 
-/// Anchors on a grid over every surface, `across` to a side, each seen by one pixel's noise and `shift_px` from where the camera has it. `shift_px`: by
-/// its number on the surface and its pixel.
+/// Returns anchors on a grid over every surface, `across` per side, with one pixel of noise each in
+/// their information. `shift_px` returns the offset from the projected position, given the anchor's
+/// number on its surface and its pixel.
 pub fn seen_anchors(
     body: &PreparedBody,
     pose: &Pose<Camera, Body>,
@@ -131,7 +137,8 @@ pub fn seen_anchors(
     anchors
 }
 
-/// What the camera sees of a surface alone: 3 x 3 looks a pixel, 30 where there is nothing.
+/// Renders what a still camera sees of a surface: 3 x 3 samples per pixel; grey 30 where there is
+/// nothing.
 pub fn view(surface: &SurfaceSpec, pose: &Pose<Camera, Body>, camera: &CameraModel) -> GrayImage {
     let to_surface = (*pose * surface.pose).inverse();
     let look = |u: f64, v: f64| -> f64 {
@@ -147,7 +154,7 @@ pub fn view(surface: &SurfaceSpec, pose: &Pose<Camera, Body>, camera: &CameraMod
     })
 }
 
-/// Bilinear; 30 outside.
+/// Returns the bilinear grey value; 30 outside the picture.
 fn grey_at(picture: &GrayImage, p: Vector2<f64>) -> f64 {
     let (i, j) = (p.x.floor(), p.y.floor());
     if i < 0.0 || j < 0.0 || i + 1.0 >= f64::from(picture.width()) || j + 1.0 >= f64::from(picture.height()) {

@@ -1,7 +1,9 @@
-//! What single frames say of a stage whose model is still in question: where each tile of a surface is seen.
+//! Measures single frames for the survey: where each tile of a surface is seen relative to where
+//! the current model puts it.
 //!
-//! A survey asks the frames of a walk again and again, each time with a better model of the stage and of the lens. Nothing is followed here: every
-//! frame is aligned by itself, from the motion that it had before.
+//! The survey refines the model of stage and lens, and asks the frames of a walk again with each
+//! better model. Nothing is tracked here: every frame is aligned by itself, starting at the motion
+//! found for it before. Uses `align`, `patches` and `scene`.
 
 use image::GrayImage;
 use nalgebra::{Matrix2, Vector2, Vector3};
@@ -17,16 +19,18 @@ use crate::geometry::resection::{MovingCamera, Observation, resect, residual_and
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::{Motion, MotionEstimate};
 
-/// How far off a frame's motion may be after the model changed, one sigma: of the distance, and radians. Chosen: a lens that was 2 % off moves poses
-/// by as much. Raised, frames begin at coarser levels than they need; lowered, those of a model that changed much are lost.
+/// How far a frame's motion may be off after the model changed, one sigma: fraction of the
+/// distance, and radians. Raised, frames start at coarser levels than necessary; lowered, frames of
+/// a model that changed much are lost.
 const START_SHIFT: f64 = 0.02;
 const START_TURN: f64 = 0.01;
 
-/// Anchors that are searched for in a frame, and the fewest that must be found. Chosen as verification's.
+/// Maximum anchors searched for in a frame, and the minimum found. Raised, the first costs time,
+/// and the second drops frames that show little of the stage.
 const ANCHORS: usize = 400;
 const MIN_ANCHORS: usize = 16;
 
-/// Asks frames for the tiles of one body.
+/// Measures the tiles of one body in frames.
 pub struct TileObserver {
     body: PreparedBody,
     aligner: Aligner,
@@ -45,41 +49,41 @@ pub struct TileObserver {
 pub struct ObservedTile {
     /// Index of the surface in its body.
     pub surface: usize,
-    /// The middle of its detail, metres on the picture from its centre.
+    /// The centre of its detail on the picture, metres from the picture's centre.
     pub on_picture_m: [f64; 2],
-    /// How far from where the model puts it the frame shows it, pixels of the frame.
+    /// Offset of where the frame shows it from where the model puts it, pixels of the frame.
     pub shift_px: Vector2<f64>,
-    /// Information of that, pixels^-2.
+    /// Information matrix of that offset, pixels^-2.
     pub information: Matrix2<f64>,
-    /// When its rows were exposed, seconds after the frame's stamp.
+    /// When its rows were exposed, seconds after the frame's timestamp.
     pub delay_s: f64,
     /// Its number among the frame's tiles.
     pub number: u32,
 }
 
-/// How a camera moves, by the frames before and after one.
+/// The rates of a camera's motion, as estimated from neighbouring frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KnownRates {
-    /// Velocity, turn rate, acceleration and turn acceleration, axes as in [`Motion`].
+    /// Velocity, angular velocity, acceleration and angular acceleration; axes as in [`Motion`].
     pub means: [Vector3<f64>; 4],
-    /// One sigma of each, along each axis.
+    /// One sigma of each, per axis.
     pub sigmas: [f64; 4],
 }
 
 impl KnownRates {
-    /// The motion at a pose that has them.
+    /// Returns the motion that has these rates at `pose`.
     pub fn on(&self, pose: &Pose<Body, Camera>) -> Motion {
         let [velocity, turn_rate, acceleration, turn_acceleration] = self.means;
         Motion { pose: *pose, velocity, turn_rate, acceleration, turn_acceleration }
     }
 }
 
-/// What a frame said.
+/// What a frame shows.
 #[derive(Debug, Clone)]
 pub struct ObservedFrame {
-    /// The camera's motion, by the model as it is.
+    /// The camera's motion, under the current model.
     pub motion: Motion,
-    /// What was known of the motion's rates before.
+    /// The prior of the motion's rates, if there was one.
     pub rates: Option<KnownRates>,
     /// The tiles that fit.
     pub tiles: Vec<ObservedTile>,
@@ -104,7 +108,7 @@ impl TileObserver {
         }
     }
 
-    /// Takes another model: the same pictures, elsewhere, of another shape or seen by another lens.
+    /// Replaces the model: the same pictures with other poses, shapes or another lens.
     pub fn take_model(&mut self, camera: &CameraModel, surfaces: &[SurfaceSpec]) {
         self.aligner.take_places(surfaces);
         for (own, surface) in self.body.surfaces.iter_mut().zip(surfaces) {
@@ -116,13 +120,15 @@ impl TileObserver {
         }
     }
 
-    /// From now on the rows are read in this time; the exposure stays as it is known.
+    /// Sets the readout time, seconds; the exposure stays as it is.
     pub fn take_readout(&mut self, readout_s: f64) {
         self.aligner.take_readout(readout_s);
     }
 
-    /// Where a frame shows the anchors of each surface, searched for in the frame (`is_half`: at half its size, up to ten pixels from where the model has them) from a
-    /// pose; and the pose that explains them best. For surfaces that stand elsewhere than the model has them, beyond the reach of the tiles.
+    /// Registers anchors of each surface near the pose `start` and returns where the frame shows
+    /// them, and the pose that explains them best; `None` if too few are found. `is_half`: search
+    /// at half size, up to ten pixels around the predicted place. For surfaces that the model
+    /// misplaces beyond the tiles' reach.
     pub fn observe_anchors(&mut self, image: &GrayImage, start: &Pose<Body, Camera>, is_half: bool) -> Option<ObservedFrame> {
         let camera = *self.rays.camera();
         self.levels.update(image);
@@ -157,8 +163,8 @@ impl TileObserver {
         })
     }
 
-    /// Where a frame shows the tiles, from the motion that it had before, whose rates may be known; `None` where the picture does not bear the model
-    /// out.
+    /// Aligns a frame starting at `start` and returns where it shows the tiles; `rates`: prior of
+    /// the motion's rates, if known. `None` if the picture does not confirm the model.
     pub fn observe(&mut self, image: &GrayImage, start: &Motion, rates: Option<KnownRates>) -> Option<ObservedFrame> {
         let distance_m = self.aligner.distance_m(&start.pose);
         let unseen = MotionEstimate::unseen(start.pose, distance_m, START_SHIFT * distance_m, START_TURN);

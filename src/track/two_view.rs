@@ -1,5 +1,7 @@
-//! What the record says of two views: the homography from the reference picture, the motion from the
-//! reference camera, and which of the two models explains the frame better (contract C3).
+//! Describes a tracked frame by two-view geometry, for the record (contract C3): the homography
+//! from the reference picture, the motion from the reference camera, and which of the two models
+//! explains the frame better. It uses the anchors that fitted the verified pose; nothing here
+//! influences tracking.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -19,43 +21,45 @@ use crate::geometry::{Body, Camera, Homography, PointPair, Pose, ReferenceCamera
 /// The two-view description of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TwoView {
-    /// Reference pixels of the first surface to undistorted frame pixels, h33 = 1; from at least twelve correspondences.
+    /// Reference pixels of the first surface to undistorted frame pixels, h33 = 1; present from
+    /// twelve correspondences on.
     pub homography: Option<Matrix3<f64>>,
-    /// Motion from the reference camera and the correspondences that agree with it.
+    /// Motion from the reference camera, and the number of correspondences that agree with it.
     pub essential: Option<(TwoViewMotion, usize)>,
     /// Whether a scene with depth explains the correspondences better than one plane.
     pub has_depth: bool,
 }
 
-/// Fewest correspondences of a homography that is written: three times the four that define one. Raised, small stages have none; lowered,
-/// its eight numbers are mostly noise.
+/// Minimum correspondences of a reported homography: three times the four that define one. Raised,
+/// small stages have none; lowered, its eight numbers are mostly noise.
 const MIN_FOR_HOMOGRAPHY: usize = 12;
-/// Baseline below which the essential matrix says nothing, as a share of the distance. Chosen, not tuned: the direction of a shift drowns
-/// in the noise of the rays. Raised, fewer frames have one; lowered, its direction is chance near the reference camera.
+/// Minimum baseline of an essential matrix, as a fraction of the distance. Raised, fewer frames
+/// have one; lowered, its direction is noise near the reference camera.
 const MIN_BASELINE: f64 = 0.01;
-/// Share of the correspondences that a motion near the metric pose must explain to be taken. Chosen, not tuned. Raised, more frames pay for
-/// five-point samples; lowered, a motion may be kept where another explains more.
+/// Fraction of the correspondences that the motion refined from the metric pose must explain to be
+/// accepted directly. Raised, more frames pay for five-point samples; lowered, a worse motion may
+/// be kept.
 const CLEAR_SHARE: f64 = 0.8;
-/// Five-point samples, and models kept for refinement. Few will do: the anchors fitted a pose already, so that most samples hold no wrong
-/// one. Raised, frames that need them cost more.
+/// Five-point samples, and models kept for refinement. Raised, frames that need them cost more.
 const SAMPLES: usize = 12;
 const KEPT: usize = 6;
 
-/// `T_body_reference`: where the reference camera stands (C3: the photograph's own camera, or a virtual pinhole on the first
-/// surface's axis, as far in front of its centre as it is wide).
+/// Returns `T_body_reference`, the pose of the reference camera (C3): the photograph's own camera,
+/// or a virtual pinhole on the first surface's axis, as far in front of its centre as the surface
+/// is wide.
 fn reference_camera(body: &PreparedBody) -> Pose<Body, ReferenceCamera> {
     let spec = &body.surfaces[0].spec;
     match &spec.kind {
         ReferenceKind::Photograph { pose, .. } => spec.pose * pose.inverse(),
         ReferenceKind::Artwork => {
-            // Looking against the surface's normal: x stays right, y and z turn over.
+            // It looks against the surface's normal: x stays, y and z flip.
             let turn = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
             spec.pose * Pose::<SurfaceFrame, ReferenceCamera>::new(turn, Vector3::new(0.0, 0.0, spec.size_m[0]))
         }
     }
 }
 
-/// Buffers of the description.
+/// Buffers of [`two_view`].
 #[derive(Debug, Default)]
 pub struct TwoViewBuffers {
     rays: Vec<Option<Normalized>>,
@@ -63,7 +67,8 @@ pub struct TwoViewBuffers {
     points: Vec<PointPair>,
 }
 
-/// Describes a verified frame by the anchors that fit.
+/// Describes a verified frame by the anchors that fit. `camera`: the frame's; `seed`: of the
+/// five-point samples.
 pub fn two_view(
     body: &PreparedBody,
     verified: &Verified,
@@ -109,7 +114,7 @@ fn pair_rays(
     pairs.extend(anchors.iter().zip(rays).filter_map(pair));
 }
 
-/// The free 8-parameter fit to the first surface's correspondences.
+/// Returns the unconstrained 8-parameter fit to the first surface's correspondences.
 fn first_surface_homography(
     body: &PreparedBody,
     anchors: &[FittedAnchor],
@@ -130,9 +135,10 @@ fn first_surface_homography(
     }
 }
 
-/// The motion from the correspondences: refined from the metric pose; where that does not explain most of them, five-point samples and
-/// their refinement. A flat scene allows two motions; where both explain the pairs alike, the one nearer to the metric pose (whose plane
-/// is known) is the true one.
+/// Estimates the motion from the correspondences. First refines the metric pose; if that does not
+/// explain most of them, also refines five-point samples. A flat scene allows two motions; if both
+/// explain the pairs equally well, the one nearer to the metric pose, whose plane is known, is the
+/// true one.
 fn estimate_motion(pairs: &[RayPair], metric: &Pose<Camera, ReferenceCamera>, sigma: f64, seed: u64) -> Option<(TwoViewMotion, usize)> {
     if pairs.len() < 8 {
         return None;
@@ -162,7 +168,7 @@ fn estimate_motion(pairs: &[RayPair], metric: &Pose<Camera, ReferenceCamera>, si
     };
     let refined: Vec<(f64, TwoViewMotion)> = starts.iter().map(|s| refine_motion(s, pairs, sigma, 12)).map(|m| (cost(&m), m)).collect();
     let least = refined.iter().map(|(c, _)| *c).fold(f64::INFINITY, f64::min);
-    // Within the scatter of a chi-squared of this many pairs, two motions explain them alike.
+    // Costs within the scatter of a chi-squared with this many pairs are equal.
     let alike = least + 3.0 * (2.0 * pairs.len() as f64).sqrt();
     let (_, best) = refined
         .into_iter()
@@ -171,8 +177,8 @@ fn estimate_motion(pairs: &[RayPair], metric: &Pose<Camera, ReferenceCamera>, si
     Some((best, agreeing(&best)))
 }
 
-/// Torr's GRIC ("Geometric robust information criterion", 1998) of both models over all pairs; true when the essential
-/// matrix has the lower one.
+/// Compares Torr's GRIC ("Geometric robust information criterion", 1998) of both models over all
+/// pairs; true if the essential matrix has the lower one.
 fn depth_explains_better(pairs: &[RayPair], motion: &TwoViewMotion, sigma: f64, points: &mut Vec<PointPair>) -> bool {
     points.clear();
     points.extend(pairs.iter().map(|p| PointPair { from: p.first, to: p.second }));
@@ -185,7 +191,8 @@ fn depth_explains_better(pairs: &[RayPair], motion: &TwoViewMotion, sigma: f64, 
     gric(depth_errors, sigma, 3.0, 5.0) < gric(plane_errors, sigma, 2.0, 8.0)
 }
 
-/// GRIC for data of dimension 4: `d` is the dimension of the model's manifold, `k` its number of parameters.
+/// Returns GRIC for data of dimension 4. `d`: dimension of the model's manifold; `k`: its number of
+/// parameters.
 fn gric(squared_errors: impl Iterator<Item = f64>, sigma: f64, d: f64, k: f64) -> f64 {
     let mut n = 0.0;
     let mut sum = 0.0;

@@ -4,7 +4,8 @@ use super::super::synthetic::{cloth, facing, lens, prepared, seen_anchors};
 use super::*;
 use crate::camera::Normalized;
 
-/// Exact anchors on a grid over every surface, moved by up to `noise_px` by a fixed pattern.
+/// Returns exact anchors on a grid over every surface, displaced by up to `noise_px` in a fixed
+/// pattern.
 fn seen(body: &PreparedBody, pose: &Pose<Camera, Body>, camera: &CameraModel, across: u32, noise_px: f64) -> (Verified, Vec<FittedAnchor>) {
     let wobble = |k: u32, _| Vector2::new((f64::from(k) * 12.9).sin(), (f64::from(k) * 78.2).sin()) * noise_px;
     let anchors = seen_anchors(body, pose, camera, across, wobble);
@@ -55,7 +56,8 @@ fn two_depths_are_an_essential_matrix() {
 fn the_reference_camera_sees_the_artwork_upright_and_full() {
     let body = prepared(vec![cloth(1)]);
     let to_reference = reference_camera(&body).inverse();
-    // fx = W, fy = H width / height, centred (C3): the outer corners fall on the virtual picture's.
+    // fx = W, fy = H width / height, centred (C3): the artwork's outer corners must project to the
+    // virtual picture's.
     let spec = &body.surfaces[0].spec;
     for (u, v) in [(-0.5, -0.5), (639.5, -0.5), (639.5, 479.5), (10.0, 20.0)] {
         let c = to_reference.transform(&spec.body_point(Vector2::new(u, v)));
@@ -67,7 +69,7 @@ fn the_reference_camera_sees_the_artwork_upright_and_full() {
 #[test]
 fn without_a_baseline_or_correspondences_there_is_no_answer() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
-    // 1 % of 4 m are 4 cm.
+    // 1 % of 4 m is 4 cm.
     for (x, is_some) in [(0.03, false), (0.05, true)] {
         let pose: Pose<Camera, Body> = reference_camera(&body).inverse().renamed();
         let beside: Pose<Camera, Body> = Pose::new(pose.rotation, pose.translation + Vector3::new(x, 0.0, 0.0));
