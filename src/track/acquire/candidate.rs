@@ -1,9 +1,9 @@
-//! Acquisition: from descriptor matches of one frame, without any earlier knowledge, to candidate poses of a
-//! body.
+//! Turns descriptor matches of one frame into candidate poses of a body, without prior knowledge.
 //!
-//! Every surface's matches vote for a homography; each homography allows two planar poses; each of those is
-//! refined over the matches of all surfaces of the body, with distortion. Both survive until the picture
-//! decides.
+//! For each surface, its matches vote for a homography; each homography allows two planar poses;
+//! each of these is refined over the matches of all surfaces of the body, with lens distortion.
+//! Both planar poses stay candidates until alignment with the picture decides. If few matches
+//! agree, affine maps replace homographies.
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -20,45 +20,48 @@ use crate::geometry::{Body, Camera, Homography, PointPair, Pose};
 use crate::matching::{Match, ReferenceFeature};
 use crate::track::scene::reference::PreparedBody;
 
-/// A feature of the frame that was matched with a place on a surface.
+/// A feature of the frame, matched with a place on a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SurfaceMatch {
     /// Surface index in its body.
     pub surface: u32,
-    /// On the artwork, pixels.
+    /// Place on the artwork, pixels.
     pub artwork: Vector2<f64>,
-    /// In the frame, raw pixels.
+    /// Place in the frame, raw pixels.
     pub pixel: Vector2<f64>,
-    /// In the frame, undistorted pixels of the same K.
+    /// Place in the frame, undistorted pixels of the same K.
     pub undistorted: Vector2<f64>,
-    /// Frame pixels per pixel of the level it was found on.
+    /// Frame pixels per pixel of the level on which it was found.
     pub scale: f64,
-    /// How the surface is seen there: derivative of the frame's pixels by the artwork's.
+    /// Local appearance of the surface: derivative of the frame's pixels by the artwork's.
     pub derivative: Matrix2<f64>,
 }
 
-/// A pose that the matches speak for.
+/// A pose that matches support.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Candidate {
     /// `T_camera_body`.
     pub pose: Pose<Camera, Body>,
-    /// Matches within reach of it.
+    /// Matches within reach of the pose.
     pub inliers: usize,
     /// Robust cost over all matches; lower is better.
     pub cost: f64,
-    /// How far off the matches' noise leaves `T_body_camera`, one sigma: metres and radians, over all axes.
+    /// Uncertainty of `T_body_camera` due to the matches' noise, one sigma over all axes: metres
+    /// and radians.
     pub off: [f64; 2],
 }
 
-/// What the matches of a frame say of a body before any lens or size is asked.
+/// What the matches of a frame show of a body, independent of lens and configured sizes.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Recognition {
-    /// Matches that agree on one homography of a surface: the most over the surfaces.
+    /// Matches that agree on one homography of a surface: the maximum over the surfaces.
     pub agreeing: usize,
-    /// What the best pose leaves of the agreeing matches of all surfaces over what their homographies leave: mean cut squares, in sigmas. About 0
-    /// where lens, sizes and places are right, however noisy the matches; `None` without a pose.
+    /// Residual of the best pose minus that of the homographies, over the agreeing matches of all
+    /// surfaces: mean truncated squares, in sigmas. About 0 if lens, sizes and places are right,
+    /// however noisy the matches; `None` without a pose.
     pub misfit: Option<f64>,
-    /// Root of the area that the surface with the most matches takes of the frame, pixels; `None` beyond its horizon.
+    /// Square root of the area that the surface with the most matches covers in the frame, pixels;
+    /// `None` if it extends beyond the horizon.
     pub outline_px: Option<f64>,
     /// The matches that agree on the homography of their surface.
     pub matches: Vec<AgreeingMatch>,
@@ -69,50 +72,56 @@ pub struct Recognition {
 pub struct AgreeingMatch {
     /// Surface index in its body.
     pub surface: u32,
-    /// On the surface's picture, metres from its centre.
+    /// Place on the surface's picture, metres from its centre.
     pub on_picture_m: Vector2<f64>,
-    /// What the configured body makes of it.
+    /// The match as an observation of the configured body.
     pub observation: Observation,
-    /// Cut square that the homography leaves, in sigmas.
+    /// Truncated squared residual of the homography, in sigmas.
     pub floor: f64,
 }
 
-/// Fewest inliers of a homography that is worth a look: twice the four that define it. Chance agrees on as many now and then, and
-/// verification refuses it. Raised, small or dim pictures are not found; lowered, frames without the stage cost more.
+/// Minimum inliers of a homography: twice the four that define it. Raised, small or dim pictures
+/// are not found; lowered, frames without the stage cost more.
 const MIN_INLIERS: usize = 8;
-/// Fewest places that agree on an affine map that is worth a look: two more than define one. Raised, weak pictures are not found; lowered, frames without them cost more.
+/// Minimum places that agree on an affine map: two more than define one. Raised, weak pictures are
+/// not found; lowered, frames without them cost more.
 const MIN_AFFINE_INLIERS: usize = 5;
-/// Matches that speak for a pose without doubt: then affine maps are not asked. Chosen, not tuned. Raised, bodies that are seen well cost more; lowered, a homography through wrong matches is the
-/// only one tried.
+/// Matches above which a pose is well supported and no affine maps are tried. Raised, well-visible
+/// bodies cost more; lowered, a homography through wrong matches may be the only one tried.
 pub const FEW_INLIERS: usize = 20;
-/// Candidates at most: both planar poses of a homography, and of an affine map. Raised, wrong ones cost more.
+/// Maximum candidates: both planar poses of a homography and of an affine map. Raised, wrong ones
+/// cost more.
 const MAX_CANDIDATES: usize = 4;
-/// Where the affine map of a surface is looked at to tell its planar poses, pixels of a match's level from it. The map is the same everywhere; as near as this, a plane has no perspective.
+/// Distance from a match at which its surface's affine map is sampled to separate the planar poses,
+/// pixels of the match's level. Not sensitive: the map is the same everywhere, and perspective
+/// vanishes this near.
 const AFFINE_REACH_PX: f64 = 10.0;
-/// Noise of a feature's position, pixels of the level it was found on, one sigma. A round figure. Raised, wrong matches come within reach
-/// of a pose; lowered, right ones of a start that is a little off do not.
+/// Position noise of a feature, pixels of the level on which it was found, one sigma. Raised, wrong
+/// matches come within reach of a pose; lowered, right ones fall out of reach of an inaccurate
+/// start.
 pub const FEATURE_NOISE_PX: f64 = 1.0;
-/// How near a match must be to enter the refinement of a pose, sigmas: first by the start, then by the refined pose. Without, no candidate
-/// survived 160 wrong matches beside 80 right ones. Raised, wrong matches pull the pose; lowered, right ones of other surfaces are left
-/// out.
+/// Maximum distance of a match that takes part in refining a pose, sigmas: first from the start,
+/// then from the refined pose. Raised, wrong matches pull the pose; lowered, right ones of other
+/// surfaces are excluded.
 const REFINED_WITHIN: [f64; 2] = [20.0, 8.0];
-/// Steps of either refinement at most: after five the best candidate is less than a hundredth of its noise off where it would come to rest, though another one may still creep; alignment goes on
-/// from there. Raised, candidates cost more: with 15 up to a quarter more.
+/// Maximum steps of either refinement; alignment continues from the result. Raised, candidates cost
+/// more.
 const REFINING_STEPS: usize = 5;
-/// The other planar pose is left out where the first one explains this many matches, and fewer than this share of them are within reach of the other. Few matches hardly tell the
-/// two apart before both are refined: with no least number, a small prop was found a frame later. `MIN_EXPLAINED` raised, the right one of two may be left out; lowered, poses that the picture
-/// cannot show cost as much as the first.
+/// The second planar pose is skipped if the first explains at least `TELLING_MATCHES` and the
+/// second less than `MIN_EXPLAINED` of them. `TELLING_MATCHES` lowered or `MIN_EXPLAINED` raised,
+/// the right one may be skipped; `MIN_EXPLAINED` lowered, impossible poses cost as much as the
+/// first.
 const TELLING_MATCHES: usize = 60;
 const MIN_EXPLAINED: f64 = 0.5;
-/// A squared residual in sigmas counts as this at most: four sigmas, within which a match is an inlier. Raised, wrong matches decide
-/// between candidates.
+/// Upper bound of a squared residual, sigmas; its root is the inlier limit. Raised, wrong matches
+/// decide between candidates.
 const MAX_SQUARED: f64 = 16.0;
-/// Samples of the robust homography at most: enough to find one among 72 % of wrong matches, to 99.99 %. Raised, frames without the stage
-/// cost more.
+/// Maximum samples of the robust homography. Raised, frames without the stage cost more; lowered,
+/// homographies among many wrong matches are missed.
 const SAMPLES: usize = 1500;
 
-/// Sorts matches to the surfaces of a body; `surfaces` is the range of index surfaces that the body owns. The order (best
-/// first) stays.
+/// Returns the matches that belong to the surfaces of a body, in the same order (best first).
+/// `surfaces`: range of the body's surface numbers in the index.
 pub fn surface_matches(
     matches: &[Match],
     frame: &[Feature],
@@ -139,7 +148,8 @@ pub fn surface_matches(
     matches.iter().filter_map(of_body).collect()
 }
 
-/// Candidate poses of a body, best first, at most four; and what was recognised of it. `sampled`: those of the matches that homographies are sought among.
+/// Returns candidate poses of a body, best first, at most four, and what was recognised of it.
+/// `sampled`: the matches among which homographies are sought; `seed`: of the robust estimation.
 pub fn candidates(
     body: &PreparedBody,
     matches: &[SurfaceMatch],
@@ -155,10 +165,10 @@ pub fn candidates(
     for surface in 0..body.surfaces.len() as u32 {
         let Some(view) = surface_view(surface, sampled, camera, seed) else { continue };
         seen.matches.extend(view.observed(body));
-        // Matches that the poses of this surface explain, at most.
+        // Maximum number of matches that a pose of this surface explains so far.
         let mut explained = 0;
         for start in surface_poses(body, &view, camera, &mut seen) {
-            // Seen from nearby or far aside, a plane that is tilted the other way explains little.
+            // From nearby or far aside, the planar pose with the opposite tilt explains little.
             let near = || within_reach(&start, &still, &observations, REFINED_WITHIN[1]).count() as f64;
             if explained >= TELLING_MATCHES && near() < MIN_EXPLAINED * explained as f64 {
                 continue;
@@ -176,8 +186,9 @@ pub fn candidates(
     (found, seen)
 }
 
-/// Adds the poses that a handful of matches speak for, where those that were found have little support. Of small, blurred and weak pictures so few matches are right that no sample of four is; but each
-/// match by itself tells how its surface is seen.
+/// Adds poses supported by few matches, unless `found` already contains a well-supported one. Of
+/// small, blurred and weak pictures so few matches are right that no sample of four consists of
+/// right ones; but each single match tells how its surface is seen.
 pub fn add_candidates_of_few(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, found: &mut Vec<Candidate>) {
     if found.iter().any(|candidate| candidate.inliers >= FEW_INLIERS) {
         return;
@@ -192,27 +203,28 @@ pub fn add_candidates_of_few(body: &PreparedBody, matches: &[SurfaceMatch], came
     keep_best(found);
 }
 
-/// Those with the least cost, best first.
+/// Keeps the candidates of lowest cost, best first.
 fn keep_best(found: &mut Vec<Candidate>) {
     found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     found.truncate(MAX_CANDIDATES);
 }
 
-/// Adds a candidate that is not there yet.
+/// Adds a candidate unless a nearly identical one is there.
 fn add_new(found: &mut Vec<Candidate>, candidate: Candidate) {
     if !found.iter().any(|c| nearly_same(&c.pose, &candidate.pose)) {
         found.push(candidate);
     }
 }
 
-/// The start refined, and what speaks for it.
+/// Refines a start and returns it with its inliers and cost.
 fn refined_candidate(start: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, observations: &[Observation]) -> Option<Candidate> {
     let found = refined(start, camera, observations)?;
     let inliers = within_reach(&found.pose, camera, observations, MAX_SQUARED.sqrt()).count();
     Some(Candidate { pose: found.pose, inliers, cost: truncated_cost(&found.pose, camera, observations), off: off(&found) })
 }
 
-/// The start refined over the matches near it. Most matches may be wrong, and resection bears only a minority of them.
+/// Refines a start over the matches near it: most matches may be wrong, but resection tolerates
+/// only a minority of outliers.
 fn refined(start: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, observations: &[Observation]) -> Option<Resection> {
     let near = |pose: &Pose<Camera, Body>, sigmas: f64| -> Vec<Observation> {
         within_reach(pose, camera, observations, sigmas).copied().collect()
@@ -222,14 +234,14 @@ fn refined(start: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, obser
     resect(&pose, camera, &near(&pose, fine), REFINING_STEPS)
 }
 
-/// See [`Candidate::off`]; infinite where the matches leave a direction free.
+/// See [`Candidate::off`]; infinite if the matches leave a direction undetermined.
 fn off(found: &Resection) -> [f64; 2] {
     let Some(noise) = found.normal.cholesky() else { return [f64::INFINITY; 2] };
     let covariance = covariance_of_inverse(&found.pose, &(noise.inverse() * found.scale.powi(2)));
     [0, 3].map(|first| covariance.fixed_view::<3, 3>(first, first).trace().sqrt())
 }
 
-/// The observations within a number of sigmas of where the pose puts them.
+/// Returns the observations within a number of sigmas of where the pose projects them.
 fn within_reach<'a>(
     pose: &Pose<Camera, Body>,
     camera: &MovingCamera<'a, CameraModel>,
@@ -245,18 +257,18 @@ fn observation(body: &PreparedBody, m: &SurfaceMatch) -> Observation {
     Observation { point: body.surfaces[m.surface as usize].spec.body_point(m.artwork), pixel: m.pixel, information, delay_s: 0.0, group: 0 }
 }
 
-/// Sum of squared residuals in sigmas, each cut at 16.
+/// Returns the sum of squared residuals in sigmas, each truncated at [`MAX_SQUARED`].
 fn truncated_cost(pose: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, observations: &[Observation]) -> f64 {
     let squared = |o: &Observation| squared_residual(pose, camera, o).unwrap_or(f64::INFINITY);
     observations.iter().map(|o| squared(o).min(MAX_SQUARED)).sum()
 }
 
-/// Whether one of two candidates is enough: they are within a hundredth of the distance and half a degree.
+/// Whether two candidates are equivalent: within a hundredth of the distance and half a degree.
 pub fn nearly_same(a: &Pose<Camera, Body>, b: &Pose<Camera, Body>) -> bool {
     a.angle_to(b) < 0.01 && (a.translation - b.translation).norm() < 0.01 * a.translation.norm()
 }
 
-/// A surface as the matches of a frame show it, before any size is asked.
+/// A surface as the matches of a frame show it, independent of its configured size.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SurfaceView {
     /// Its index in its body.
@@ -268,7 +280,7 @@ pub struct SurfaceView {
 }
 
 impl SurfaceView {
-    /// The matches as observations of the body.
+    /// Returns the matches as observations of the body.
     pub fn observed(&self, body: &PreparedBody) -> impl Iterator<Item = AgreeingMatch> {
         let spec = &body.surfaces[self.surface as usize].spec;
         self.matches.iter().map(move |m| AgreeingMatch {
@@ -279,7 +291,7 @@ impl SurfaceView {
         })
     }
 
-    /// What the homography leaves of a match, in sigmas, squared and cut.
+    /// Returns the squared residual of the homography for a match, in sigmas, truncated.
     fn squared_error(&self, m: &SurfaceMatch) -> f64 {
         let pair = PointPair { from: m.artwork, to: m.undistorted };
         (self.homography.squared_error(&pair) / (FEATURE_NOISE_PX * m.scale).powi(2)).min(MAX_SQUARED)
@@ -295,7 +307,8 @@ fn misfit(poses: &[Pose<Camera, Body>], camera: &MovingCamera<CameraModel>, agre
     poses.iter().map(over).min_by(f64::total_cmp).filter(|m| m.is_finite())
 }
 
-/// The homography that most matches of a surface agree with. A mirror image is no view of the surface's front.
+/// Returns the homography that most matches of a surface agree on; `None` if too few do or it is
+/// mirrored, as the surface's front never is.
 pub fn surface_view(surface: u32, matches: &[SurfaceMatch], camera: &CameraModel, seed: u64) -> Option<SurfaceView> {
     let own: Vec<SurfaceMatch> = matches.iter().filter(|m| m.surface == surface).copied().collect();
     if own.len() < MIN_INLIERS {
@@ -310,7 +323,7 @@ pub fn surface_view(surface: u32, matches: &[SurfaceMatch], camera: &CameraModel
     Some(SurfaceView { surface, homography: found.model, matches })
 }
 
-/// Both planar poses of a view; what was recognised is noted.
+/// Returns both planar poses of a view and records what was recognised.
 fn surface_poses(body: &PreparedBody, view: &SurfaceView, camera: &CameraModel, seen: &mut Recognition) -> Vec<Pose<Camera, Body>> {
     let spec = &body.surfaces[view.surface as usize].spec;
     if view.matches.len() > seen.agreeing {
@@ -325,7 +338,7 @@ fn surface_poses(body: &PreparedBody, view: &SurfaceView, camera: &CameraModel, 
     planar_poses(&homography, &metric).into_iter().map(|p| p * spec.pose.inverse()).collect()
 }
 
-/// How the matches of a surface say by themselves that it is seen, and these matches.
+/// Returns the matches of a surface and the local affine map that each of them implies.
 fn affinities(surface: u32, matches: &[SurfaceMatch]) -> (Vec<&SurfaceMatch>, Vec<LocalAffinity>) {
     let affinity = |m: &SurfaceMatch| LocalAffinity {
         pair: PointPair { from: m.artwork, to: m.undistorted },
@@ -335,8 +348,9 @@ fn affinities(surface: u32, matches: &[SurfaceMatch]) -> (Vec<&SurfaceMatch>, Ve
     matches.iter().filter(|m| m.surface == surface).map(|m| (m, affinity(m))).unzip()
 }
 
-/// Of each surface of a body the matches that agree on how it is seen, where these are enough for a pose to be worth a search: of bodies that are small before their distance, whose perspective does
-/// not show.
+/// Returns, per surface, the matches that agree on one affine map, if they are enough to justify a
+/// search. Valid for bodies that are small relative to their distance, where perspective is
+/// negligible.
 pub fn agreeing_matches(body: &PreparedBody, matches: &[SurfaceMatch]) -> Vec<SurfaceMatch> {
     let of_surface = |surface: u32| {
         let (own, affinities) = affinities(surface, matches);
@@ -345,7 +359,7 @@ pub fn agreeing_matches(body: &PreparedBody, matches: &[SurfaceMatch]) -> Vec<Su
     (0..body.surfaces.len() as u32).flat_map(of_surface).collect()
 }
 
-/// Both planar poses of the affine map that a few matches of a surface agree with.
+/// Returns both planar poses of the affine map that a few matches of a surface agree on.
 fn affine_poses(body: &PreparedBody, surface: u32, matches: &[SurfaceMatch], camera: &CameraModel) -> Vec<Pose<Camera, Body>> {
     let spec = &body.surfaces[surface as usize].spec;
     let (own, affinities) = affinities(surface, matches);
@@ -364,7 +378,7 @@ fn affine_poses(body: &PreparedBody, surface: u32, matches: &[SurfaceMatch], cam
     planar_poses(&homography, &pairs).into_iter().map(|p| p * spec.pose.inverse()).collect()
 }
 
-/// Root of the area that a picture of a size takes of the frame.
+/// Returns the square root of the area that a picture of this size covers in the frame.
 fn outline_px(homography: &Homography, (width, height): (u32, u32)) -> Option<f64> {
     let (w, h) = (f64::from(width), f64::from(height));
     let corners = [(0.0, 0.0), (w, 0.0), (w, h), (0.0, h)].map(|(x, y)| homography.map(Vector2::new(x, y)));

@@ -9,7 +9,8 @@ fn truth() -> Pose<Camera, Body> {
     facing(0.3, -0.5, Vector3::new(0.1, 0.05, 3.6))
 }
 
-/// `right` matches with a noise of half a pixel and `wrong` ones anywhere, mixed; at least half of the first are right.
+/// Returns matches mixed at random: on average `right` ones with half a pixel of noise, and `wrong`
+/// ones anywhere.
 fn matches(body: &PreparedBody, camera: &CameraModel, right: usize, wrong: usize) -> Vec<SurfaceMatch> {
     matches_of(body, camera, &truth(), right, wrong, 4)
 }
@@ -33,7 +34,8 @@ fn matches_of(
         let is_wrong = random.random_range(0..right + wrong) < wrong;
         let pixel = if is_wrong { anywhere } else { pixel + noise };
         let Some(ray) = camera.unproject(Pixel(pixel)) else { continue };
-        // Directions are known to some degrees and sizes to a tenth; of wrong matches they are anything.
+        // Directions are known to some degrees and sizes to a tenth; wrong matches have arbitrary
+        // ones.
         let (turn, growth) = if is_wrong { (3.1, 2.0) } else { (0.15, 1.1) };
         let turn = Rotation2::new(random.random_range(-turn..turn));
         let growth = f64::powf(growth, random.random_range(-1.0..1.0));
@@ -43,7 +45,7 @@ fn matches_of(
     all
 }
 
-/// Homographies are sought among all matches.
+/// Seeks homographies among all matches.
 fn candidates_of(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel) -> (Vec<Candidate>, Recognition) {
     candidates(body, matches, matches, camera, 1)
 }
@@ -80,16 +82,17 @@ fn too_few_or_only_wrong_matches_give_nothing() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
     assert!(candidates_of(&body, &[], &camera).0.is_empty());
     assert!(candidates_of(&body, &matches(&body, &camera, 7, 0), &camera).0.is_empty());
-    // Chance alone must not look like a stage: what it yields, if anything, has hardly more than the least support.
+    // Random matches must not look like a stage: candidates from them, if any, have little more
+    // than the minimum support.
     let (by_chance, _) = candidates_of(&body, &matches(&body, &camera, 0, 200), &camera);
     assert!(by_chance.iter().all(|c| c.inliers < 20), "{by_chance:?}");
 }
 
-/// Of eight right ones among sixty no sample of four is likely to be right.
+/// With eight right matches among sixty, a sample of four right ones is unlikely.
 #[test]
 fn a_handful_of_right_matches_among_many_wrong_ones_puts_a_body_where_it_is() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
-    // Some 200 pixels wide.
+    // The cloth appears some 200 pixels wide.
     let pose = facing(0.3, -0.5, Vector3::new(0.1, 0.05, 12.0));
     let mut by_homography = 0;
     for seed in 0..10 {
@@ -153,7 +156,8 @@ fn matches_go_to_the_body_that_owns_their_surface() {
     let all: Vec<Match> = (0..3).map(|k| Match { frame: k, reference: k, ratio: 0.5 }).collect();
     let own = surface_matches(&all, &features, &references, 2..4, &camera);
     assert_eq!(own.iter().map(|m| (m.surface, m.pixel.x, m.scale)).collect::<Vec<_>>(), [(0, 60.0, 1.2), (1, 70.0, 1.2)]);
-    // The reference's corner points along y, and the frame's along x: what is right in the one is up in the other, and smaller.
+    // The reference's corner points along y, the frame's along x: right in one is up in the other,
+    // and smaller.
     assert!((own[0].derivative - Matrix2::new(0.0, 0.6, -0.6, 0.0)).norm() < 1e-9, "{}", own[0].derivative);
 }
 

@@ -1,7 +1,9 @@
-//! The candidate of a body that was seen a moment ago: it stands about where it should be by now, and a few matches tell how far off that is.
+//! Proposes a candidate for a body that was seen a moment ago, near its predicted pose, from only a
+//! few matches.
 //!
-//! A body that comes out from behind another is seen in strips. The matches in them are too few, and too near a line, to fix a pose; but a shift of the expected pose takes one match, and three that agree on it
-//! are hardly ever wrong.
+//! A body that emerges from behind another is visible in strips. The matches in them are too few
+//! and too collinear to determine a pose. But a lateral shift of the predicted pose takes only one
+//! match, and three that agree on it are rarely wrong.
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
@@ -11,18 +13,22 @@ use crate::geometry::local_affinities::{LocalAffinity, robust_shift};
 use crate::geometry::{Body, Camera, PointPair, Pose};
 use crate::track::scene::reference::PreparedBody;
 
-/// How far off a pose that features found may be, one sigma: of the distance, and radians (three pixels at a focal length of 1000). Chosen,
-/// not tuned. Raised, alignment begins at coarser levels than it needs; lowered, such a pose pulls the aligned one.
+/// Uncertainty of a pose found by features, one sigma: fraction of the distance, and radians (three
+/// pixels at a focal length of 1000). Raised, alignment starts at coarser levels than necessary;
+/// lowered, such a pose pulls the aligned one.
 pub const FIRST_SHIFT: f64 = 0.003;
 pub const FIRST_TURN: f64 = 0.003;
 
-/// How far off where it was expected a body is looked for, of the frame's width. Chosen: a prop that went behind another was off by up to 45 pixels of 1280 after a third of a second. Raised, wrong matches agree by
-/// chance; lowered, bodies whose motion changed are found later.
+/// Maximum distance from its predicted place at which a body is searched for, fraction of the
+/// frame's width. Raised, wrong matches agree by chance; lowered, bodies whose motion changed are
+/// found later.
 const FURTHEST: f64 = 0.05;
-/// Fewest places that must agree. Chosen: of 60 wrong matches three hardly ever do. Raised, bodies that come out are found a frame later; lowered, candidates that are wrong take time.
+/// Minimum places that must agree on a shift. Raised, emerging bodies are found a frame later;
+/// lowered, wrong candidates cost time.
 const MIN_AGREEING: usize = 3;
 
-/// The expected pose, moved aside to where most matches nearby are. Of several the one that most speak for.
+/// Shifts each expected pose laterally to where most matches nearby are, and returns the one with
+/// the most support.
 pub fn expected_candidate(
     body: &PreparedBody,
     matches: &[SurfaceMatch],
@@ -30,11 +36,11 @@ pub fn expected_candidate(
     expected: impl Iterator<Item = Pose<Camera, Body>>,
 ) -> Option<Candidate> {
     let shifted = expected.filter_map(|pose| shifted(body, matches, camera, &pose));
-    // Of equal ones the first.
+    // The first wins a tie.
     shifted.reduce(|best, next| if next.inliers > best.inliers { next } else { best })
 }
 
-/// One expected pose, moved aside; `None` where too few matches agree on how far.
+/// Shifts one expected pose; `None` if too few matches agree on a shift.
 fn shifted(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, expected: &Pose<Camera, Body>) -> Option<Candidate> {
     let (depths, affinities): (Vec<f64>, Vec<LocalAffinity>) =
         matches.iter().filter_map(|m| relative_to_expected(body, m, camera, expected)).unzip();
@@ -43,7 +49,7 @@ fn shifted(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, 
     let middle = Vector2::new(f64::from(camera.width()), f64::from(camera.height())) * 0.5;
     let [from, to] = [middle, middle + shift].map(|p| camera.from_undistorted_pixel(p).0);
     let aside: Vector3<f64> = ((to - from) * depth).push(0.0);
-    // What moved it aside may have moved it away and turned it by as much.
+    // Whatever shifted the body may have changed its distance and rotated it by as much.
     let open = aside.norm();
     Some(Candidate {
         pose: Pose::new(expected.rotation, expected.translation + aside),
@@ -53,7 +59,8 @@ fn shifted(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, 
     })
 }
 
-/// How deep the expected pose puts a match, and where and how the surface is seen there, from where and how it was expected; `None` behind the camera.
+/// Returns the depth of a match at the expected pose, and the local affine map from the expected to
+/// the observed view of the surface; `None` behind the camera.
 fn relative_to_expected(
     body: &PreparedBody,
     m: &SurfaceMatch,
@@ -71,7 +78,8 @@ fn relative_to_expected(
     Some((depth, LocalAffinity { pair, derivative: m.derivative * by_artwork.try_inverse()?, noise: FEATURE_NOISE_PX * m.scale }))
 }
 
-/// Of two planar poses of the same matches, puts the one first that is turned more like the body was a moment ago.
+/// Of two planar poses of the same matches, puts first the one whose rotation is nearer to the
+/// expected one.
 pub fn prefer_expected_tilt(found: &mut [Candidate], expected: &Pose<Camera, Body>) {
     if let [first, second, ..] = found {
         let are_twins = 2 * first.inliers.min(second.inliers) > first.inliers.max(second.inliers);
@@ -81,7 +89,7 @@ pub fn prefer_expected_tilt(found: &mut [Candidate], expected: &Pose<Camera, Bod
     }
 }
 
-/// Puts a candidate first, in place of those that are nearly the same.
+/// Puts a candidate first, replacing those that are nearly the same.
 pub fn put_first(found: &mut Vec<Candidate>, candidate: Candidate) {
     found.retain(|other| !nearly_same(&other.pose, &candidate.pose));
     found.insert(0, candidate);
@@ -101,7 +109,8 @@ mod tests {
         facing(0.3, -0.2, Vector3::new(0.1, 0.05, 6.0))
     }
 
-    /// Matches in a strip at the left of the cloth, which is seen no further, and wrong ones anywhere.
+    /// Returns matches in a strip at the left of the cloth, the only visible part, and wrong ones
+    /// anywhere.
     fn matches(body: &PreparedBody, camera: &CameraModel, right: usize, wrong: usize, seed: u64) -> Vec<SurfaceMatch> {
         let mut random = Pcg64Mcg::seed_from_u64(seed);
         let mut anywhere = |width: f64| Vector2::new(random.random_range(0.0..width), random.random_range(0.0..480.0));
@@ -116,7 +125,8 @@ mod tests {
         (0..right + wrong).map(&mut matched).collect()
     }
 
-    /// The truth, aside by so much, of the distance, and turned by so much.
+    /// Returns the true pose, shifted by `aside` (fraction of the distance) and rotated by `turn`
+    /// radians.
     fn off_by(aside: f64, turn: f64) -> Pose<Camera, Body> {
         let truth = truth();
         let turned = UnitQuaternion::from_euler_angles(turn, -turn, turn) * truth.rotation;
@@ -139,7 +149,7 @@ mod tests {
                 (was - right).norm(),
                 (is - right).norm()
             );
-            // It owns up to what is open.
+            // The stated uncertainty covers the error.
             let error = (found.pose.inverse().translation - truth().inverse().translation).norm();
             assert!(error < 3.0 * found.off[0] && found.pose.angle_to(&truth()) < 3.0 * found.off[1], "{seed}: {error} of {:?}", found.off);
         }
@@ -165,7 +175,7 @@ mod tests {
         assert!(wrong <= 4, "{wrong} of 200");
         let elsewhere = (0..200).filter(|&seed| found(10, off_by(0.3, 0.0), seed)).count();
         assert!(elsewhere <= 4, "{elsewhere} of 200");
-        // It should be behind the camera by now.
+        // The expected pose lies behind the camera.
         let behind = Pose::new(truth().rotation, -truth().translation);
         assert!((0..20).all(|seed| !found(10, behind, seed)));
     }
@@ -180,7 +190,7 @@ mod tests {
         let twins = || vec![candidate(-0.4, 20), candidate(0.4, 19), candidate(0.0, 18)];
         assert_eq!(order(twins(), 0.3), [19, 20, 18]);
         assert_eq!(order(twins(), -0.3), [20, 19, 18]);
-        // One that few matches speak for is no twin.
+        // A candidate with little support is no planar twin.
         assert_eq!(order(vec![candidate(-0.4, 20), candidate(0.4, 9)], 0.3), [20, 9]);
         assert_eq!(order(vec![candidate(-0.4, 20)], 0.3), [20]);
         let mut found = twins();

@@ -1,7 +1,9 @@
-//! What a camera should see of surfaces whose poses are known, at a level of the frame: the grey of what is nearest, and whose it is.
+//! Renders what a camera should see of surfaces whose poses are known, at one level of the frame:
+//! the grey value of the nearest surface, and which surface it is.
 //!
-//! It is drawn anew in every frame in which a body is missing, so it is drawn fast: places on the picture for a row of pixels at once, then a look at
-//! each that lies on it.
+//! It is rendered in every frame in which a body is missing, so it is fast: it computes places on
+//! the picture for a row of pixels at once, then samples each that lies on the picture. Used by
+//! `unexplained`.
 
 use nalgebra::Matrix3;
 
@@ -12,38 +14,38 @@ use crate::track::scene::averaged_picture::AveragedPicture;
 use crate::track::scene::bilinear::RowOfTexels;
 use crate::track::scene::reference::PreparedSurface;
 
-/// Every second row of the level is drawn. Chosen: half of the rows tell a prop from what is behind it as well as all do, for half of the cost. Raised, small props have too
-/// few pixels.
+/// Every `ROW_STEP`th row of the level is rendered. Raised, small props have too few pixels;
+/// lowered, the cost doubles for no gain.
 pub const ROW_STEP: usize = 2;
 
-/// A picture of what should be seen; keeps its buffers.
+/// A picture of what should be seen; keeps its buffers between frames.
 #[derive(Debug, Default)]
 pub struct ExpectedView {
     /// Level of the frame.
     level: usize,
-    /// Columns, and rows that are drawn: the first one and every [`ROW_STEP`]th after it.
+    /// Columns, and rendered rows: the first and every [`ROW_STEP`]th after it.
     size: [usize; 2],
-    /// Depth of what is nearest; infinite where no surface should be seen.
+    /// Depth of the nearest surface; infinite where none should be seen.
     depth: Vec<f32>,
     grey: Vec<f32>,
     owners: Vec<u16>,
     drawn: u16,
     /// By the numbers of the surfaces.
     averaged: Vec<AveragedPicture>,
-    /// For a row: depths, places on the picture, and its greys there.
+    /// For a row: depths, x and y on the picture, and grey values there.
     row: [Vec<f32>; 4],
     texels: RowOfTexels,
 }
 
 impl ExpectedView {
-    /// Nothing at all, at a level of the frame.
+    /// Clears the picture for a level of the frame.
     pub fn clear(&mut self, rays: &CameraRays, level: usize) {
         let table = rays.table(level);
         (self.level, self.size, self.drawn) = (level, [table.width, table.height.div_ceil(ROW_STEP)], 0);
         let pixels = self.size[0] * self.size[1];
         self.depth.clear();
         self.depth.resize(pixels, f32::INFINITY);
-        // Grey means nothing where no surface is.
+        // The grey value is arbitrary where no surface is.
         self.grey.resize(pixels, 0.0);
         self.owners.clear();
         self.owners.resize(pixels, 0);
@@ -51,22 +53,24 @@ impl ExpectedView {
         self.texels.make_room(table.width);
     }
 
-    /// Columns, and rows that are drawn.
+    /// Returns the columns and the rendered rows.
     pub fn size(&self) -> [usize; 2] {
         self.size
     }
 
-    /// What should be seen, pixel by pixel; anything where no surface is.
+    /// Returns the expected grey values, pixel by pixel; arbitrary where no surface is.
     pub fn grey(&self) -> &[f32] {
         &self.grey
     }
 
-    /// The number of the surface that should be seen, from 1 in the order in which they were drawn; 0 where none is.
+    /// Returns the number of the expected surface per pixel, from 1 in the order in which they were
+    /// drawn; 0 where none is.
     pub fn owners(&self) -> &[u16] {
         &self.owners
     }
 
-    /// Draws a surface as the camera should see it; what is nearest wins. A bent one is taken for its plane: folds are small at this size. `number`: which of all surfaces it is, the
+    /// Draws a surface as the camera should see it; the nearest surface wins. A bent one is drawn
+    /// as its plane: folds are small at this size. `number`: its number among all surfaces, the
     /// same in every frame.
     pub fn draw(&mut self, number: usize, surface: &PreparedSurface, t_body_camera: &Pose<Body, Camera>, rays: &CameraRays) {
         self.drawn += 1;
@@ -74,7 +78,7 @@ impl ExpectedView {
         let to_surface = rectangle.rotation.transpose();
         let turn: Matrix3<f32> = (to_surface * t_body_camera.rotation_matrix()).cast();
         let from = (to_surface * (t_body_camera.translation - rectangle.centre)).cast::<f32>();
-        // Its face must look at the camera.
+        // A surface seen from behind is not drawn.
         if from.z <= 0.0 {
             return;
         }
@@ -111,20 +115,20 @@ impl ExpectedView {
     }
 }
 
-/// A surface's plane as the camera has it.
+/// A surface's plane in the camera's view.
 struct Plane {
     /// Rotation from the camera's axes to the surface's, row by row.
     turn: [f32; 9],
-    /// The camera's place from the surface's centre, metres, surface axes.
+    /// The camera's position relative to the surface's centre, metres, surface axes.
     from: [f32; 3],
-    /// Of the picture: y points down there.
+    /// Texels of the picture per metre; negative for y, which points down there.
     texels_per_m: [f32; 2],
     /// The texel at the surface's centre.
     centre: [f32; 2],
 }
 
 multiversion! {
-    /// The depth of the plane along rays, and the texels that these meet.
+    /// Computes the depth of the plane along rays, and the texels that they hit.
     fn see_row(rays: &[[f32; 2]], plane: &Plane, depths: &mut [f32], xs: &mut [f32], ys: &mut [f32]); ["avx2"] => see_row_plain, else see_row_plain
 }
 
@@ -147,13 +151,13 @@ struct Seen<'a> {
     xs: &'a [f32],
     ys: &'a [f32],
     greys: &'a [f32],
-    /// The last place of its picture across and down.
+    /// The last place on its picture, across and down.
     last: [f32; 2],
     owner: u16,
 }
 
 multiversion! {
-    /// Takes over what is nearer than what was drawn before.
+    /// Keeps whatever is nearer than what was drawn before.
     fn keep_nearest(seen: &Seen, depths: &mut [f32], greys: &mut [f32], owners: &mut [u16]); ["avx2"] => keep_nearest_plain, else keep_nearest_plain
 }
 
@@ -164,17 +168,18 @@ fn keep_nearest_plain(seen: &Seen, depths: &mut [f32], greys: &mut [f32], owners
     let (depth, x, y, grey) = (&seen.depths[..n], &seen.xs[..n], &seen.ys[..n], &seen.greys[..n]);
     let (greys, owners) = (&mut greys[..n], &mut owners[..n]);
     for k in 0..n {
-        // Not a number where the lens has no ray, negative behind the camera.
+        // NaN where the lens has no ray; negative depth behind the camera.
         let is_in = (x[k] >= -0.5) & (x[k] <= last_x) & (y[k] >= -0.5) & (y[k] <= last_y);
         let is_nearer = is_in & (depth[k] > 0.0) & (depth[k] < depths[k]);
-        // All are written, so that the compiler does many at once.
+        // Writes every element unconditionally, so that the compiler vectorises the loop.
         greys[k] = if is_nearer { grey[k] } else { greys[k] };
         owners[k] = if is_nearer { owner } else { owners[k] };
         depths[k] = if is_nearer { depth[k] } else { depths[k] };
     }
 }
 
-/// Columns and rows of the level that a surface may cover; all where a corner of it is behind the camera or beyond the lens.
+/// Returns the columns and rows of the level that a surface may cover: all of them if a corner is
+/// behind the camera or beyond the lens; `None` if it lies outside.
 fn extent(
     surface: &PreparedSurface,
     t_body_camera: &Pose<Body, Camera>,
@@ -184,7 +189,7 @@ fn extent(
 ) -> Option<[std::ops::Range<usize>; 2]> {
     let [x, y] = surface.rectangle.size_m.map(|m| 0.5 * m);
     let corner = |place| surface.rectangle.see(t_body_camera, rays.camera(), place, 0.0);
-    // The middles of the sides as well: a lens bends them outwards.
+    // Includes the middles of the sides: a lens may bend them outwards.
     let places = [[-x, -y], [0.0, -y], [x, -y], [x, 0.0], [x, y], [0.0, y], [-x, y], [-x, 0.0]];
     let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
     for place in places {
@@ -196,7 +201,8 @@ fn extent(
     }
     let scale = f64::from(1u32 << level);
     let range = |k: usize| {
-        // Two pixels more, and a hundredth for what the lens bends between the points.
+        // Two pixels of margin, and a hundredth of the extent for what the lens bends between the
+        // points.
         let more = 2.0 + 0.01 * (high[k] - low[k]) / scale;
         let at = |v: f64| v.clamp(0.0, size[k] as f64) as usize;
         at(low[k] / scale - more)..at(high[k] / scale + more)

@@ -1,7 +1,10 @@
-//! Features of a frame, and which places of the reference pictures they are.
+//! Extracts features of a frame and matches them with the reference pictures.
 //!
-//! Each picture's part of the [bank of views](super::view_bank) has features of the picture as it is, which are asked with the strongest features of a frame;
-//! where a body is not found by them, the frame is looked at closely, with more features and the whole bank.
+//! Each picture's part of the [bank of views](super::view_bank) contains features of the picture
+//! seen frontally and from tilted directions. The strongest features of a frame are matched with
+//! the frontal ones first; if a body is not found this way, a close look uses more features and the
+//! whole bank. Once the stage is known, only unexplained parts of the frame are searched, a limited
+//! slice per frame.
 
 use std::sync::Arc;
 
@@ -15,66 +18,65 @@ use crate::features::{ContrastStretch, ExtractorOptions, Feature, FeatureExtract
 use crate::matching::{Match, MatchBuffers, ReferenceFeature, ReferenceIndex};
 use crate::track::scene::reference::PreparedSurface;
 
-/// Lowe's ratio (2004, section 7.1): a match counts where its distance is less than this share of the second nearest's. He took 0.8; more
-/// are let through here, as acquisition bears a majority of wrong matches. Raised, more of them are wrong; lowered, dim stages keep too
-/// few.
+/// Lowe's ratio (2004, section 7.1): a match counts if its distance is less than this fraction of
+/// the second nearest's. Raised, more matches are wrong; lowered, dim stages keep too few.
 pub const LOWE_RATIO: f32 = 0.85;
-/// Strongest features of a frame that a quick look asks. Chosen, not tuned: a third of what a close look asks. Raised, every frame of a search takes
-/// longer; lowered, covered stages need the close look more often.
+/// Features of a quick look: the strongest of a frame. Raised, every frame of a search takes
+/// longer; lowered, occluded stages need the close look more often.
 const QUICK_FEATURES: usize = 600;
-/// Strongest features of a frame that a glance asks. Chosen: half of a quick look's; of a stage that is seen well, 200 of them match. Raised, every frame of a search takes longer;
-/// lowered, more of them take a quick look as well.
+/// Features of a glance: the strongest of a frame. Raised, every frame of a search takes longer;
+/// lowered, more frames need a quick look as well.
 const GLANCE_FEATURES: usize = QUICK_FEATURES / 2;
-/// Matches of a body at a glance that are enough. Chosen, not tuned: half of them may be wrong, and alignment still reaches from the start that the others give. Raised, more frames
-/// take a quick look as well; lowered, starts are further off.
+/// Matches of a body that make a glance sufficient. Raised, more frames need a quick look as well;
+/// lowered, alignment starts further off.
 const ENOUGH_MATCHES: usize = 60;
-/// Levels of a frame that a quick look leaves out are larger than this, pixels across. Chosen: at half its size in pixels a frame of 1280 shows a stage as well, in a third of the time. Raised, every
-/// frame of a search takes longer; lowered, stages that are seen small need the close look.
+/// Maximum width of the levels that a glance or a quick look uses, pixels. Raised, every frame of a
+/// search takes longer; lowered, stages that are seen small need the close look.
 const QUICK_PX: u32 = 800;
 
-/// Comparisons of a slice: features of the frame by those of the missing bodies' views. Chosen, not tuned: about a millisecond. Raised, frames in which a
-/// body is missing take longer; lowered, props are found less often.
+/// Comparisons per slice: features of the frame times features of the missing bodies' views.
+/// Raised, frames in which a body is missing take longer; lowered, props are found less often.
 const SLICE_COMPARISONS: usize = 3_000_000;
-/// Features of a slice at least, however many bodies are missing, and at most. A prop that is found has a dozen matches among them: in five clips of three objects 400 found
-/// them in as many frames as 600 did, and 350 in fewer. Raised, slices take longer; lowered, small and dim props are not found.
+/// Minimum and maximum features per slice. Raised, slices take longer; lowered, small and dim props
+/// are not found.
 const MIN_SLICE_FEATURES: usize = 150;
 const MAX_SLICE_FEATURES: usize = 400;
 
-/// Most missing surfaces that one slice is compared with; the others wait for their turn. Chosen: with five, a slice can afford some 300 features. When every slice was compared
-/// with all of sixteen objects, it could afford 150, and ten objects were not found within a second. Raised, slices have too few features; lowered, each surface waits longer.
+/// Maximum missing surfaces that one slice is compared with; the others take turns. Raised, slices
+/// have too few features; lowered, each surface waits longer.
 const SURFACES_OF_SLICE: usize = 5;
 
-/// How closely a frame is looked at.
+/// How closely a frame is searched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Look {
     /// Half as many features as a quick look: enough for a stage that is seen well.
     Glance,
-    /// The strongest features, against the pictures as they are.
+    /// The strongest features, compared with the frontal views.
     Quick,
-    /// All features, against the pictures as they are: for studies.
+    /// All features, compared with the frontal views; for diagnosis.
     Frontal,
 }
 
-/// Finds features and matches them; keeps its buffers.
+/// Extracts features and matches them; keeps its buffers between frames.
 #[derive(Debug, Default)]
 pub struct FeatureSearch {
-    /// Features wanted of a frame at most.
+    /// Maximum features of a frame.
     count: usize,
-    /// The pictures as they are.
+    /// The pictures seen frontally.
     frontal: ReferenceIndex,
-    /// These, and the tilted views.
+    /// The frontal and the tilted views.
     all_views: ReferenceIndex,
     extractor: FeatureExtractor,
     contrast: ContrastStretch,
     features: Vec<Feature>,
     matches: Vec<Match>,
     buffers: MatchBuffers,
-    /// All views of the surfaces that are missing while others are followed, and the numbers of these surfaces.
+    /// All views of the surfaces searched in a slice, and the numbers of these surfaces.
     missing_views: ReferenceIndex,
     missing: Vec<u32>,
-    /// Slices so far.
+    /// Number of slices so far.
     slices: usize,
-    /// What the last look was compared with.
+    /// The part of the bank that the last features were compared with.
     asked: Asked,
 }
 
@@ -88,7 +90,8 @@ enum Asked {
 }
 
 impl FeatureSearch {
-    /// Describes all surfaces, in the order of their numbers, but for those that the store has, and gives them their anchors. `count`: features wanted of a frame at most.
+    /// Describes all surfaces, in the order of their numbers, or loads their descriptions from the
+    /// store, and assigns them their anchors. `count`: maximum features of a frame.
     pub fn new<'a>(
         surfaces: impl Iterator<Item = &'a mut PreparedSurface>,
         count: usize,
@@ -115,7 +118,8 @@ impl FeatureSearch {
         search
     }
 
-    /// Takes the features of a frame and their matches; where `mask` is 0, none is taken.
+    /// Extracts the features of a frame and matches them with the frontal views. Where `mask` is 0,
+    /// no feature is taken.
     pub fn look(&mut self, image: &GrayImage, mask: Option<&GrayImage>, look: Look, workers: &Workers) {
         let options = self.options(look);
         let image = self.contrast.stretched(image).unwrap_or(image);
@@ -123,33 +127,34 @@ impl FeatureSearch {
         self.compare(Asked::Frontal, workers);
     }
 
-    /// Looks once more, and with more features, at the frame that was looked at last.
+    /// Adds features to those of the last frame, as many as `look` allows, and matches again.
     pub fn look_again(&mut self, image: &GrayImage, mask: Option<&GrayImage>, look: Look, workers: &Workers) {
         self.take_more(image, mask, &self.options(look), workers);
         self.compare(Asked::Frontal, workers);
     }
 
-    /// Compares the features that were taken last with all views, which show the pictures tilted, too.
+    /// Matches the last features with all views, including tilted ones.
     pub fn compare_with_all_views(&mut self, workers: &Workers) {
         self.compare(Asked::AllViews, workers);
     }
 
-    /// Looks more closely at the frame that was looked at last: takes all features, and compares them with all views.
+    /// Extracts all features of the last frame and matches them with all views.
     pub fn look_closer(&mut self, image: &GrayImage, mask: Option<&GrayImage>, workers: &Workers) {
         self.take_more(image, mask, &self.options(Look::Frontal), workers);
         self.compare(Asked::AllViews, workers);
     }
 
-    /// Takes the features of a part of a frame, where `mask` is not 0, and compares them with all
-    /// views: for a second copy of what was found.
+    /// Extracts the features of a part of a frame (where `mask` is not 0) and matches them with all
+    /// views, to find a second copy of a body that was found.
     pub fn look_for_copies(&mut self, image: &GrayImage, mask: &GrayImage, workers: &Workers) {
         let options = ExtractorOptions { count: self.count.min(QUICK_FEATURES), ..Default::default() };
         self.extractor.extract(image, Some(mask), &options, workers, &mut self.features);
         self.compare(Asked::AllViews, workers);
     }
 
-    /// The same where the frame that was looked at last is unexplained, with all views of the missing surfaces, in ascending order of their numbers. It takes
-    /// about the same in each frame, as many missing surfaces take turns.
+    /// Extracts features where the frame is unexplained and matches them with all views of the
+    /// missing surfaces (in ascending order of their numbers). The cost per frame is bounded, as
+    /// many missing surfaces take turns.
     pub fn look_beside(
         &mut self,
         image: &GrayImage,
@@ -168,7 +173,7 @@ impl FeatureSearch {
         }
         let entries = self.missing_views.features().len().max(1);
         let count = (SLICE_COMPARISONS / entries).clamp(MIN_SLICE_FEATURES, MAX_SLICE_FEATURES).min(self.count);
-        // Where all is explained there is nothing to spread the contrast of.
+        // If everything is explained, there is nothing to stretch the contrast of.
         let stretched = if unexplained.is_anything() { self.contrast.stretched(image) } else { None };
         let image = stretched.unwrap_or(image);
         unexplained.extract(image, mask, count, &mut self.extractor, workers, &mut self.features);
@@ -190,7 +195,8 @@ impl FeatureSearch {
         self.extractor.extract_more(image, mask, options, workers, &mut self.features);
     }
 
-    /// Whether the last look matched so much of a body with these surfaces that more features would tell nothing new.
+    /// Whether the last features matched enough of a body with these surfaces that more features
+    /// would add nothing.
     pub fn is_enough(&self, surfaces: std::ops::Range<u32>) -> bool {
         let reference = self.reference();
         let own = self.matches.iter().filter(|m| surfaces.contains(&reference[m.reference as usize].surface));
@@ -204,24 +210,24 @@ impl FeatureSearch {
         index.match_features(features, LOWE_RATIO, workers, buffers, matches);
     }
 
-    /// Those that the surfaces of a body take part in, best first.
+    /// Returns the matches of a body's surfaces, best first.
     pub fn of_body(&self, surfaces: std::ops::Range<u32>, camera: &CameraModel) -> Vec<SurfaceMatch> {
         surface_matches(&self.matches, &self.features, self.reference(), surfaces, camera)
     }
 
-    /// The last frame's features.
+    /// Returns the last frame's features.
     pub fn features(&self) -> &[Feature] {
         &self.features
     }
 
-    /// What they were matched with.
+    /// Returns the reference features that they were matched with.
     fn reference(&self) -> &[ReferenceFeature] {
         part(self.asked, &self.frontal, &self.all_views, &self.missing_views).features()
     }
 }
 
-/// Tells which of `number` missing surfaces a slice is compared with. The first of them moves on by one more after each round, so that the same surfaces do not always meet the same
-/// part of the frame.
+/// Returns a test of which of `number` missing surfaces belong to a slice. The first one advances
+/// by one more per round, so that the same surfaces do not always meet the same part of the frame.
 fn in_turn(number: usize, slice: usize) -> impl Fn(usize) -> bool + Clone {
     let round = number.div_ceil(SURFACES_OF_SLICE).max(1);
     let first = (slice * SURFACES_OF_SLICE + slice / round) % number.max(1);
@@ -250,7 +256,7 @@ mod tests {
     use super::*;
     use crate::geometry::Pose;
 
-    /// The cloth as a camera far to its side sees it: every new column is the mean of a few.
+    /// Returns the cloth as seen from far aside: every new column is the mean of a few.
     fn squeezed(picture: &GrayImage, columns: u32) -> GrayImage {
         GrayImage::from_fn(picture.width() / columns, picture.height(), |x, y| {
             let sum: u32 = (0..columns).map(|k| u32::from(picture.get_pixel(columns * x + k, y)[0])).sum();
@@ -262,7 +268,7 @@ mod tests {
     fn many_missing_surfaces_take_turns() {
         assert!((0..5).all(in_turn(5, 3)) && !in_turn(6, 0)(5));
         for number in [6_usize, 7, 10, 16, 33] {
-            // Each has its turn within two rounds from any slice on, and five at a time.
+            // Within two rounds, starting at any slice, each surface has its turn; five per slice.
             let round = number.div_ceil(SURFACES_OF_SLICE);
             for slice in 0..40 {
                 assert!((0..number).all(|k| (slice..slice + 2 * round).any(|slice| in_turn(number, slice)(k))), "{number} {slice}");
@@ -310,7 +316,7 @@ mod tests {
         search.look_closer(&frame, None, &workers);
         let close = right(&search);
         assert!(close >= 30 && close > 3 * frontal, "{close} with tilted views, {frontal} without, of {}", search.features().len());
-        // Each match by itself tells how the picture is squeezed: by five along its rows, and not across.
+        // Each single match shows how the picture is squeezed: by five along its rows, not across.
         let squeeze = Matrix2::new(1.0 / f64::from(columns), 0.0, 0.0, 1.0);
         let mut off: Vec<f64> = (search.matches.iter().filter(|m| is_right(&search, m)))
             .map(|m| {

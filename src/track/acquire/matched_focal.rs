@@ -1,11 +1,12 @@
-//! What the matches of a frame that finds the stage say of the focal length.
+//! Estimates the focal length from the matches of a frame that finds the stage.
 //!
-//! A frame that shows the stage in depth or from the side fits only one focal length. A lens that
-//! is calibrated in another mode of the camera is 10 to 50 % off: too far for the linear step of
-//! [`focal_clue`](crate::track::model_error::focal_clue), since tiles that lie elsewhere are not aligned at all. Matches
-//! reach further. So the stage is posed with other focal lengths, and where one of them leaves
-//! clearly less of the matches, the covariance contains it. From ahead all leave the same. Pictures
-//! that are a little askew, and surfaces that are a little off their places, are its rivals.
+//! A frame that shows the stage in depth or from the side fits only one focal length. A lens
+//! calibrated in another mode of the camera is 10 to 50 % off: too far for the linear step of
+//! [`focal_clue`](crate::track::model_error::focal_clue), since tiles that are displaced this far
+//! are not aligned at all. Matches reach further. So the stage is posed with a grid of other focal
+//! lengths; if one has clearly smaller residuals, the covariance includes it. From straight ahead,
+//! all have the same residuals. Slightly distorted pictures and slightly misplaced surfaces are
+//! rival explanations and are tested too.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix2, Matrix2xX, Vector2};
 use tracing::debug;
@@ -19,40 +20,39 @@ use crate::track::model_error::lens_watch::MatchedFocal;
 use crate::track::model_error::model_unknowns::{CORNERS, fill_corners, fill_place};
 use crate::track::scene::reference::PreparedBody;
 
-/// Fewest matches that are asked. Raised, wrong lenses pass where a stage has little detail.
+/// Minimum matches for an estimate. Raised, wrong lenses pass where a stage has little detail.
 const MIN_MATCHES: usize = 24;
-/// Matches that are asked at most, evenly chosen. Raised, the frame that finds the stage takes
-/// longer.
+/// Maximum matches used, evenly spaced. Raised, the frame that finds the stage takes longer.
 const MAX_MATCHES: usize = 120;
-/// Excess of the mean cut square over that of free homographies, below which nothing is asked.
-/// Raised, small errors of the focal length pass; lowered, frames that fit are asked as well.
+/// Minimum excess of the mean truncated square over that of free homographies, sigmas. Raised,
+/// small errors of the focal length pass; lowered, frames that fit are tested as well.
 const MIN_MISFIT: f64 = 0.1;
-/// Step between the focal lengths that are tried (logarithm), and number of steps each way. A best
-/// fit at either end is rejected. Raised, modes that crop more are found, in more time.
+/// Step between the focal lengths tried (logarithm), and number of steps each way; a best fit at
+/// either end is rejected. Raised, modes that crop more are found, in more time.
 const STEP: f64 = 0.09;
 const STEPS: i32 = 8;
-/// Least drop of the cost, in mean squared residuals of the better fit: five sigmas. Raised, wrong
-/// lenses pass; lowered, noise widens the covariance.
+/// Minimum drop of the cost, in mean squared residuals of the better fit: five sigmas. Raised,
+/// wrong lenses pass; lowered, noise widens the covariance.
 const MIN_GAIN: f64 = 25.0;
-/// Least drop of the cost as a share of its excess over that of free homographies. Raised, wrong
+/// Minimum drop of the cost, as a fraction of its excess over free homographies. Raised, wrong
 /// lenses pass where other parts do not fit either; lowered, other faults pass for a wrong lens.
 const MIN_SHARE: f64 = 0.5;
-/// A squared residual counts as this at most, sigmas: see `acquire`.
+/// Upper bound of a squared residual, sigmas; as in `candidate`. Raised, wrong matches decide.
 const MAX_SQUARED: f64 = 16.0;
-/// Steps of a resection at most. Raised, focal lengths far off are judged better, in more time.
+/// Maximum steps of a resection. Raised, focal lengths far off are judged better, in more time.
 const RESECTION_STEPS: usize = 10;
-/// How far pictures may be askew or stretched, one sigma, where no more is configured. Raised, wrong
-/// lenses pass; lowered, careless measures are taken for a wrong lens.
+/// How far pictures may be distorted or stretched unless more is configured, one sigma. Raised,
+/// wrong lenses pass; lowered, careless measurements are taken for a wrong lens.
 const ASKEW_SIGMA: f64 = 0.005;
-/// How far the camera may move while the rows are read, one sigma: metres and radians. A webcam that
-/// is carried at 1 m/s and turned at 1 rad/s. Raised, wrong lenses of moving cameras are found later.
+/// How far the camera may move while the rows are read, one sigma: metres and radians. Raised,
+/// wrong lenses of moving cameras are found later.
 const MOVED_SIGMA: [f64; 2] = [0.02, 0.02];
 
-/// Asks matches for the focal length.
+/// Estimates whether another focal length fits the matches.
 ///
-/// `pose`: `T_camera_body` by the calibrated one. `is_global`: all rows are known to be exposed
-/// together; else the camera may have moved while they were read. `suspected`: logarithm of the
-/// focal length that earlier matches fit over the calibrated one.
+/// `pose`: `T_camera_body` found with the calibrated focal length. `is_global`: all rows are known
+/// to be exposed together; otherwise the camera may have moved while they were read. `suspected`:
+/// logarithm of the ratio of the focal length that earlier matches fit to the calibrated one.
 pub fn matched_focal(
     pose: &Pose<Camera, Body>,
     camera: &CameraModel,
@@ -73,10 +73,10 @@ pub fn matched_focal(
 /// A focal length and the best pose with it.
 #[derive(Debug, Clone, Copy)]
 struct Fit {
-    /// Logarithm of the focal length over the calibrated one.
+    /// Logarithm of the ratio of the focal length to the calibrated one.
     change: f64,
     pose: Pose<Camera, Body>,
-    /// Sum of cut squares, sigmas.
+    /// Sum of truncated squares, sigmas.
     cost: f64,
 }
 
@@ -89,7 +89,8 @@ struct Trial<'a> {
 }
 
 impl Trial<'_> {
-    /// `None` without a pose.
+    /// Compares the calibrated focal length with others and with rival explanations; `None` without
+    /// a pose.
     fn ask(&self, pose: &Pose<Camera, Body>, suspected: Option<f64>) -> Option<MatchedFocal> {
         let calibrated = self.fit(pose, 0.0)?;
         let excess = calibrated.cost - self.matches.iter().map(|m| m.floor).sum::<f64>();
@@ -116,12 +117,12 @@ impl Trial<'_> {
         Some(if is_clear { MatchedFocal::Calibrated } else { MatchedFocal::Unclear })
     }
 
-    /// The gain in cost that is no noise, where this fit is the best.
+    /// Returns the drop of the cost that exceeds noise if this fit is the best.
     fn min_gain(&self, best: &Fit) -> f64 {
         MIN_GAIN * best.cost / (2 * self.observations.len() - 7) as f64
     }
 
-    /// The pose with another focal length, from that with a similar one.
+    /// Fits the pose with another focal length, starting from that with a similar one.
     fn fit(&self, start: &Pose<Camera, Body>, change: f64) -> Option<Fit> {
         let i = *self.camera.intrinsics();
         let camera = CameraModel::new(Intrinsics { fx: i.fx * change.exp(), fy: i.fy * change.exp(), ..i }).ok()?;
@@ -131,7 +132,8 @@ impl Trial<'_> {
         Some(Fit { change, pose, cost: self.observations.iter().map(square).sum() })
     }
 
-    /// The best fit on a grid from the calibrated focal length outwards, then by halved steps.
+    /// Returns the best fit on a grid from the calibrated focal length outwards, refined by halving
+    /// the step.
     fn best(&self, calibrated: Fit) -> Fit {
         let mut best = calibrated;
         for direction in [-STEP, STEP] {
@@ -152,7 +154,7 @@ impl Trial<'_> {
         best
     }
 
-    /// The fit of another focal length, reached by steps from a known one.
+    /// Fits another focal length, reached by steps from a known one.
     fn towards(&self, start: Fit, change: f64) -> Fit {
         let steps = (change.abs() / STEP).ceil().max(1.0);
         let mut last = start;
@@ -165,9 +167,9 @@ impl Trial<'_> {
         last
     }
 
-    /// The cost where the calibrated lens is right, and the camera moved while the rows were read, or
-    /// pictures are askew and surfaces off their places: the linear step from a fit, with what it
-    /// takes of their sigmas.
+    /// Returns the cost under a rival explanation: the calibrated lens is right, but the camera
+    /// moved while the rows were read, or pictures are distorted and surfaces misplaced. It is the
+    /// linear step from a fit, including the prior cost of that step.
     fn rival_cost(&self, fit: &Fit, is_moved: bool, is_askew: bool) -> Option<f64> {
         let count = self.body.surfaces.len();
         let (motion, corners) = (6, 12);
@@ -236,8 +238,8 @@ mod tests {
 
     const NOISE_PX: f64 = 0.5;
 
-    /// Matches of a frame that `camera` took of `real`, as observations of `configured`; a free
-    /// homography leaves their noise.
+    /// Returns matches of a frame that `camera` took of `real`, as observations of `configured`.
+    /// The residual of a free homography is their noise.
     fn matches(configured: &PreparedBody, real: &PreparedBody, camera: &CameraModel, pose: &Pose<Camera, Body>) -> Vec<AgreeingMatch> {
         let mut random = Pcg64Mcg::seed_from_u64(3);
         let mut noise = Vec::new();
@@ -255,12 +257,12 @@ mod tests {
         anchors.iter().zip(noise).map(observed).collect()
     }
 
-    /// What matches say where `camera` took the picture and the usual lens is configured.
+    /// Returns the estimate if `camera` took the picture and the usual lens is configured.
     fn said(configured: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, camera: &CameraModel, pose: &Pose<Camera, Body>) -> MatchedFocal {
         said_of(&lens(640, 480), configured, real, camera, pose)
     }
 
-    /// The same with another configured lens.
+    /// Like [`said`], with another configured lens.
     fn said_of(
         calibrated: &CameraModel,
         configured: Vec<SurfaceSpec>,
@@ -295,7 +297,7 @@ mod tests {
     #[test]
     fn a_print_seen_from_ahead_tells_nothing_of_the_lens() {
         let ahead = facing(0.0, 0.0, Vector3::new(0.0, 0.0, 5.0));
-        // Distortion tells a focal length even there: a lens that has none.
+        // Distortion would reveal the focal length even here, so this lens has none.
         let [calibrated, real] = [640.0, 800.0].map(|f| CameraModel::pinhole(640, 480, f, f, 319.5, 239.5).expect("a camera"));
         let said = said_of(&calibrated, vec![cloth(1)], vec![cloth(1)], &real, &ahead);
         assert_eq!(said, MatchedFocal::Unclear);
@@ -336,7 +338,7 @@ mod tests {
             }
             assert_eq!(matched_focal(&aside, &calibrated, &body, &found, false, None), MatchedFocal::Unclear, "{twist:?}");
         }
-        // Another mode is found all the same.
+        // A different mode is still found.
         let found = matches(&body, &body, &zoomed(0.8), &aside);
         let observations: Vec<Observation> = found.iter().map(|m| m.observation).collect();
         let start = resect(&aside, &MovingCamera::still(&calibrated), &observations, 30).expect("a pose").pose;
@@ -353,7 +355,7 @@ mod tests {
         for suspected in [-0.4, -0.1, 0.08, 0.3] {
             assert_eq!(matched_focal(&aside, &calibrated, &body, &found, true, Some(suspected)), MatchedFocal::Calibrated, "{suspected}");
         }
-        // From ahead nothing is taken back.
+        // From straight ahead no doubt is taken back.
         let (flat, ahead) = (prepared(vec![cloth(1)]), facing(0.0, 0.0, Vector3::new(0.0, 0.0, 5.0)));
         let found = matches(&flat, &flat, &calibrated, &ahead);
         assert_eq!(matched_focal(&ahead, &calibrated, &flat, &found, true, Some(0.1)), MatchedFocal::Unclear);

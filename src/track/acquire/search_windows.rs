@@ -1,30 +1,35 @@
-//! Which parts of a frame are searched in its turn, so that no frame takes long.
+//! Chooses which unexplained parts of a frame are searched in this frame, so that no frame takes
+//! long.
 //!
-//! What is unexplained is cut into windows that overlap by half: a picture that is no larger than half a window is whole in one of them. A window is
-//! as large as what it holds, and one that holds nothing is left out: people are tall and narrow, and stand in wide rectangles. Each frame takes
-//! a window where a body should be by now, if one was lost just now, and the most urgent others, as many as their pixels allow, and all where they are few. The choice depends on
-//! nothing but the frames that came before.
+//! Each unexplained region is cut into windows that overlap by half, so any picture up to half a
+//! window in size lies completely within one. A window shrinks to its content, and an empty one is
+//! skipped: people are tall and narrow, and their bounding boxes are wide. Each frame searches one
+//! window at the predicted place of a body, if one was lost just now, and the most urgent other
+//! windows, up to a limit of pixels. The choice depends only on earlier frames, so it is
+//! reproducible.
 
-/// Side of a window, pixels. Chosen, not tuned: props that are larger have enough features in any part of them. Raised, a slice takes longer; lowered,
-/// pictures are cut more often.
+/// Side of a window, pixels. Raised, a slice takes longer; lowered, pictures are cut more often.
 const SIDE_PX: u32 = 400;
-/// Pixels of a region that is one window, whatever its shape: of what is a little larger than a window each way. People beside the frame are narrow and as high as it.
-/// Raised, a slice takes longer; lowered, what is narrow is searched almost twice.
+/// Maximum area of a region that becomes one window, whatever its shape, pixels. Raised, a slice
+/// takes longer; lowered, narrow regions are searched almost twice.
 const WHOLE_PX: u64 = ((SIDE_PX + STEP_PX / 2) * (SIDE_PX + STEP_PX / 2)) as u64;
-/// From one window to the next: half, see above. Raised, pictures between two windows are cut; lowered, there are more windows.
+/// Step between windows, pixels: half a window. Raised, pictures between two windows are cut;
+/// lowered, there are more windows.
 const STEP_PX: u32 = SIDE_PX / 2;
-/// Pixels of a slice at most, if it has more than one window: a whole window and a small one beside it, whose features take 1.2 to 1.6 milliseconds. Raised,
-/// frames in which a body is missing take longer; lowered, it takes more frames to look everywhere.
+/// Maximum area of a slice with more than one window, pixels. Raised, frames in which a body is
+/// missing take longer; lowered, searching everywhere takes more frames.
 const SLICE_PX: u64 = 280_000;
-/// Longest side of a window where a body should be, pixels: beside it a whole window fits into the slice. Raised, one that is not where it should be is found late; lowered, one that goes on
-/// at another speed leaves its window.
+/// Maximum side of a window at a predicted place, pixels; a full window fits into the slice beside
+/// it. Raised, a body that is elsewhere is found late; lowered, one that changes its speed leaves
+/// its window.
 const EXPECTED_PX: u32 = 340;
 
-/// Least urgency of a window that shares the slice with one where a body should be, and so takes features from it: the mean wait of its cells, in looks. Half the wait that new cells begin with
-/// (`NEW_WAIT` in `unexplained_cells`). Raised, a body that is not where it should be is found later; lowered, one that is covered in part has too few features.
+/// Minimum urgency of a window that shares the slice, and thus the features, with a predicted
+/// place: mean wait of its cells, looks. Raised, a body elsewhere is found later; lowered, a partly
+/// occluded one gets too few features.
 const JOINING_URGENCY: f32 = 6.0;
 
-/// A rectangle of a frame: first column and row, and the last ones, exclusive.
+/// A rectangle of a frame: first column and row, then the end column and row, exclusive.
 pub type Extent = [[u32; 2]; 2];
 
 /// A part of a region.
@@ -36,19 +41,19 @@ pub struct Window {
     pub origin: [u32; 2],
     /// Columns and rows.
     pub size: [u32; 2],
-    /// First and last column and row, the last ones exclusive, of the part that lies nearer the middle of this window than of any other of its region. What
-    /// is small and stands there is whole in this window.
+    /// The part of the window that is nearer to its middle than to that of any other window of its
+    /// region. A small picture there lies completely in this window.
     pub own: Extent,
 }
 
 impl Window {
-    /// Its pixels.
+    /// Returns its area, pixels.
     pub fn area(&self) -> u64 {
         self.size.iter().map(|n| u64::from(*n)).product()
     }
 }
 
-/// The windows of a frame; keeps its buffers.
+/// The windows of a frame; keeps its buffers between frames.
 #[derive(Debug, Default)]
 pub struct SearchWindows {
     all: Vec<(Window, f32)>,
@@ -56,8 +61,9 @@ pub struct SearchWindows {
 }
 
 impl SearchWindows {
-    /// Begins a slice with the most urgent window where a body should be. `regions`: of the frame; `places`: where bodies should be; `content`: the part of a window that is worth a search,
-    /// and how urgent it is.
+    /// Starts a slice with the most urgent window at a predicted place. `regions`: unexplained
+    /// regions of the frame; `places`: where bodies are predicted; `content`: returns the part of a
+    /// window worth searching, and its urgency.
     pub fn begin_slice(
         &mut self,
         regions: impl Iterator<Item = Extent>,
@@ -80,7 +86,8 @@ impl SearchWindows {
         &self.slice
     }
 
-    /// Fills the slice with the most urgent windows of the regions, and gives all that are in it. See [`begin_slice`](Self::begin_slice).
+    /// Fills the slice with the most urgent windows of the regions and returns the whole slice. See
+    /// [`begin_slice`](Self::begin_slice).
     pub fn fill_slice(&mut self, regions: impl Iterator<Item = Extent>, content: impl Fn(&Window) -> Option<(Window, f32)>) -> &[Window] {
         self.all.clear();
         for (region, [origin, end]) in regions.enumerate() {
@@ -101,7 +108,8 @@ impl SearchWindows {
             }
         }
         self.sort();
-        // What does not fit beside more urgent ones waits; smaller ones do not wait with it.
+        // A window too large for the rest of the slice waits; smaller, less urgent ones may still
+        // fit.
         let mut pixels = self.slice.iter().map(Window::area).sum::<u64>();
         let least_urgency = if self.slice.is_empty() { 0.0 } else { JOINING_URGENCY };
         for (window, _) in self.all.iter().take_while(|(_, urgency)| *urgency >= least_urgency) {
@@ -113,21 +121,22 @@ impl SearchWindows {
         &self.slice
     }
 
-    /// The most urgent windows come first; where two are equal, the one that comes first in the frame.
+    /// Sorts by descending urgency; ties by position in the frame.
     fn sort(&mut self) {
         let first = |w: &Window| (w.region, w.origin[1], w.origin[0]);
         self.all.sort_unstable_by(|a, b| b.1.total_cmp(&a.1).then_with(|| first(&a.0).cmp(&first(&b.0))));
     }
 }
 
-/// The part of a place along an axis that lies in a whole, and its middle where it is longer than [`EXPECTED_PX`]; `None` where it lies beside it.
+/// Returns the part of a place along an axis that lies within a region, limited to the middle
+/// [`EXPECTED_PX`]; `None` if it lies outside.
 fn shortened([from, to]: [u32; 2], [first, end]: [u32; 2]) -> Option<[u32; 2]> {
     let spare = to.saturating_sub(from).saturating_sub(EXPECTED_PX);
     let [from, to] = [(from + spare / 2).max(first), (to - spare.div_ceil(2)).min(end)];
     (from < to).then_some([from, to])
 }
 
-/// An axis of a region, cut into pieces of one length that overlap.
+/// An axis of a region, cut into overlapping pieces of equal length.
 struct Pieces {
     count: u32,
     length: u32,
@@ -140,7 +149,7 @@ impl Pieces {
     }
 
     fn of(whole: u32) -> Self {
-        // A little more than a window is not worth two.
+        // A region slightly longer than a window is not worth two.
         let count = if whole <= SIDE_PX + STEP_PX / 2 { 1 } else { (whole - SIDE_PX).div_ceil(STEP_PX) + 1 };
         Self { count, length: if count == 1 { whole } else { SIDE_PX }, whole }
     }
@@ -149,7 +158,8 @@ impl Pieces {
         if self.count == 1 { 0 } else { (self.whole - self.length) * k / (self.count - 1) }
     }
 
-    /// First and last place, exclusive, of what lies nearer the middle of this piece than of its neighbours.
+    /// Returns the first and end place (exclusive) of what is nearer to the middle of this piece
+    /// than to its neighbours'.
     fn own(&self, k: u32) -> [u32; 2] {
         let border = |k: u32| (self.start(k - 1) + self.start(k) + self.length) / 2;
         [if k == 0 { 0 } else { border(k) }, if k + 1 == self.count { self.whole } else { border(k + 1) }]
@@ -163,7 +173,7 @@ mod tests {
     const PROPS: [Extent; 3] = [[[100, 100], [250, 300]], [[600, 300], [800, 500]], [[1000, 20], [1120, 110]]];
     const FRAME: Extent = [[0, 0], [1280, 720]];
 
-    /// A slice where no body is expected anywhere.
+    /// Returns a slice without predicted places.
     fn slice(regions: &[Extent], content: impl Fn(&Window) -> Option<(Window, f32)>) -> Vec<Window> {
         SearchWindows::default().fill_slice(regions.iter().copied(), content).to_vec()
     }
@@ -200,7 +210,7 @@ mod tests {
 
     #[test]
     fn what_holds_nothing_is_left_out() {
-        // Of a frame that is unexplained all over, a person's place is worth a search.
+        // The whole frame is unexplained, but only the person's place is worth searching.
         let person = |window: &Window| {
             let (first, end) = (window.origin[0].max(500), (window.origin[0] + window.size[0]).min(620));
             (first < end).then(|| (Window { origin: [first, window.origin[1]], size: [end - first, window.size[1]], ..*window }, 1.0))
@@ -215,17 +225,17 @@ mod tests {
         let mut windows = SearchWindows::default();
         let urgency = |w: &Window| Some((*w, if w.origin[0] > 700 { 8.0 } else { 1.0 }));
         let place = [[100, 90], [600, 190]];
-        // The middle of a long one, and of two the more urgent one.
+        // Takes the middle of a long place, and the more urgent of two.
         let begun = windows.begin_slice([FRAME].into_iter(), [place, [[720, 0], [800, 80]]].into_iter(), urgency).to_vec();
         assert_eq!(begun.iter().map(extent).collect::<Vec<_>>(), [[[720, 0], [800, 80]]]);
         let begun = windows.begin_slice([FRAME].into_iter(), [place].into_iter(), urgency).to_vec();
         assert_eq!(begun.iter().map(extent).collect::<Vec<_>>(), [[[180, 90], [520, 190]]]);
         let all = windows.fill_slice([FRAME].into_iter(), urgency);
         assert!(all.len() == 2 && all[0] == begun[0] && all[1].origin[0] > 700, "{all:?}");
-        // A window that was searched two looks ago takes no features from it.
+        // A window that was searched two looks ago does not share the slice.
         windows.begin_slice([FRAME].into_iter(), [place].into_iter(), urgency);
         assert_eq!(windows.fill_slice([FRAME].into_iter(), |w| Some((*w, 2.0))), begun);
-        // Where all is explained nothing is searched.
+        // Nothing is searched where everything is explained.
         assert!(windows.begin_slice(PROPS.into_iter(), [[[300, 0], [500, 90]]].into_iter(), urgency).is_empty());
     }
 
@@ -234,7 +244,7 @@ mod tests {
         let mut windows = SearchWindows::default();
         let slice = windows.fill_slice([FRAME].into_iter(), |w| Some((*w, 1.0))).to_vec();
         assert!(slice.len() == 1 || slice.iter().map(Window::area).sum::<u64>() <= SLICE_PX);
-        // Every square of half a window is whole in one.
+        // Every square of half a window's side lies completely in one window.
         for y in (0..=720 - STEP_PX).step_by(20) {
             for x in (0..=1280 - STEP_PX).step_by(20) {
                 let holds =

@@ -1,11 +1,15 @@
-//! What of a frame no followed body explains: where a body that is missing can be.
+//! Finds the parts of a frame that no followed body explains: where a missing body can be.
 //!
-//! Once the stage's pose is known, so is what each pixel should show of it. Where the frame shows that, nothing else stands; where it does not, a
-//! prop, a person or a body that is looked for does. A prop takes a hundredth of the frame, and of 1500 features that are spread over all of it a
-//! dozen fall on it: too few to find it by. Looked for in what is left unexplained alone, it has hundreds, its faint corners count as well, and a
-//! frame that is explained everywhere costs no search at all.
+//! Once the stage's pose is known, so is what each pixel should show of it. Where the frame shows
+//! that, nothing else can stand; elsewhere there is a prop, a person or a missing body. A prop
+//! covers a hundredth of the frame, and of 1500 features spread over the whole frame a dozen fall
+//! on it: too few to find it. Searching only the unexplained part yields hundreds, including its
+//! faint corners, and a fully explained frame costs no search.
 //!
-//! The comparison is made at a quarter of the frame's size, in every second row, in squares of [`CELL`] pixels, gain and bias free: light may change.
+//! Per frame: `expected_view` renders the known surfaces, the frame is compared with it,
+//! `unexplained_cells` forms regions, `search_windows` chooses what to search. The comparison uses
+//! a quarter of the frame's size, every second row, in squares of [`CELL`] pixels, and is invariant
+//! to gain and bias, as light may change.
 
 use image::GrayImage;
 use nalgebra::Vector2;
@@ -19,33 +23,35 @@ use crate::simd::multiversion;
 use crate::track::align::{CameraRays, FrameLevels};
 use crate::track::scene::reference::PreparedBody;
 
-/// The level of the frame that is compared: a quarter of its size. Raised, small props vanish in it; lowered, the comparison costs four times as much.
+/// The level that is compared: a quarter of the frame's size. Raised, small props vanish in it;
+/// lowered, the comparison costs four times as much.
 const LEVEL: usize = 2;
-/// Side of a cell, pixels of the level. Three by three cells are judged together.
+/// Side of a cell, pixels of the level; follows from [`SIDE_PX`]. Three by three cells are judged
+/// together.
 const CELL: usize = (SIDE_PX >> LEVEL) as usize;
-/// Rows of a cell that are compared.
+/// Compared rows per cell.
 const CELL_ROWS: usize = CELL / ROW_STEP;
-/// A cell is explained where it correlates with its prediction by this. A followed stage has above 0.97 wherever it has detail, as the pose is known to a
-/// tenth of a pixel; something else by chance rarely more than 0.8. Raised, moving shadows and folds are searched as well, which costs time; lowered, a prop that looks like
-/// what is behind it is not.
+/// Minimum correlation of an explained cell with its prediction. Raised, moving shadows and folds
+/// are searched as well, which costs time; lowered, a prop that resembles its background is not.
 const EXPLAINED_CORRELATION: f32 = 0.9;
-/// Least standard deviation of a cell, grey levels, for it to be worth a search: corners stand out by more. Chosen, not tuned: a few times the noise at
-/// this level. Raised, faint pictures are not found; lowered, plain walls are searched.
+/// Minimum standard deviation of a cell that is worth searching, grey levels. Raised, faint
+/// pictures are not found; lowered, plain walls are searched.
 const MIN_CONTRAST: f32 = 3.0;
-/// Fewest pixels of three by three cells by which these are judged: a quarter of them. Chosen, not tuned. Raised, what stands at the border of the stage is
-/// overlooked; lowered, a few pixels decide.
+/// Minimum pixels of three by three cells to judge them. Raised, props at the border of the stage
+/// are overlooked; lowered, a few pixels decide.
 const MIN_JUDGED: f32 = (9 * CELL * CELL_ROWS / 4) as f32;
-/// Features of a window where a body should be, over those of another one that is as large. Chosen. Raised, what is new beside it is found later; lowered, what was covered for a moment is.
+/// Weight of features in a window at a predicted place, relative to another window of the same
+/// size. Raised, what is new elsewhere is found later; lowered, a briefly occluded body is.
 const EXPECTED_SHARE: f64 = 2.0;
 
 /// A part of the frame that no followed body explains.
 #[derive(Debug, Clone, Default)]
 struct Region {
-    /// First column and row of its rectangle, pixels of the frame.
+    /// First column and row of its bounding box, pixels of the frame.
     origin: [u32; 2],
-    /// Of its rectangle: 255 where it is unexplained, 0 elsewhere.
+    /// Mask of the bounding box: 255 where unexplained, 0 elsewhere.
     mask: GrayImage,
-    /// Its cells.
+    /// Number of its cells.
     cells: usize,
 }
 
@@ -54,7 +60,8 @@ impl Region {
         [self.mask.width(), self.mask.height()]
     }
 
-    /// Copies a window of the frame, and of its mask what the frame's own mask leaves.
+    /// Copies a window of the frame, and of the region's mask combined with the frame's own mask
+    /// `closed`.
     fn cut_out(&self, window: &Window, frame: &GrayImage, closed: Option<&GrayImage>, picture: &mut GrayImage, mask: &mut GrayImage) {
         let [width, height] = window.size;
         let row_of = |image: &'_ GrayImage, [x, y]: [u32; 2], v: u32| -> std::ops::Range<usize> {
@@ -68,7 +75,7 @@ impl Region {
         };
         let mut raw = std::mem::take(picture).into_raw();
         copy(frame, window.origin, &mut raw);
-        // There is one byte for each pixel, here and below.
+        // The length always matches, one byte per pixel; here and below.
         *picture = GrayImage::from_raw(width, height, raw).unwrap_or_default();
         let mut raw = std::mem::take(mask).into_raw();
         copy(&self.mask, in_region, &mut raw);
@@ -82,11 +89,11 @@ impl Region {
     }
 }
 
-/// Finds what is unexplained; keeps its buffers.
+/// Finds the unexplained parts; keeps its buffers between frames.
 #[derive(Debug, Default)]
 pub struct Unexplained {
     expected: ExpectedView,
-    /// For a row of cells, sums over its rows of pixels; as [`Moments`] has them.
+    /// For a row of cells, sums over its rows of pixels, per column; as in [`Moments`].
     columns: [Vec<f32>; MOMENTS],
     moments: Vec<Moments>,
     /// Sums over three rows of cells.
@@ -104,12 +111,12 @@ pub struct Unexplained {
     features: Vec<Feature>,
 }
 
-/// Sums over the pixels of a cell: of those that a surface covers their number, the grey, its square, the prediction, its square, the product; of those that
-/// none covers their number, the grey and its square.
+/// Sums over the pixels of a cell. Of those covered by a surface: count, grey, grey squared,
+/// prediction, prediction squared, product. Of the others: count, grey, grey squared.
 #[derive(Debug, Clone, Copy, Default)]
 struct Moments([f32; MOMENTS]);
 
-/// Six sums of covered pixels, and three of open ones.
+/// Number of sums: six of covered pixels and three of open ones.
 const MOMENTS: usize = 9;
 
 impl Moments {
@@ -117,7 +124,8 @@ impl Moments {
         self.0.iter_mut().zip(other.0).for_each(|(sum, more)| *sum += more);
     }
 
-    /// Whether something is to be seen that is not what should be: where surfaces are expected, or where none is.
+    /// Whether the cells show detail that differs from the expected surfaces, or detail where no
+    /// surface is expected.
     fn is_unexplained(&self) -> bool {
         let has_detail = |n: f32, s: f32, ss: f32| n >= MIN_JUDGED && ss / n - (s / n).powi(2) > MIN_CONTRAST.powi(2);
         let [n, s, ss, p, pp, sp, m, t, tt] = self.0;
@@ -130,8 +138,9 @@ impl Moments {
 }
 
 multiversion! {
-    /// Adds a row of pixels to the sums of its columns, but for its ends and for pixels on an edge, which show both sides of it. `owners`: of the row above, this one and
-    /// the one below.
+    /// Adds a row of pixels to the sums of its columns, except at its ends and at edges between
+    /// surfaces, where a pixel shows both sides. `owners`: of the row above, this one and the one
+    /// below.
     fn add_row(seen: &[u16], expected: &[f32], owners: [&[u16]; 3], columns: &mut [Vec<f32>; MOMENTS]); ["avx2"] => add_row_plain, else add_row_plain
 }
 
@@ -160,11 +169,12 @@ fn add_row_plain(seen: &[u16], expected: &[f32], owners: [&[u16]; 3], columns: &
     }
 }
 
-/// Greys in a sum of the level.
+/// Factor from the level's pixel sums to grey values.
 const GREY: f32 = 1.0 / (1u32 << (2 * LEVEL)) as f32;
 
 impl Unexplained {
-    /// Looks at a frame of which these bodies are known to be where their poses say; each with the number of its first surface among all.
+    /// Compares a frame with the bodies known to be at these poses; each with the number of its
+    /// first surface among all.
     pub fn look<'a>(
         &mut self,
         known: impl Iterator<Item = (u32, &'a PreparedBody, Pose<Body, Camera>)>,
@@ -180,13 +190,13 @@ impl Unexplained {
         self.collect_regions([rays.camera().width(), rays.camera().height()]);
     }
 
-    /// Whether anything of the frame that was looked at last is unexplained.
+    /// Whether anything of the last frame is unexplained.
     pub fn is_anything(&self) -> bool {
         !self.regions.is_empty()
     }
 
-    /// Where the frame that was looked at last is unexplained, 255, elsewhere 0; of the frame's
-    /// size. `closed`: the frame's own mask.
+    /// Returns the mask of the unexplained parts of the last frame, at the frame's size: 255 there,
+    /// 0 elsewhere. `closed`: the frame's own mask.
     pub fn mask(&mut self, [width, height]: [u32; 2], closed: Option<&GrayImage>) -> &GrayImage {
         let mut raw = std::mem::take(&mut self.mask).into_raw();
         raw.clear();
@@ -201,19 +211,20 @@ impl Unexplained {
         if let Some(closed) = closed {
             raw.iter_mut().zip(closed.as_raw()).for_each(|(own, seen)| *own &= seen);
         }
-        // There is one byte for each pixel.
+        // The length always matches, one byte per pixel.
         self.mask = GrayImage::from_raw(width, height, raw).unwrap_or_default();
         &self.mask
     }
 
-    /// The next search begins at one of these places, where bodies that were just lost should be by now.
+    /// Makes the next search start at one of these places, where recently lost bodies are
+    /// predicted.
     pub fn search_first(&mut self, expected_places: impl Iterator<Item = Extent>) {
         self.expected_places.clear();
         self.expected_places.extend(expected_places);
     }
 
-    /// The features of the regions of the frame that was looked at last, at most about so many; where there is much to search, of its most urgent
-    /// parts. `closed`: the frame's own mask.
+    /// Extracts about `count` features at most from the unexplained regions of the last frame; if
+    /// they are large, from their most urgent parts. `closed`: the frame's own mask.
     pub fn extract(
         &mut self,
         frame: &GrayImage,
@@ -227,12 +238,13 @@ impl Unexplained {
         let Self { regions, windows, cells, expected_places, picture, mask, features: own, .. } = self;
         let extents = || regions.iter().map(|r| [r.origin, [0, 1].map(|k| r.origin[k] + r.size()[k])]);
         let expected = windows.begin_slice(extents(), expected_places.iter().copied(), |window| cells.content(window));
-        // What lies there is no more urgent than the rest of the frame.
+        // Their cells must not also be urgent in the general search.
         expected.iter().for_each(|window| cells.note_searched(window));
         let expected = expected.first().copied();
         let slice = windows.fill_slice(extents(), |window| cells.content(window));
         slice.iter().for_each(|window| cells.note_searched(window));
-        // A small region gets more than its part: what is in it is seen small, and has the fewest corners.
+        // A small region gets more than its proportional part: its content is seen small and has
+        // the fewest corners.
         let weight = |window: &Window| {
             let region = &regions[window.region];
             let whole: u64 = region.size().iter().map(|n| u64::from(*n)).product();
@@ -260,7 +272,7 @@ impl Unexplained {
         columns.iter_mut().for_each(|sums| sums.resize(width, 0.0));
         for (row, line_of_cells) in moments.chunks_exact_mut(across.max(1)).enumerate() {
             columns.iter_mut().for_each(|sums| sums.fill(0.0));
-            // The rim of the level is left out: its pixels have no neighbours.
+            // Skips the border of the level: its pixels lack neighbours.
             for v in (row * CELL_ROWS).max(1)..((row + 1) * CELL_ROWS).min(height - 1) {
                 let line = |v: usize| v * width..(v + 1) * width;
                 let owners = [v - 1, v, v + 1].map(|v| &expected.owners()[line(v)]);
@@ -288,7 +300,7 @@ impl Unexplained {
         cells.renew([across, down], open.iter().copied());
     }
 
-    /// Cuts the regions out, each with a margin.
+    /// Cuts out the regions, each with a margin.
     fn collect_regions(&mut self, frame: [u32; 2]) {
         let Self { cells, regions, .. } = self;
         regions.resize_with(cells.regions().len(), Region::default);
@@ -301,14 +313,14 @@ impl Unexplained {
             let [width, height] = [0, 1].map(|k| end[k] - origin[k]);
             let mut y = origin[1];
             while y < end[1] {
-                // Rows of one line of cells are the same.
+                // Rows within one line of cells are identical.
                 let next = end[1].min(y - y % SIDE_PX + SIDE_PX);
                 let first = raw.len();
                 cells.push_row([origin[0], end[0]], y, *number, &mut raw);
                 (y + 1..next).for_each(|_| raw.extend_from_within(first..first + width as usize));
                 y = next;
             }
-            // There is one byte for each pixel.
+            // The length always matches, one byte per pixel.
             *region = Region { origin, mask: GrayImage::from_raw(width, height, raw).unwrap_or_default(), cells: *size };
         }
     }

@@ -1,46 +1,50 @@
-//! The squares of a frame that no followed body explains: which of them belong together, and how long each has waited to be searched.
+//! Keeps the square cells of a frame that no followed body explains: which of them form a region,
+//! and how long each has waited to be searched.
 //!
-//! What has just appeared is searched first: nothing that is explained turns into something else but by a body that comes into view, or a person.
-//! After that, what has waited longest.
+//! Newly unexplained cells are searched first, because an explained cell changes only if a body or
+//! a person comes into view. After that, the cells that have waited longest are searched. Used by
+//! `unexplained`; windows come from `search_windows`.
 
 use super::search_windows::{Extent, Window};
 
-/// Side of a cell, pixels of the frame. Chosen, not tuned: a prop that features can find is 60 pixels wide. Raised, small props are not told from what is beside them; lowered, a cell has too few pixels to be judged by.
+/// Side of a cell, pixels of the frame. Raised, small props are merged with their surroundings;
+/// lowered, a cell has too few pixels to be judged.
 pub const SIDE_PX: u32 = 16;
-/// Fewest cells of a region that is searched: a quarter of a picture that is 64 pixels wide, which is the least that features find. Raised, props that come into view
-/// are found later; lowered, specks are searched.
+/// Minimum cells of a region that is searched. Raised, props that come into view are found later;
+/// lowered, specks are searched.
 const MIN_CELLS: usize = 6;
-/// Most regions that are searched in a frame, the largest ones. Chosen: sixteen props, and people. Raised, a frame that is strewn with specks costs more.
+/// Maximum regions searched in a frame, largest first. Raised, a frame full of specks costs more.
 const MAX_REGIONS: usize = 24;
-/// Pixels of the frame around a region that are looked at: as far as the description of a corner reaches two octaves up. Raised, searches cost more; lowered, corners near a
-/// region's border are found at full size alone.
+/// Margin around a region that is included in the search, pixels of the frame: the reach of a
+/// corner's descriptor two octaves up. Raised, searches cost more; lowered, corners near a region's
+/// border are found at full size only.
 pub const MARGIN_PX: u32 = 64;
 
-/// Wait that a cell begins with when it becomes unexplained, looks: about as many as it takes to search the people of a stage, so that a body that comes into view is searched before they are. A body
-/// that comes out from behind a person gets no such start, because its cells were unexplained all along. Raised, that body waits for as long as the person walks on: of eleven clips, flags were given in 79
-/// to 98 % of the frames, and in 56 to 98 with 12. Lowered, what comes into view waits until the people were searched: with 4, one flag was given in 91 instead of 93 %.
+/// Initial wait of a cell that becomes unexplained, looks. Raised, a body that emerges from behind
+/// a person waits longer; lowered, one that comes into view waits until the people were searched.
 const NEW_WAIT: u8 = 6;
-/// A cell that is explained.
+/// Wait value of an explained cell.
 const EXPLAINED: u8 = u8::MAX;
-/// A cell that is in no region yet.
+/// Label of a cell that is in no region yet.
 const UNNUMBERED: u32 = u32::MAX;
 
-/// The cells of a frame; keeps its buffers.
+/// The cells of a frame; keeps its buffers between frames.
 #[derive(Debug, Default)]
 pub struct UnexplainedCells {
     /// Cells across and down.
     size: [usize; 2],
-    /// 0: explained. Else the region's number from 1, or [`UNNUMBERED`] on the way.
+    /// 0: explained; otherwise the region's number from 1, or [`UNNUMBERED`] while regions are
+    /// being numbered.
     labels: Vec<u32>,
-    /// Looks since each was searched, or [`EXPLAINED`].
+    /// Looks since each cell was searched, or [`EXPLAINED`].
     waits: Vec<u8>,
     stack: Vec<usize>,
-    /// Cells and number of each region.
+    /// Number of cells and label of each region.
     regions: Vec<(usize, u32)>,
 }
 
 impl UnexplainedCells {
-    /// Takes which cells a frame leaves unexplained, row by row.
+    /// Updates the cells with which of them are unexplained, row by row.
     pub fn renew(&mut self, size: [usize; 2], is_unexplained: impl Iterator<Item = bool>) {
         self.size = size;
         self.waits.resize(size[0] * size[1], EXPLAINED);
@@ -55,7 +59,7 @@ impl UnexplainedCells {
         }
     }
 
-    /// Numbers the regions: cells that share a side.
+    /// Numbers the regions: cells connected by a common side.
     pub fn number_regions(&mut self) {
         let [across, down] = self.size;
         self.regions.clear();
@@ -86,17 +90,17 @@ impl UnexplainedCells {
             self.regions.push((size, number));
         }
         self.regions.retain(|(size, _)| *size >= MIN_CELLS);
-        // The largest first; where two are equal, in reading order.
+        // Largest first; ties in reading order.
         self.regions.sort_unstable_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
         self.regions.truncate(MAX_REGIONS);
     }
 
-    /// Cells and number of each region, the largest first.
+    /// Returns the number of cells and the label of each region, largest first.
     pub fn regions(&self) -> &[(usize, u32)] {
         &self.regions
     }
 
-    /// First and last pixels of a region, the last one exclusive.
+    /// Returns the first and end pixels (exclusive) of a region.
     pub fn extent(&self, number: u32) -> Extent {
         let own = (0..self.labels.len()).filter(|cell| self.labels[*cell] == number).map(|cell| self.pixel(cell));
         own.fold([[u32::MAX; 2], [0; 2]], |[low, high], at| {
@@ -104,7 +108,8 @@ impl UnexplainedCells {
         })
     }
 
-    /// Appends a row of pixels of the frame, from a column to another, exclusive: 255 where it lies in a region, 0 elsewhere.
+    /// Appends a row of the region's mask between two columns (end exclusive): 255 inside the
+    /// region, 0 elsewhere.
     pub fn push_row(&self, [from, to]: [u32; 2], y: u32, number: u32, row: &mut Vec<u8>) {
         let mut x = from;
         while x < to {
@@ -120,12 +125,13 @@ impl UnexplainedCells {
         column < self.size[0] && self.labels.get(row * self.size[0] + column) == Some(&number)
     }
 
-    /// First pixel of a cell.
+    /// Returns the first pixel of a cell.
     fn pixel(&self, cell: usize) -> [u32; 2] {
         [cell % self.size[0], cell / self.size[0]].map(|v| v as u32 * SIDE_PX)
     }
 
-    /// The cells of a window's region whose first pixels lie in a part of it: from, and to, exclusive.
+    /// Returns the cells of a window's region whose first pixels lie in a rectangle (end
+    /// exclusive).
     fn cells_of(&self, window: &Window, [from, to]: Extent) -> impl Iterator<Item = usize> + use<'_> {
         let [columns, rows] = [0, 1].map(|k| {
             let [first, end] = [from[k], to[k]].map(|v| (v.div_ceil(SIDE_PX) as usize).min(self.size[k]));
@@ -136,8 +142,9 @@ impl UnexplainedCells {
         rows.flat_map(move |row| columns.clone().map(move |column| row * across + column)).filter(move |cell| self.labels[*cell] == number)
     }
 
-    /// The part of a window that its cells lie in, with the margin, and how long those have waited in the mean that no other window has nearer its middle; `None` where
-    /// there are none, or too few in all: what is small is whole in a window beside it.
+    /// Returns the part of a window that contains its cells, with the margin, and the mean wait of
+    /// those cells that are nearest to this window's middle. `None` if there are none of these, or
+    /// too few cells in all: a small region is complete in a neighbouring window.
     pub fn content(&self, window: &Window) -> Option<(Window, f32)> {
         let (mut low, mut high, mut cells) = ([u32::MAX; 2], [0; 2], 0);
         for cell in self.cells_of(window, [window.origin, [0, 1].map(|k| window.origin[k] + window.size[k])]) {
@@ -155,7 +162,7 @@ impl UnexplainedCells {
         Some((Window { origin, size, ..*window }, waited / own as f32))
     }
 
-    /// A window was searched: the cells that no other window has nearer its middle begin to wait anew.
+    /// Resets the wait of the cells nearest to the middle of a window that was searched.
     pub fn note_searched(&mut self, window: &Window) {
         let mut waits = std::mem::take(&mut self.waits);
         self.cells_of(window, window.own).for_each(|cell| waits[cell] = 0);
@@ -170,7 +177,8 @@ mod tests {
 
     const SIZE: [usize; 2] = [80, 45];
 
-    /// Cells of a frame, unexplained in these rectangles of cells: first and last column and row, exclusive.
+    /// Updates the cells of a frame that is unexplained in these rectangles of cells: first and end
+    /// column and row, exclusive.
     fn look(cells: &mut UnexplainedCells, open: &[[usize; 4]]) {
         let is_open = |cell: usize| {
             let (column, row) = (cell % SIZE[0], cell / SIZE[0]);
@@ -200,7 +208,7 @@ mod tests {
         assert_eq!([urgency(&cells, 0), urgency(&cells, 1)], [4.0, 3.0]);
     }
 
-    /// Every square of half a window is whole in one that was searched.
+    /// Every square of half a window's side lies completely in a window that was searched.
     #[test]
     fn a_frame_that_nothing_explains_is_searched_in_turns_that_miss_nothing() {
         let (mut cells, mut windows, mut seen) = (UnexplainedCells::default(), SearchWindows::default(), Vec::new());
@@ -229,7 +237,7 @@ mod tests {
         let content = cells.content(&whole(0)).expect("cells enough").0;
         assert_eq!((content.origin, content.size), ([480 - MARGIN_PX, 80 - MARGIN_PX], [64 + 2 * MARGIN_PX; 2]));
         assert!(cells.is_in([480, 80], 1) && !cells.is_in([479, 80], 1));
-        // Of a window that holds two cells nothing is searched.
+        // A window that contains only two cells is not searched.
         let corner = Window { region: 0, origin: [528, 80], size: [200, 32], own: [[528, 80], [728, 112]] };
         assert!(cells.content(&corner).is_none());
     }

@@ -11,7 +11,7 @@ fn truth() -> Pose<Camera, Body> {
     facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4))
 }
 
-/// The regions of a frame in which a cloth hangs where it is said to hang.
+/// Returns the regions of a frame in which a cloth hangs at its known pose.
 fn regions(frame: &GrayImage) -> Vec<Region> {
     let (rays, body) = (CameraRays::new(lens(SIZE.0, SIZE.1), None), prepared(vec![cloth(1)]));
     let (mut levels, mut unexplained) = (FrameLevels::default(), Unexplained::default());
@@ -24,7 +24,7 @@ fn frame() -> GrayImage {
     view(&cloth(1), &truth(), &lens(SIZE.0, SIZE.1))
 }
 
-/// The share of a rectangle of the frame that the regions cover.
+/// Returns the fraction of a rectangle of the frame that the regions cover.
 fn covered(regions: &[Region], [x, y]: [u32; 2], [width, height]: [u32; 2]) -> f64 {
     let is_in = |u: u32, v: u32| {
         let of = |r: &Region| {
@@ -49,7 +49,7 @@ fn another_light_is_no_other_thing() {
     assert!(regions(&dim).is_empty());
 }
 
-/// The frame's grey at a pixel, drawn once.
+/// Returns the frame's grey value at a pixel; rendered once.
 fn frame_at(x: u32, y: u32) -> u8 {
     static FRAME: std::sync::OnceLock<GrayImage> = std::sync::OnceLock::new();
     FRAME.get_or_init(frame).get_pixel(x, y)[0]
@@ -63,7 +63,7 @@ fn a_prop_before_it_is_a_region_of_its_own() {
     let found = regions(&frame);
     assert_eq!(found.len(), 1, "{:?}", found.iter().map(|r| (r.origin, r.cells)).collect::<Vec<_>>());
     assert!(covered(&found, [300, 200], [90, 70]) > 0.9, "{}", covered(&found, [300, 200], [90, 70]));
-    // Little beside it: what is searched is what is not explained.
+    // Little around it is searched.
     assert!(covered(&found, [0, 0], [640, 480]) < 3.0 * 90.0 * 70.0 / (640.0 * 480.0));
 }
 
@@ -71,7 +71,7 @@ fn a_prop_before_it_is_a_region_of_its_own() {
 fn a_plain_card_is_not_worth_a_search() {
     let mut frame = frame();
     image::imageops::replace(&mut frame, &GrayImage::from_pixel(200, 160, Luma([120])), 220, 160);
-    // Its rim stands out against the cloth, its middle has nothing to find.
+    // Its border contrasts with the cloth, but its inside has no features.
     assert!(covered(&regions(&frame), [260, 200], [120, 80]) < 0.05);
 }
 
@@ -81,7 +81,7 @@ fn a_prop_that_is_followed_explains_itself_and_hides_what_is_behind_it() {
     let own = Pose::new(UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3), Vector3::new(0.4, -0.2, 0.5));
     let prop = SurfaceSpec::from_artwork("prop".into(), texture(200, 200, 5), [0.8, 0.8], own).expect("texture enough");
     let mut frame = frame();
-    // What is seen of the prop alone lies over the cloth: 30 is where it is not.
+    // Puts the prop's pixels over the cloth: 30 is where the prop is not.
     for (under, over) in frame.pixels_mut().zip(view(&prop, &truth(), &camera).pixels()) {
         if over[0] != 30 {
             *under = *over;
@@ -106,7 +106,7 @@ fn a_region_keeps_the_frame_s_own_mask() {
     let region = regions(&frame).remove(0);
     let half_closed = GrayImage::from_fn(SIZE.0, SIZE.1, |x, _| Luma([if x < 345 { 0 } else { 255 }]));
     let (mut picture, mut mask) = (GrayImage::default(), GrayImage::default());
-    // Its inner part: a window need not be the whole.
+    // Its inner part: a window need not be the whole region.
     let (origin, size) = (region.origin.map(|v| v + 7), region.size().map(|n| n - 20));
     let window = Window { region: 0, origin, size, own: [origin, [0, 1].map(|k| origin[k] + size[k])] };
     region.cut_out(&window, &frame, Some(&half_closed), &mut picture, &mut mask);
@@ -133,7 +133,7 @@ fn the_features_of_a_prop_are_where_the_frame_has_them() {
     let on_prop = |f: &&Feature| (300.0..390.0).contains(&f.position.x) && (200.0..270.0).contains(&f.position.y);
     let [more, few] = [&alone, &all].map(|features| features.iter().filter(on_prop).count());
     assert!(more > 3 * few && more > 60, "{more} features on the prop where only it is looked at, {few} where all is");
-    // What both found, at full size, they found in the same place.
+    // Full-size features that both found must be at the same places.
     let fine = |f: &&Feature| f.scale == 1.0 && on_prop(f);
     let common = all.iter().filter(fine).filter(|f| alone.iter().any(|g| g.position == f.position && g.descriptor == f.descriptor)).count();
     assert!(2 * common >= all.iter().filter(fine).count(), "{common}");

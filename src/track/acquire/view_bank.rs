@@ -1,9 +1,12 @@
-//! The bank of views: each reference picture described once, at the start, as cameras see it from all sides.
+//! The bank of views: descriptions of each reference picture as cameras see it from all sides,
+//! computed once at the start.
 //!
-//! A picture's bank has two parts: the picture as it is, which cameras up to 60 degrees from its normal recognise, and as tilted cameras see it,
-//! out to 80 degrees; beside them are its anchors, the places where it is registered. It follows from the picture alone, and takes half a second;
-//! so whoever builds a tracker may keep its bytes from one start to the next ([`ViewStore`]). A bank that was kept is the one that would be
-//! computed: its [`BankKey`] is a digest of all that it follows from, and whatever does not read as the bank of that key is computed anew.
+//! A picture's bank has the features of the picture seen frontally, which cameras up to 60 degrees
+//! from its normal recognise; the features of tilted views, out to 80 degrees; and its anchors, the
+//! places at which it is registered. It depends on the picture alone and takes half a second, so
+//! the creator of a tracker may keep its bytes from one start to the next ([`ViewStore`]). A stored
+//! bank is identical to a computed one: its [`BankKey`] is a digest of everything that it depends
+//! on, and anything that does not parse as the bank of that key is recomputed.
 
 use std::hash::{DefaultHasher, Hasher};
 use std::sync::Arc;
@@ -15,65 +18,69 @@ use tracing::debug;
 use crate::features::{Descriptor, ExtractorOptions, Feature, FeatureExtractor, Polarity, TiltedViews, Workers, append_tilted_features};
 use crate::track::scene::reference::{ANCHOR_BORDER, ANCHORS, Anchor, PreparedSurface, octave_count};
 
-/// Reference features of all surfaces together, and of one at least. Chosen, not tuned. Raised, matching costs more in proportion; lowered,
-/// fewer features of a stage that is seen in part or small are among them.
+/// Frontal features of all surfaces together, and minimum per surface. Raised, matching costs more
+/// in proportion; lowered, less is recognised of a stage that is seen in part or small.
 const REFERENCE_FEATURES: usize = 4000;
 const MIN_REFERENCE_FEATURES: usize = 700;
-/// The same of the tilted views, and of one view at least. Chosen, not tuned: a close look takes three times as long as one at the pictures as
-/// they are. Raised, it takes longer; lowered, steep views of a stage that is partly covered are not recognised.
+/// Features of all tilted views together, and minimum per view. Raised, a close look takes longer;
+/// lowered, steep views of a partly occluded stage are not recognised.
 const TILTED_FEATURES: usize = 8000;
 const MIN_TILTED_FEATURES: usize = 60;
-/// Artwork is looked at for features at no more than this many pixels across, or down where it is higher: no camera resolves more. Raised,
-/// features are spent on detail that no frame shows; lowered, close views find fewer.
+/// Maximum side of the artwork's copy from which frontal features are taken, pixels. Raised,
+/// features go to detail that no frame shows; lowered, close views find fewer.
 const MAX_REFERENCE_PX: u32 = 2000;
-/// The same for tilted views, which no frame shows as large. Raised, the start takes longer by the square.
+/// The same for tilted views, which no frame shows as large. Raised, the start takes longer, by the
+/// square.
 const MAX_TILTED_PX: u32 = 1300;
-/// Tilted views that are simulated. Descriptors bear a tilt of two from one view to another, and so do these among each other; the last reaches
-/// beyond 80 degrees (a tilt of 5.8). More of one tilt: longitudes in between are recognised better, and the start takes longer.
+/// Simulated tilted views: tilt and number of longitudes. More of one tilt: longitudes in between
+/// are recognised better, and the start takes longer.
 const VIEWS: [TiltedViews; 3] =
     [TiltedViews { tilt: 2.0, count: 5 }, TiltedViews { tilt: 3.4, count: 8 }, TiltedViews { tilt: 5.5, count: 11 }];
-/// From the shapes of each tilted view to the picture's, in the order of the views.
+/// Returns the maps from the shapes of each tilted view to the picture's, in the order of the
+/// views.
 pub fn view_shapes() -> impl Iterator<Item = Matrix2<f64>> {
     VIEWS.into_iter().flat_map(|views| (0..views.count).map(move |number| views.shape_in_picture(number)))
 }
 
-/// Levels of a reference picture: a factor of 15 in scale (1.2 a level). Lowered, stages that are seen small are not recognised.
+/// Pyramid levels of a reference picture, 1.2 apart: a factor of 15 in scale. Lowered, stages that
+/// are seen small are not recognised.
 const LEVELS: usize = 16;
 
-/// Keeps the banks of pictures from one start to the next. The core gives and takes bytes; where they are is up to whoever builds a tracker.
+/// Stores banks of pictures from one start to the next. The core exchanges bytes; the creator of a
+/// tracker decides where they are.
 pub trait ViewStore: std::fmt::Debug + Send + Sync {
-    /// The bytes kept under this name, where they are still there. What happened to them meanwhile is noticed.
+    /// Returns the bytes stored under this name, if any. Damaged bytes are detected by the caller.
     fn load(&self, name: &str) -> Option<Vec<u8>>;
-    /// Keeps bytes under a name, 32 digits of base 16. Where it cannot, the next start takes longer.
+    /// Stores bytes under a name of 32 hexadecimal digits. On failure, the next start takes longer.
     fn store(&self, name: &str, bytes: &[u8]);
 }
 
-/// The bank of one picture. Features are in pixels of the copy that they were taken of.
+/// The bank of one picture. Features are in pixels of the copy from which they were taken.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ViewBank {
-    /// Of the picture as it is.
+    /// Features of the frontal view.
     pub frontal: Vec<Feature>,
-    /// Of its tilted views, a list for each.
+    /// Features of each tilted view.
     pub tilted: Vec<Vec<Feature>>,
-    /// The anchors of each octave of the picture.
+    /// Anchors of each octave of the picture.
     pub anchors: Vec<Vec<Anchor>>,
 }
 
-/// A copy of a surface's picture, halved as often as it takes to be no larger than some bound.
+/// A copy of a surface's picture, halved until it fits a maximum size.
 #[derive(Debug, Clone, Copy)]
 pub struct PictureCopy<'a> {
     image: &'a GrayImage,
-    /// Artwork pixels to one of its.
+    /// Artwork pixels per pixel of the copy.
     pub scale: f64,
 }
 
 impl<'a> PictureCopy<'a> {
-    /// The one that the picture is described by as it is.
+    /// Returns the copy for frontal features.
     pub fn frontal(surface: &'a PreparedSurface) -> Self {
         Self::up_to(surface, MAX_REFERENCE_PX)
     }
 
-    /// The one that its tilted views are made of.
+    /// Returns the copy for tilted views.
     pub fn tilted(surface: &'a PreparedSurface) -> Self {
         Self::up_to(surface, MAX_TILTED_PX)
     }
@@ -84,17 +91,17 @@ impl<'a> PictureCopy<'a> {
         Self { image: &surface.octaves[octave].image, scale: f64::from(1u32 << octave) }
     }
 
-    /// From its pixels to the artwork's.
+    /// Returns the map from its pixels to the artwork's.
     pub fn in_artwork(self) -> impl Fn(Vector2<f64>) -> Vector2<f64> {
         let half = Vector2::new(0.5, 0.5);
         move |p| (p + half) * self.scale - half
     }
 }
 
-/// Describes pictures, or takes what was kept of them; keeps its buffers.
+/// Describes pictures, or loads their stored descriptions; keeps its buffers.
 #[derive(Debug)]
 pub struct BankBuilder<'a> {
-    /// Features wanted of a picture as it is, and of each of its views.
+    /// Maximum features of a frontal view, and of each tilted view.
     counts: [usize; 2],
     store: Option<Arc<dyn ViewStore>>,
     workers: &'a Workers,
@@ -102,7 +109,8 @@ pub struct BankBuilder<'a> {
 }
 
 impl<'a> BankBuilder<'a> {
-    /// `pictures`: how many share the features that are wanted in all. Without a store every bank is computed.
+    /// Creates a builder. `pictures`: number of pictures that share the total number of features.
+    /// Without a store every bank is computed.
     pub fn new(pictures: usize, store: Option<Arc<dyn ViewStore>>, workers: &'a Workers) -> Self {
         let views: usize = VIEWS.iter().map(|v| v.count).sum();
         let pictures = pictures.max(1);
@@ -111,7 +119,7 @@ impl<'a> BankBuilder<'a> {
         Self { counts, store, workers, extractor: FeatureExtractor::default() }
     }
 
-    /// The bank of a surface's picture.
+    /// Returns the bank of a surface's picture.
     pub fn bank(&mut self, surface: &PreparedSurface) -> ViewBank {
         let Some(store) = self.store.clone() else { return self.described(surface) };
         let artwork = &surface.octaves[0].image;
@@ -137,22 +145,23 @@ impl<'a> BankBuilder<'a> {
     }
 }
 
-/// What a bank follows from, as a digest.
+/// Digest of everything that a bank depends on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct BankKey([u8; KEY_BYTES]);
 
-/// Bytes of a digest.
+/// Bytes of a digest. Raised, files grow; lowered, collisions become likelier.
 const KEY_BYTES: usize = 16;
-/// How a bank's bytes begin.
+/// First bytes of a bank's file.
 const MAGIC: &[u8; 8] = b"SPVIEWS\n";
-/// Of the form of the bytes.
+/// Version of the byte format; raise it when the format changes.
 const VERSION: u32 = 4;
 /// Bytes of a feature: place, scale, angle, descriptor and polarity (0 dark, 1 bright).
 const FEATURE_BYTES: usize = 3 * 8 + 4 + 4 * 8 + 1;
 /// Bytes of an anchor: column and row of its octave.
 const ANCHOR_BYTES: usize = 2 * 4;
 
-/// The source code of all that makes a bank, with the constants of this file. A changed algorithm changes the keys by itself; nobody has to raise a version.
+/// The source code of everything that computes a bank, including the constants of this file. A
+/// changed algorithm changes the keys by itself, without raising a version.
 const SOURCES: [&str; 11] = [
     include_str!("view_bank.rs"),
     include_str!("../scene/reference.rs"),
@@ -182,8 +191,8 @@ impl BankKey {
 }
 
 impl ViewBank {
-    /// Magic, version, key, both lists of features and those of each octave's anchors (their number, then each), and the digest of all that; numbers
-    /// little-endian.
+    /// Serialises magic, version, key, both lists of features, the anchors of each octave (count,
+    /// then items) and the digest of all that; numbers are little-endian.
     fn to_bytes(&self, key: &BankKey) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(128 + (self.frontal.len() + self.tilted.len()) * FEATURE_BYTES);
         bytes.extend_from_slice(MAGIC);
@@ -203,7 +212,8 @@ impl ViewBank {
         bytes
     }
 
-    /// The bank of this key; none where the bytes are not what [`to_bytes`](Self::to_bytes) gave. `size`: of the artwork.
+    /// Parses the bank of this key; `None` unless the bytes are what [`to_bytes`](Self::to_bytes)
+    /// returned. `size`: of the artwork.
     fn from_bytes(bytes: &[u8], key: &BankKey, size: (u32, u32)) -> Option<Self> {
         let (content, own_digest) = bytes.split_last_chunk::<KEY_BYTES>()?;
         let is_whole = digest([content]) == *own_digest;
@@ -216,8 +226,10 @@ impl ViewBank {
     }
 }
 
-/// A digest of parts and of their lengths: the standard library's hash (SipHash) from two beginnings. It tells what differs or was damaged by chance, not what was forged:
-/// whoever may write to the store may write to the program. Another version of the library may hash otherwise; then banks are computed anew.
+/// Returns a digest of parts and their lengths: the standard library's hash (SipHash) with two
+/// different prefixes. It detects differences and accidental damage, not forgery: whoever can write
+/// to the store can write to the program. Another library version may hash differently; then banks
+/// are recomputed.
 fn digest<'a>(parts: impl IntoIterator<Item = &'a [u8]>) -> [u8; KEY_BYTES] {
     let mut halves = [DefaultHasher::new(), DefaultHasher::new()];
     halves[1].write_u8(1);
@@ -243,7 +255,7 @@ fn append_feature(feature: &Feature, bytes: &mut Vec<u8>) {
     bytes.push(u8::from(feature.polarity == Polarity::Bright));
 }
 
-/// Takes a list of features from the front.
+/// Parses a list of features from the front.
 fn take_features(rest: &mut &[u8], size: (u32, u32)) -> Option<Vec<Feature>> {
     let (count, after) = rest.split_first_chunk::<4>()?;
     let length = (u32::from_le_bytes(*count) as usize).checked_mul(FEATURE_BYTES)?;
@@ -252,7 +264,8 @@ fn take_features(rest: &mut &[u8], size: (u32, u32)) -> Option<Vec<Feature>> {
     own.chunks_exact(FEATURE_BYTES).map(|bytes| feature(bytes, size)).collect()
 }
 
-/// Takes the anchors of an octave from the front; none where the octave of a picture of that size cannot have them.
+/// Parses the anchors of an octave from the front; `None` if the octave of a picture of that size
+/// cannot have them.
 fn take_anchors(rest: &mut &[u8], (width, height): (u32, u32), octave: usize) -> Option<Vec<Anchor>> {
     let (count, after) = rest.split_first_chunk::<4>()?;
     let count = Some(u32::from_le_bytes(*count) as usize).filter(|count| *count <= ANCHORS)?;
@@ -270,7 +283,7 @@ fn take_anchors(rest: &mut &[u8], (width, height): (u32, u32), octave: usize) ->
         .collect()
 }
 
-/// A feature; none that no picture of that size has.
+/// Parses a feature; `None` if no picture of that size can have it.
 fn feature(bytes: &[u8], (width, height): (u32, u32)) -> Option<Feature> {
     let number = |k: usize| Some(f64::from_le_bytes(*bytes.get(8 * k..)?.first_chunk()?));
     let word = |k: usize| Some(u64::from_le_bytes(*bytes.get(28 + 8 * k..)?.first_chunk()?));

@@ -8,7 +8,7 @@ use crate::track::scene::reference::PreparedBody;
 use crate::track::scene::surface::SurfaceSpec;
 use crate::track::synthetic::{cloth, prepared};
 
-/// Keeps banks in memory, and says what was asked of it.
+/// Stores banks in memory, and records what was requested.
 #[derive(Debug, Default)]
 struct Memory {
     kept: Mutex<BTreeMap<String, Vec<u8>>>,
@@ -69,7 +69,8 @@ fn another_picture_and_another_share_of_the_bank_are_kept_beside_it() {
         assert_eq!(bank(&body, pictures, Some(&store)), bank(&body, pictures, None));
     }
     assert_eq!((store.bytes().len(), store.stored()), (3, 3));
-    // One grey level makes another picture, and the same pixels in rows of another length do.
+    // One grey level makes a different picture, and so do the same pixels in rows of another
+    // length.
     let [plain, wide] = [(8, 6), (6, 8)].map(|(width, height)| GrayImage::new(width, height));
     let mut spotted = plain.clone();
     spotted.put_pixel(7, 5, image::Luma([1]));
@@ -93,7 +94,7 @@ fn what_was_damaged_is_computed_anew() {
     assert_eq!(store.stored(), 6);
 }
 
-/// A bank of few features, for a picture of 40 x 30.
+/// Returns a bank of few features, for a picture of 40 x 30.
 fn few() -> ViewBank {
     let feature = |k: u8| Feature {
         position: Vector2::new(3.25 * f64::from(k), 2.5 * f64::from(k)),
@@ -110,7 +111,7 @@ fn few() -> ViewBank {
 const SIZE: (u32, u32) = (40, 30);
 const KEY: BankKey = BankKey([7; KEY_BYTES]);
 
-/// The digest made to fit again: what whoever wrote a file on purpose would do.
+/// Recomputes the digest, as a forger would.
 fn resealed(mut bytes: Vec<u8>) -> Vec<u8> {
     let content = bytes.len().saturating_sub(KEY_BYTES);
     let digest = digest([&bytes[..content]]);
@@ -138,7 +139,8 @@ proptest! {
         }
     }
 
-    /// With a digest that fits, what is taken is a bank that a picture may have, and its bytes are these.
+    /// With a valid digest, any bank that parses is one that a picture may have, and serialises to
+    /// the same bytes.
     #[test]
     fn what_is_taken_of_forged_bytes_is_a_bank(
         changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
@@ -171,13 +173,13 @@ fn bytes_that_are_whole_are_taken_for_their_key_alone() {
     assert_eq!(ViewBank::from_bytes(&bytes, &KEY, SIZE), Some(few()));
     assert_eq!(ViewBank::from_bytes(&bytes, &BankKey([8; KEY_BYTES]), SIZE), None);
     assert_eq!(ViewBank::from_bytes(&bytes, &KEY, (20, 30)), None);
-    // An anchor at the rim, and one of more than there are.
+    // An anchor at the border, and more anchors than allowed.
     let mut outside = few();
     outside.anchors[0][0] = Anchor::at([4, 6], 0);
     assert_eq!(ViewBank::from_bytes(&outside.to_bytes(&KEY), &KEY, SIZE), None);
     outside.anchors[0] = vec![Anchor::at([7, 7], 0); ANCHORS + 1];
     assert_eq!(ViewBank::from_bytes(&outside.to_bytes(&KEY), &KEY, SIZE), None);
-    // A number of features that no memory holds is no reason to ask for it.
+    // A huge feature count must not cause an allocation.
     let mut many = bytes;
     let count = MAGIC.len() + 4 + KEY_BYTES;
     many[count..count + 4].copy_from_slice(&u32::MAX.to_le_bytes());
