@@ -1,14 +1,16 @@
-//! What the clues of many frames agree on, where some of them err.
+//! Robust mean of what many frames say about one quantity, when some of them are wrong. Used for
+//! the readout time.
 
 use nalgebra::Vector2;
 
-/// Neighbouring frames share their errors: they are counted in blocks of this many, a fifth of a second at
-/// 30 a second. Raised, sigma itself scatters; lowered, sigma comes out too small.
+/// Frames per block: neighbouring frames share their errors, so sigma is computed from blocks of
+/// this many. Raised, sigma itself scatters; lowered, sigma comes out too small.
 pub const BLOCK: usize = 6;
-/// Fewest frames that tell of something: two blocks. Raised, clips with a short shake give no answer; lowered, sigma is a guess.
+/// Minimum frames for an agreement: two blocks. Raised, clips with a short shake give no answer;
+/// lowered, sigma is a guess.
 pub const MIN_FRAMES: usize = 12;
 
-/// What a frame says: a value, and the variance that it has by the frame's noise.
+/// What one frame says: a value, and its variance due to the frame's noise.
 pub type Said = Vector2<f64>;
 
 /// What many frames agree on.
@@ -18,11 +20,11 @@ pub struct Agreement {
     pub value: f64,
     /// One standard deviation, from the frames' disagreement.
     pub sigma: f64,
-    /// How many frames.
+    /// Number of frames.
     pub frames: usize,
 }
 
-/// What the mean is worked out in; keeps its memory.
+/// Buffers of the computation.
 #[derive(Debug, Clone, Default)]
 pub struct AgreementBuffers {
     sorted: Vec<(f64, f64)>,
@@ -30,17 +32,19 @@ pub struct AgreementBuffers {
 }
 
 impl AgreementBuffers {
-    /// Buffers that hold so many frames without growing.
+    /// Creates buffers that hold this many frames without growing.
     pub fn with_capacity(frames: usize) -> Self {
         Self { sorted: Vec::with_capacity(frames), weights: Vec::with_capacity(frames) }
     }
 
-    /// The robust mean of what frames say, in order, at least one; of fewer than two blocks the sigma is no more than a guess.
+    /// Returns the robust mean (Huber weights) of what frames say; `said`: in order, at least one.
+    /// With fewer than two blocks, sigma is only a guess.
     pub fn agreement(&mut self, said: &[Said]) -> Agreement {
         let mut value = self.weighted_median(said.iter().map(|t| (t.x, t.y.recip().sqrt())));
         let mut weights = std::mem::take(&mut self.weights);
         for _ in 0..6 {
-            // Beyond the noise of its pixels, each frame errs by what its motion differs from the model.
+            // Besides pixel noise, each frame errs where its motion differs from the model; that
+            // scatter is common to all.
             let scatter = self.weighted_median(said.iter().map(|t| ((t.x - value).abs(), t.y.recip().sqrt())));
             let common = (1.4826 * scatter).powi(2);
             weights.clear();
@@ -58,7 +62,7 @@ impl AgreementBuffers {
         Agreement { value, sigma, frames: said.len() }
     }
 
-    /// The value below which half of the weight lies; 0 of nothing.
+    /// Returns the weighted median of (value, weight) pairs; 0 if there are none.
     pub fn weighted_median(&mut self, values: impl Iterator<Item = (f64, f64)>) -> f64 {
         let sorted = &mut self.sorted;
         sorted.clear();
@@ -74,12 +78,12 @@ impl AgreementBuffers {
     }
 }
 
-/// The robust mean of what frames say, in order; `None` where fewer than [`MIN_FRAMES`] say something.
+/// Returns the robust mean of what frames say, in order; `None` for fewer than [`MIN_FRAMES`].
 pub fn agreement(said: &[Said]) -> Option<Agreement> {
     (said.len() >= MIN_FRAMES).then(|| AgreementBuffers::default().agreement(said))
 }
 
-/// The value below which half of the weight lies; 0 of nothing.
+/// Returns the weighted median of (value, weight) pairs; 0 if there are none.
 pub fn weighted_median(values: impl Iterator<Item = (f64, f64)>) -> f64 {
     AgreementBuffers::default().weighted_median(values)
 }

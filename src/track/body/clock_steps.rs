@@ -1,20 +1,22 @@
-//! The tracker's own time, which never goes back where the clock of a clip or a camera is set back.
+//! The tracker's own time, which never runs backwards even if the clock of a clip or a camera is
+//! set back.
 
 use crate::frame::Timestamp;
 
-/// How far stamps have been moved to go on.
+/// The offset between timestamps and the tracker's own time.
 #[derive(Debug, Default)]
 pub(in crate::track) struct ClockSteps {
     shift_ns: i64,
     last: Option<Timestamp>,
 }
 
-/// The pause that stands for a step back, nanoseconds: longer than anything is coasted or compared from frame to frame, so that tracking
-/// begins anew. Raised, nothing changes; lowered below a second, motion is carried over a pause of unknown length.
+/// Pause that stands for a step back, nanoseconds: longer than any coasting or comparison, so
+/// tracking restarts. Raised, nothing changes; lowered below a second, motion is carried over a
+/// pause of unknown length.
 const PAUSE_NS: i64 = 10_000_000_000;
 
 impl ClockSteps {
-    /// A stamp in own time: as it is, until the clock was set back.
+    /// Converts a timestamp to the own time; unchanged until the clock was set back.
     pub fn own(&mut self, stamp: Timestamp) -> Timestamp {
         let own = stamp.after_ns(self.shift_ns);
         let own = match self.last {

@@ -1,31 +1,32 @@
-//! How often frames come: gaps that a track may bridge follow from the camera's own rate, not a clock's.
+//! Estimates how often frames come, so that limits on gaps follow from the camera's own rate.
 //!
-//! Limits in seconds that suit a camera of 30 frames a second would cut off one of 5 between any two of its frames. So where a limit
-//! says "the next frame", it is this interval with some slack.
+//! Limits in seconds that suit a camera of 30 frames a second would cut off one of 5 between any
+//! two of its frames. So where a limit says "the next frame", it uses this interval with some
+//! slack.
 
 use crate::frame::Timestamp;
 
-/// Intervals that are remembered; the middle one of them is the camera's, whatever single frames were dropped. Raised, a change of the rate
-/// is noticed later; lowered, two dropped frames pass for it.
+/// Number of intervals remembered; their median is the camera's interval, despite dropped frames.
+/// Raised, a change of the rate is noticed later; lowered, two dropped frames pass for one.
 const REMEMBERED: usize = 5;
-/// Longer gaps are interruptions, not intervals, seconds. Raised, a clip of single pictures would count as a film; lowered, a camera of 2
-/// frames a second has no interval.
+/// Maximum interval, seconds; longer gaps are interruptions. Raised, a clip of single pictures
+/// would count as a film; lowered, a camera of 2 frames a second has no interval.
 const MAX_S: f64 = 0.5;
-/// Intervals jitter: a frame comes this many intervals after the one before at most, unless one is missing. Chosen, not tuned: any value up
-/// to nearly 2 tells them apart. Lowered, late frames end a track; raised, slow cameras coast longer.
+/// Maximum time to the next frame, in intervals, unless a frame is missing. Raised, slow cameras
+/// coast longer; lowered, late frames end a track.
 const JITTER: f64 = 1.25;
 
-/// The time from frame to frame, as the last stamps tell.
+/// The frame interval according to the last timestamps.
 #[derive(Debug, Clone, Default)]
 pub struct FrameInterval {
     last: Option<Timestamp>,
-    /// The last intervals, seconds, in the order of their slots; 0 where there was none yet.
+    /// Ring buffer of the last intervals, seconds; 0 where there was none yet.
     intervals: [f64; REMEMBERED],
     next: usize,
 }
 
 impl FrameInterval {
-    /// Takes the stamp of the next frame.
+    /// Takes the timestamp of the next frame.
     pub fn update(&mut self, timestamp: Timestamp) {
         let Some(before) = self.last.replace(timestamp) else { return };
         let interval = timestamp.seconds_since(before);
@@ -35,7 +36,7 @@ impl FrameInterval {
         }
     }
 
-    /// How long after a frame the next one comes at the latest, seconds; 0 while nobody knows.
+    /// Returns how long after a frame the next one comes at the latest, seconds; 0 while unknown.
     pub fn to_next_s(&self) -> f64 {
         let mut known = self.intervals;
         known.sort_by(f64::total_cmp);
@@ -59,10 +60,10 @@ mod tests {
         assert_eq!(after(&[]), 0.0);
         assert_eq!(after(&[70]), 0.0);
         assert!((after(&[0, 200]) - 0.25).abs() < 1e-9);
-        // One frame is missing, one comes late, and the clip was interrupted.
+        // One frame is missing, one is late, and the clip was interrupted.
         assert!((after(&[0, 20, 40, 80, 100, 121]) - 0.025).abs() < 1e-9);
         assert!((after(&[0, 200, 400, 9000, 9200]) - 0.25).abs() < 1e-9);
-        // Stamps that stand still or go back are none.
+        // Repeated or decreasing timestamps are not intervals.
         assert!((after(&[0, 200, 200, 100, 300]) - 0.25).abs() < 1e-9);
     }
 }

@@ -1,52 +1,55 @@
-//! What a camera's pictures taught, as a small snapshot that outlives a session: bytes to whoever keeps it.
+//! A small text snapshot of what was learnt about a camera, to be kept from one session to the
+//! next. The core exchanges bytes; the caller stores them.
 //!
-//! The text is one statement a line, the first names the form. More statements come with later versions; each version refuses all others.
+//! The first line states format and version; each further line is one statement. Later versions add
+//! statements; each version refuses all others.
 
 use std::fmt::Write as _;
 
 use thiserror::Error;
 
-/// The first line.
+/// Start of the first line.
 const HEAD: &str = "stagepose learnt camera";
-/// Version of the form.
+/// Version of the format; raise it when the format changes.
 const VERSION: u32 = 1;
-/// Longest snapshot that is read, bytes: far more than any has. A round figure.
+/// Maximum size of a snapshot that is read, bytes. Raised, foreign files cost more to refuse;
+/// lowered, later snapshots may not fit.
 pub const MAX_LEARNT_BYTES: u64 = 64 << 10;
-/// Longest time of a shutter that is believed, seconds, as in a config.
+/// Maximum shutter time that is accepted, seconds; as in the config.
 const MAX_S: f64 = crate::camera::Shutter::MAX_S;
 
-/// A time that was learnt, and how sure it is.
+/// A learnt time and its uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LearntTime {
-    /// Seconds. A readout is below 0 where the rows are read from the bottom up.
+    /// Seconds. A negative readout time means that rows are read from the bottom up.
     pub seconds: f64,
     /// One standard deviation, seconds.
     pub sigma_s: f64,
 }
 
-/// What is known of a camera by its pictures. `None`: nothing, or it is configured.
+/// What is learnt about a camera. `None`: nothing, or the value is configured.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct LearntCamera {
-    /// First row to last.
+    /// Readout time, first row to last.
     pub readout: Option<LearntTime>,
-    /// How long each row is exposed.
+    /// Exposure time of each row.
     pub exposure: Option<LearntTime>,
 }
 
-/// Why bytes are no snapshot that this version can use.
+/// Why bytes are not a snapshot that this version can read.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum LearntError {
-    /// Something else.
+    /// Not a snapshot.
     #[error(
         "this is not what a camera taught; give a file that `stagepose run` or `record` keeps, or leave it out, and the camera is learnt anew"
     )]
     Foreign,
-    /// Of another version.
+    /// A snapshot of another version.
     #[error("what was learnt is of version {0}, this program reads version 1; leave it out, and the camera is learnt anew")]
     Version(String),
-    /// A line that does not fit.
+    /// A damaged line, by its number.
     #[error("line {0} of what was learnt is damaged; leave it out, and the camera is learnt anew")]
     Line(usize),
 }
@@ -57,7 +60,7 @@ impl LearntCamera {
         *self == Self::default()
     }
 
-    /// As text, to be kept.
+    /// Serialises to text.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut text = format!("{HEAD} {VERSION}\n");
         for (name, time) in [("readout_s", self.readout), ("exposure_s", self.exposure)] {
@@ -69,10 +72,10 @@ impl LearntCamera {
         text.into_bytes()
     }
 
-    /// Reads what [`to_bytes`](Self::to_bytes) wrote.
+    /// Parses what [`to_bytes`](Self::to_bytes) returned.
     ///
     /// # Errors
-    /// When it is something else, of another version, or damaged.
+    /// If the bytes are something else, of another version, or damaged.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, LearntError> {
         let text = std::str::from_utf8(bytes).map_err(|_| LearntError::Foreign)?;
         let mut lines = text.lines().enumerate();

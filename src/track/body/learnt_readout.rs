@@ -1,7 +1,10 @@
-//! The readout of a camera whose readout is not configured, from the frames that are tracked; and whether a configured one can be right.
+//! Learns the readout time of a camera from tracked frames if it is not configured, and checks a
+//! configured one.
 //!
-//! Every followed frame that moves is asked which readout its rows fit. What the last frames say is averaged robustly; from that average on the tracker uses it, with
-//! a sigma: of the frames' disagreement, of what the model may be off, and of what was not linear. Until frames say enough, it is what was known before.
+//! Every followed frame that moves is asked which readout time its rows fit. The last frames are
+//! averaged robustly (`agreement`); the tracker then uses the average with a sigma that includes
+//! the frames' disagreement, the model's error and nonlinearity. Until enough frames have been
+//! asked, it uses what was known before.
 
 use std::collections::VecDeque;
 
@@ -10,58 +13,75 @@ use super::learnt_camera::LearntTime;
 use super::shutter_news::ShutterNews;
 use crate::track::align::ShutterClue;
 
-/// Frames whose own answer is no better than this, one sigma in seconds, tell nothing: about the readout of a usual sensor. Raised, still frames count, which only
-/// tell of the model's errors; lowered, slow clips give no answer.
+/// Maximum sigma of a single frame's readout estimate, seconds: about the readout time of a usual
+/// sensor. Raised, still frames count, which show only the model's errors; lowered, slow clips give
+/// no answer.
 pub const VAGUE_READOUT_S: f64 = 0.01;
-/// What the rows of a frame may be displaced by for other reasons than the readout, in all frames alike, pixels, one sigma: fog, gels, people, a lens that is a little
-/// off. Chosen: two slow clips with a global shutter seemed to be read in 1.0 and 1.3 ms, which was 0.10 and 0.08 pixels. Raised, slow clips tell
-/// nothing; lowered, a config gets a readout that the camera does not have.
+/// Common displacement of rows for other reasons than the readout, pixels, one sigma: fog, gels,
+/// people, a slightly wrong lens. Raised, slow clips teach nothing; lowered, a config gets a
+/// readout time that the camera does not have.
 pub const MODEL_ERROR_PX: f64 = 0.05;
-/// One sigma of a readout of which nothing is known, about 0, seconds: sensors have 0 to 33 ms. Raised, first poses of moving cameras are less sure.
+/// Sigma of a readout time about which nothing is known, around 0, seconds. Raised, first poses of
+/// moving cameras are less certain; lowered, slow sensors contradict it.
 const UNKNOWN_SIGMA_S: f64 = 0.02;
-/// Frames that are remembered: eight seconds of motion at 30 a second. Raised, the first frames, which were solved with another readout, count for longer.
+/// Maximum frames remembered. Raised, the first frames, which were solved with another readout
+/// time, count for longer; lowered, sigma is larger.
 const MAX_FRAMES: usize = 240;
-/// Share of a step of the readout that its linearisation may be wrong by, one sigma. Raised, the readout is known later; lowered, first answers pass for sure ones.
+/// Linearisation error of a readout step, fraction of the step, one sigma. Raised, the readout is
+/// known later; lowered, first answers look too certain.
 pub const CURVATURE: f64 = 0.25;
-/// Frames in which less of a change shows tell nothing. Raised, cameras that are shaken evenly tell less; lowered, one frame's noise passes for a large change.
+/// Minimum fraction of a readout change that shows in a frame's rows, for the frame to count.
+/// Raised, cameras that are shaken evenly teach less; lowered, one frame's noise passes for a large
+/// change.
 const MIN_SHOWN: f64 = 0.3;
-/// The readout that is used follows what is found beyond this share of its sigma. Raised, it lags; lowered, poses are corrected in every frame.
+/// Change at which the used readout time follows the found one, in sigmas. Raised, it lags;
+/// lowered, poses are corrected in every frame.
 const SHARE_OF_SIGMA: f64 = 0.2;
-/// Share of a change that is still in the motion a frame later: it was learnt with the former readout. Raised, poses are less sure for longer after a change.
+/// Fraction of a readout change that still affects the motion one frame later, as it was learnt
+/// with the former value. Raised, poses stay less certain for longer after a change.
 const SETTLING: f64 = 0.7;
-/// Less counts as none, seconds.
+/// Remaining effect below which a change counts as settled, seconds. Raised, poses are certain
+/// again slightly sooner.
 const MIN_SETTLING_S: f64 = 1e-5;
-/// Below this a readout counts as none, seconds: no sensor reads its rows faster. Raised, fast rolling shutters pass for global ones.
+/// Minimum readout time, seconds; less counts as global. Raised, fast rolling shutters pass for
+/// global ones; lowered, noise passes for a readout time.
 const FASTEST_READOUT_S: f64 = 5e-4;
-/// A readout is known once one sigma is below this share of it, or below so many seconds. Raised, it is announced before it is sure.
+/// Maximum sigma of a known readout time: fraction of it, or seconds, whichever is larger. Raised,
+/// it is announced before it is certain.
 const KNOWN_SHARE: f64 = 0.05;
 const KNOWN_SIGMA_S: f64 = 5e-4;
-/// A frame is asked where the readout's sigma displaces its rows by more, pixels. Raised, the readout stays less sure; lowered, slow frames cost more for nothing.
+/// Minimum displacement of rows by the readout's sigma for a frame to be asked, pixels. Raised, the
+/// readout stays less certain; lowered, slow frames cost more for nothing.
 const ASKED_PX: f64 = 0.1;
-/// Beyond this a velocity that jumps could pass for what a wrong readout does, pixels: frames are solved without. Raised, the readout is found less well; lowered,
-/// starts and stops are followed less well until it is known.
+/// Displacement by the readout's sigma above which a jump in velocity cannot be told from a wrong
+/// readout, pixels; frames are then solved without jumps. Raised, the readout is found less well;
+/// lowered, starts and stops are followed less well until it is known.
 const OPEN_PX: f64 = 0.1;
-/// Sigmas beyond which frames contradict what was known before, and the least difference, seconds and share. A difference is itself in the sigma, by [`CURVATURE`], so that
-/// these are 4.5 of the rest. Raised, wrong configs pass; lowered, right ones are blamed.
+/// Minimum difference between found and known readout that counts as a contradiction: in sigmas, in
+/// seconds, and as a fraction; all must be exceeded. Raised, wrong configs pass; lowered, right
+/// ones are blamed.
 const CONTRADICTING_SIGMAS: f64 = 3.0;
 const CONTRADICTING_S: f64 = 1e-3;
 const CONTRADICTING_SHARE: f64 = 0.1;
-/// Of a camera whose readout is configured, every so many-th frame is asked. Raised, wrong configs are noticed later; lowered, frames cost more.
+/// Interval of frames that are asked if the readout is configured. Raised, wrong configs are
+/// noticed later; lowered, frames cost more.
 const CHECKED_FRAMES: u32 = 8;
-/// Such a frame is asked where it moves at least so fast, pixels per second. Lowered, slow frames are asked, which tell nothing.
+/// Minimum speed of such a frame, pixels per second. Raised, wrong configs are noticed later;
+/// lowered, slow frames are asked, which show nothing.
 const CHECKED_SPEED_PX_S: f64 = 100.0;
 
-/// How well the readout is known when a frame comes.
+/// How well the readout time is known when a frame arrives.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReadoutDoubt {
-    /// One sigma, seconds; 0 where it is configured.
+    /// One sigma, seconds; 0 if it is configured.
     pub sigma_s: f64,
-    /// Whether it is time to ask a frame although the readout is configured.
+    /// Whether a frame should be asked although the readout is configured.
     pub is_check_due: bool,
 }
 
 impl ReadoutDoubt {
-    /// Whether a frame that moves so fast is asked.
+    /// Returns the speed of a frame if the frame is to be asked; `None` otherwise. `speed_px_s` is
+    /// evaluated only if needed.
     pub fn asks(&self, speed_px_s: impl FnOnce() -> f64) -> Option<f64> {
         if self.sigma_s == 0.0 && !self.is_check_due {
             return None;
@@ -71,43 +91,43 @@ impl ReadoutDoubt {
         (by_check || self.sigma_s * speed_px_s > ASKED_PX).then_some(speed_px_s)
     }
 
-    /// Speed above which the readout's sigma displaces the rows of a frame noticeably, pixels per
-    /// second; `None` where the readout is configured.
+    /// Returns the speed above which the readout's sigma displaces the rows of a frame noticeably,
+    /// pixels per second; `None` if the readout is configured.
     pub fn noticed_speed_px_s(&self) -> Option<f64> {
         (self.sigma_s > 0.0).then(|| ASKED_PX / self.sigma_s)
     }
 
-    /// Whether a velocity that jumps could explain what the readout may be wrong by, in a frame that moves so fast.
+    /// Whether, at this speed, a jump in velocity could explain the possible readout error.
     pub fn is_open(&self, speed_px_s: f64) -> bool {
         self.sigma_s * speed_px_s > OPEN_PX
     }
 }
 
-/// A readout and one sigma of it, seconds.
+/// A readout time and its sigma, seconds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Known {
-    /// Seconds; below 0: read from the bottom up.
+    /// Seconds; negative if rows are read from the bottom up.
     pub readout_s: f64,
-    /// One sigma, seconds; 0 where it is configured.
+    /// One sigma, seconds; 0 if it is configured.
     pub sigma_s: f64,
 }
 
 impl Known {
-    /// The same as a time that was learnt.
+    /// Returns it as a learnt time.
     pub fn as_time(&self) -> LearntTime {
         LearntTime { seconds: self.readout_s, sigma_s: self.sigma_s }
     }
 
-    /// Before the first frame of an unknown camera.
+    /// State before the first frame of an unknown camera.
     const NOTHING: Self = Self { readout_s: 0.0, sigma_s: UNKNOWN_SIGMA_S };
 
-    /// Whether it is known well enough to rely on.
+    /// Whether it is known well enough to be relied on.
     pub fn is_sure(&self) -> bool {
         self.sigma_s < KNOWN_SIGMA_S.max(KNOWN_SHARE * self.readout_s.abs())
     }
 }
 
-/// What one frame said.
+/// What one frame said, with the readout and speed at which it was solved.
 #[derive(Debug, Clone, Copy)]
 struct Told {
     readout_s: f64,
@@ -116,26 +136,26 @@ struct Told {
     speed_px_s: f64,
 }
 
-/// What the remembered frames say by themselves.
+/// What the remembered frames alone imply.
 #[derive(Debug, Clone, Copy)]
 struct Found {
     readout: Known,
-    /// One sigma if the rows are in fact read with the readout that is in use, seconds: without
-    /// the error of the linearisation, which is then zero.
+    /// Sigma if the readout in use is the true one, seconds: excludes the linearisation error,
+    /// which is then zero.
     sigma_of_no_change_s: f64,
 }
 
-/// What is known of the readout, and what the last frames said of it.
+/// What is known of the readout time, and what the last frames said of it.
 #[derive(Debug, Clone)]
 pub struct LearntReadout {
-    /// As configured; `None` where it is learnt.
+    /// The configured value; `None` if the readout is learnt.
     configured_s: Option<f64>,
     before: Known,
     told: VecDeque<Told>,
     said: Vec<Said>,
     buffers: AgreementBuffers,
     used: Known,
-    /// What of the last changes is still in the motion, seconds.
+    /// The remaining effect of recent changes on the motion, seconds.
     settling_s: f64,
     frames: u32,
     news: Option<ShutterNews>,
@@ -143,7 +163,8 @@ pub struct LearntReadout {
 }
 
 impl LearntReadout {
-    /// `configured_s`: as configured; `learnt`: what an earlier session learnt, where it is not.
+    /// Creates the state. `configured_s`: the configured readout time, if any; `learnt`: otherwise,
+    /// what an earlier session learnt.
     pub fn new(configured_s: Option<f64>, learnt: Option<Known>) -> Self {
         let before = configured_s.map_or(learnt.unwrap_or(Known::NOTHING), |readout_s| Known { readout_s, sigma_s: 0.0 });
         Self {
@@ -160,27 +181,29 @@ impl LearntReadout {
         }
     }
 
-    /// The same with what an earlier session learnt, where nothing is configured.
+    /// Restarts with what an earlier session learnt; a configured value stays.
     pub fn begun_with(&self, learnt: Option<Known>) -> Self {
         Self::new(self.configured_s, learnt)
     }
 
-    /// What is known of it by frames, of this session or an earlier one; `None` where it is configured or nothing is known.
+    /// Returns what frames of this or an earlier session taught; `None` if the readout is
+    /// configured or unknown.
     pub fn learnt(&self) -> Option<Known> {
         Some(self.used).filter(|used| self.configured_s.is_none() && used.sigma_s < 0.5 * UNKNOWN_SIGMA_S)
     }
 
-    /// The readout to track with.
+    /// Returns the readout time to track with.
     pub fn used(&self) -> Known {
         self.used
     }
 
-    /// One sigma of what the readout leaves open of poses, seconds: with what the last changes left in the motion.
+    /// Returns the sigma of the readout's effect on poses, seconds; includes the remaining effect
+    /// of recent changes.
     pub fn sigma_s(&self) -> f64 {
         self.used.sigma_s.hypot(self.settling_s)
     }
 
-    /// Of the frame that comes now.
+    /// Advances by one frame and returns how well the readout is known for it.
     pub fn next_doubt(&mut self) -> ReadoutDoubt {
         self.frames = self.frames.wrapping_add(1);
         self.settling_s = if self.settling_s > MIN_SETTLING_S { SETTLING * self.settling_s } else { 0.0 };
@@ -190,12 +213,13 @@ impl LearntReadout {
         ReadoutDoubt { sigma_s: self.sigma_s(), is_check_due }
     }
 
-    /// What there is to say, once.
+    /// Returns the news, once.
     pub fn news(&mut self) -> Option<ShutterNews> {
         self.news.take()
     }
 
-    /// Takes what a frame says that was solved with the used readout. `interval_s`: between frames; no camera reads a frame for longer.
+    /// Takes what a frame says that was solved with the used readout time. `interval_s`: between
+    /// frames, an upper bound of the readout time.
     pub fn hear(&mut self, clue: &ShutterClue, interval_s: f64) {
         let (used_s, readout, shown) = (self.used.readout_s, clue.readout.clue, clue.readout.shown);
         let information = readout.information * shown.powi(2);
@@ -207,7 +231,8 @@ impl LearntReadout {
         }
         let readout_s = used_s + readout.score / readout.information / shown;
         self.told.push_back(Told { readout_s, variance_s2: information.recip(), used_s, speed_px_s: clue.speed_px_s });
-        // Once there are many, single ones change little.
+        // Once there are many, a single frame changes little, so the average is updated once per
+        // block.
         let is_time = self.told.len() < 10 * BLOCK || self.frames.is_multiple_of(BLOCK as u32);
         if let Some(found) = is_time.then(|| self.found()).flatten() {
             match self.configured_s {
@@ -226,7 +251,7 @@ impl LearntReadout {
             return None;
         }
         let Agreement { value, sigma, frames } = self.buffers.agreement(&self.said);
-        // Few blocks tell their own scatter poorly, and a single one does not.
+        // With few blocks, the block scatter is unreliable; with a single one it is zero.
         let blocks = frames as f64 / BLOCK as f64;
         let of_one = 1.4826 * self.buffers.weighted_median(self.said.iter().map(|s| ((s.x - value).abs(), 1.0)));
         let by_scatter = sigma.max(of_one / blocks.sqrt()) * (1.0 + 2.0 / blocks);
@@ -245,30 +270,32 @@ impl LearntReadout {
     fn learn(&mut self, found: Found, interval_s: f64) {
         let Found { readout: found, sigma_of_no_change_s } = found;
         if contradict(self.before, found) {
-            // Another mode, or another camera: it says nothing of this one.
+            // Another mode or another camera: the earlier value does not apply.
             self.before = Known::NOTHING;
         }
         let [old, new] = [self.before.sigma_s, found.sigma_s].map(|sigma| sigma.powi(-2));
         let sigma_s = (old + new).powf(-0.5);
         let readout_s = (old * self.before.readout_s + new * found.readout_s) / (old + new);
         if readout_s.abs() > interval_s && interval_s > 0.0 {
-            // What the rows disagree about is not the shutter: a poor calibration, a picture that bends.
+            // Readout times longer than the frame interval are impossible: something else displaces
+            // the rows, such as a poor calibration or a bent picture.
             tracing::debug!(readout_s, interval_s, "no readout fits");
             (self.used, self.before) = (Known::NOTHING, Known::NOTHING);
             self.told.clear();
             return;
         }
-        // Once it is used, a frame that makes it less sure again does not take it back.
+        // Once a readout time is in use, a later increase of sigma does not reset it to zero.
         let unsure_s = if self.used.readout_s == 0.0 { 3.0 * sigma_of_no_change_s } else { 0.0 };
         let is_none = readout_s.abs() < FASTEST_READOUT_S.max(unsure_s);
         let goal_s = if is_none { 0.0 } else { readout_s };
         let step_s = goal_s - self.used.readout_s;
         if step_s.abs() > SHARE_OF_SIGMA * sigma_s {
-            // At once: rows that are taken to be read in a part of their time show a velocity that is as many times too large.
+            // Changes at once: with a readout that is too short by a factor, the estimated velocity
+            // is too large by that factor.
             self.used.readout_s = goal_s;
             self.settling_s += step_s.abs();
         }
-        // What is found and not used yet is not known.
+        // The difference between the found and the used value counts as uncertainty.
         self.used.sigma_s = sigma_s.hypot(readout_s - self.used.readout_s);
         if self.used.is_sure() && !self.has_told_news && self.told.len() >= 2 * MIN_FRAMES {
             self.has_told_news = true;
@@ -286,13 +313,13 @@ impl LearntReadout {
         if !self.has_told_news && self.told.len() >= 2 * MIN_FRAMES && contradict(self.before, found) {
             self.has_told_news = true;
             self.news = Some(ShutterNews::ReadoutContradicted { configured_s, found: found.as_time() });
-            // It is used all the same, but no longer believed.
+            // The configured value stays in use, but with a sigma.
             self.used.sigma_s = (found.readout_s - configured_s).abs();
         }
     }
 }
 
-/// Whether what is found cannot be what was known before.
+/// Whether the found value is incompatible with what was known before.
 fn contradict(before: Known, found: Known) -> bool {
     let off_s = (found.readout_s - before.readout_s).abs();
     off_s > CONTRADICTING_SIGMAS * found.sigma_s.hypot(before.sigma_s)
@@ -307,7 +334,8 @@ mod tests {
 
     const INTERVAL_S: f64 = 1.0 / 30.0;
 
-    /// What a frame says that was read in `true_s` and solved with `used_s`, with an error; it moves by so many pixels per second.
+    /// Returns the clue of a frame that was read in `true_s` and solved with `used_s`, with an
+    /// error, at a speed in pixels per second.
     fn clue(true_s: f64, used_s: f64, error_s: f64, speed_px_s: f64) -> ShutterClue {
         let information = (0.1 / speed_px_s).powi(-2);
         let clue = Clue { score: 0.5 * (true_s + error_s - used_s) * information, information };
@@ -315,7 +343,7 @@ mod tests {
         ShutterClue { readout, speed_px_s, exposure: None, is_open: true, may_teach: true }
     }
 
-    /// After so many frames of a camera that is shaken; the errors are those of noise.
+    /// Feeds frames of a shaken camera; the errors mimic noise.
     fn shaken(learnt: &mut LearntReadout, true_s: f64, frames: u32) {
         for k in 0..frames {
             learnt.next_doubt();
@@ -351,7 +379,8 @@ mod tests {
 
     #[test]
     fn a_readout_is_used_once_it_is_clearly_not_zero() {
-        // Few frames agree to a tenth: what the linearisation may be wrong by does not speak for zero.
+        // A few frames that agree to a tenth: the possible linearisation error is no evidence for
+        // zero.
         let mut learnt = LearntReadout::new(None, None);
         for k in 0..BLOCK + 2 {
             learnt.next_doubt();

@@ -1,11 +1,11 @@
-//! What is remembered: of each body, and of the camera's clock and shutter. With
-//! `align::learned` the only memory of the tracker.
+//! What is remembered from frame to frame: of each body, and of the camera's clock and shutter.
+//! With `align::learned` the only memory of the tracker.
 //!
-//! - `tracked_body`: a body with its last motion, its anchors and its doubts
+//! - `tracked_body`: a body with its last motion, its anchors and its model errors
 //! - `track_state`: searching, tracking, coasting or lost
 //! - `frame_interval`, `clock_steps`: how often frames come, and jumps of their clock
 //! - `learnt_readout`, `learnt_camera`, `agreement`, `shutter_news`: the shutter, learnt or checked
-//! - `reason`, `pixel_watch`: what is reported of a body beside its pose
+//! - `reason`, `pixel_watch`: what is reported of a body besides its pose
 //!
 //! Uses every room above.
 

@@ -1,6 +1,7 @@
-//! Why a frame has no pose: one word, one sentence and one mend for each case, for a person to act on.
+//! Why a frame has no pose: for each case one word, one sentence and one fix, for a person to act
+//! on.
 //!
-//! `failure` finds the reason; no pose depends on one.
+//! `failure` determines the reason; no pose depends on it.
 
 use crate::track::frame::frame_look::PictureFault;
 
@@ -8,19 +9,21 @@ use crate::track::frame::frame_look::PictureFault;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Reason {
-    /// The picture's details are there, but no pose of a surface of this size, seen through this lens, explains where they are.
+    /// The picture's details are visible, but no pose of a surface of this size, seen through this
+    /// lens, explains where they are.
     NoPoseFits,
-    /// The picture is recognised, and most of it is hidden or differs.
+    /// The picture is recognised, but most of it is occluded or looks different.
     Covered,
-    /// The picture is recognised, and too small in the frame.
+    /// The picture is recognised, but too small in the frame.
     TooSmall,
-    /// The picture is recognised, and too little of it is seen to tell the pose well enough.
+    /// The picture is recognised, but too little of it is visible to estimate the pose well enough.
     Uncertain,
-    /// The surface tilted the other way explains the frame as well.
+    /// The opposite tilt, a repetition within the picture or a second copy of it explains the frame
+    /// as well.
     Ambiguous,
-    /// The pose is far from where the frame before puts it.
+    /// The pose is far from the previous one, or from anywhere that the body can have reached.
     Jumped,
-    /// Found and verified; the next frame has to agree.
+    /// Found and verified; the next frame must confirm it.
     Unconfirmed,
     /// The frame is nearly black.
     TooDark,
@@ -30,17 +33,17 @@ pub enum Reason {
     TooBlurred,
     /// The frame shows a plain area.
     Blank,
-    /// The frame has detail, and nothing of the picture is in it.
+    /// The frame has detail, but none of it matches the picture.
     NotRecognised,
     /// The frame could not be decoded.
     Undecodable,
-    /// The row's stamp does not follow the last one, or its picture has another size.
+    /// The row's timestamp does not follow the last one, or its picture has another size.
     Skipped,
-    /// Another focal length than the calibration's explains the frame clearly better.
+    /// Another focal length than the calibrated one explains the frame clearly better.
     LensMoved,
-    /// The picture is that of the frame before, byte for byte, and gave its pose there.
+    /// The picture is identical to the previous frame, byte for byte, which already gave its pose.
     Repeated,
-    /// The frame shows two moments at once: fields that are woven, frames that are blended or torn.
+    /// The frame shows two moments at once: interlaced fields, blended or torn frames.
     Mixed,
 }
 
@@ -77,7 +80,7 @@ impl Reason {
         Self::Mixed,
     ];
 
-    /// The word for it in the summary and in events.
+    /// Returns the word used in the summary and in events.
     pub fn word(self) -> &'static str {
         match self {
             Self::NoPoseFits => "no_pose_fits",
@@ -100,7 +103,7 @@ impl Reason {
         }
     }
 
-    /// What is the matter, in a few words that follow "the picture …" or stand alone.
+    /// Returns what is wrong, as a short clause.
     pub fn says(self) -> &'static str {
         match self {
             Self::NoPoseFits => "the picture is recognised, but no pose fits",
@@ -128,7 +131,7 @@ impl Reason {
         }
     }
 
-    /// What to do about it.
+    /// Returns what to do about it.
     pub fn mend(self) -> &'static str {
         match self {
             Self::NoPoseFits => "check the order of the corners, size_m, position_m and the calibration",
@@ -157,13 +160,13 @@ impl Reason {
         }
     }
 
-    /// Whether the picture was found in the frame, whatever became of it.
+    /// Whether the picture was found in the frame.
     pub fn is_recognised(self) -> bool {
         use Reason::{Ambiguous, Covered, Jumped, LensMoved, Mixed, NoPoseFits, TooSmall, Uncertain, Unconfirmed};
         matches!(self, NoPoseFits | Covered | TooSmall | Uncertain | Ambiguous | Jumped | Unconfirmed | LensMoved | Mixed)
     }
 
-    /// Whether a pose was found and verified in the frame, though it was not given.
+    /// Whether a pose was found and verified in the frame, though not reported.
     pub fn is_verified(self) -> bool {
         matches!(self, Self::Jumped | Self::Unconfirmed | Self::LensMoved | Self::Mixed)
     }

@@ -1,21 +1,21 @@
-//! What there is to say of the shutter: each item once in a session.
+//! News about the shutter; each item is reported once per session.
 
 use super::learnt_camera::LearntTime;
 
-/// What frames showed of the shutter.
+/// What frames showed about the shutter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum ShutterNews {
-    /// The readout was not configured, and is known now.
+    /// The readout time was not configured, and is now known.
     ReadoutLearnt(LearntTime),
-    /// Frames contradict the configured readout.
+    /// Frames contradict the configured readout time.
     ReadoutContradicted {
         /// As configured, seconds.
         configured_s: f64,
         /// What the frames fit.
         found: LearntTime,
     },
-    /// The blur of moving frames contradicts the configured exposure.
+    /// The blur of moving frames contradicts the configured exposure time.
     ExposureContradicted {
         /// As configured, seconds.
         configured_s: f64,
@@ -25,7 +25,7 @@ pub enum ShutterNews {
 }
 
 impl ShutterNews {
-    /// A sentence, with the fix.
+    /// Returns a sentence that includes the fix.
     pub fn text(&self) -> String {
         match self {
             Self::ReadoutLearnt(LearntTime { seconds: 0.0, .. }) => {
@@ -46,7 +46,7 @@ impl ShutterNews {
         }
     }
 
-    /// Whether there is something to be done about it.
+    /// Whether the user should act on it.
     pub fn is_warning(&self) -> bool {
         !matches!(self, Self::ReadoutLearnt(_))
     }

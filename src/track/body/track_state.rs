@@ -1,6 +1,8 @@
-//! The state of a body from frame to frame: searching, awaiting confirmation, tracking, coasting, lost.
+//! The state of a body from frame to frame: searching, tracking, coasting, lost.
 //!
-//! Decided by frame stamps alone, never by a clock, so that a replay gives what the show gave.
+//! A new pose must be confirmed by further frames that agree with it; a tracked body that
+//! disappears coasts for a while, then is lost. Decisions depend on frame timestamps alone, never
+//! on a clock, so a replay reproduces the live result.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -21,9 +23,10 @@ pub enum State {
     Tracking,
     /// Predicted from earlier frames, for at most `coast_s`.
     Coasting,
-    /// Was found before, is not now.
+    /// Found before, but not now.
     Lost,
-    /// Live only: the camera gives no pictures. Such a sample is a message to subscribers, never a line of contract C3.
+    /// Live only: the camera delivers no pictures. Such a sample is a message to subscribers, never
+    /// a line of contract C3.
     Stale,
 }
 
@@ -31,7 +34,7 @@ impl State {
     /// All states, in the order of their numbers.
     pub const ALL: [State; 5] = [Self::Searching, Self::Tracking, Self::Coasting, Self::Lost, Self::Stale];
 
-    /// The word for it in the records.
+    /// Returns the word used in records.
     pub fn word(self) -> &'static str {
         match self {
             Self::Searching => "searching",
@@ -43,13 +46,13 @@ impl State {
     }
 }
 
-/// Why a verified pose is not given yet.
+/// Why a verified pose is not reported yet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Doubt {
-    /// It is the first of its kind.
+    /// It is the first one and needs confirmation.
     First,
-    /// It is far from the one before, or from where the body can have come since its last pose was
-    /// given.
+    /// It is far from the previous one, or from anywhere that the body can have reached since its
+    /// last reported pose.
     Disagrees,
 }
 
@@ -59,8 +62,8 @@ struct Pending {
     pose: Pose<Body, Camera>,
     timestamp: Timestamp,
     agreeing: u32,
-    /// When the first of these poses came, if the body cannot have come there since its last given
-    /// pose.
+    /// When the first of these poses came, if the body cannot have moved there since its last
+    /// reported pose.
     jumped: Option<Timestamp>,
 }
 
@@ -72,44 +75,45 @@ pub struct TrackStateMachine {
     last_given: Option<Pending>,
     pending: Option<Pending>,
     doubt: Option<Doubt>,
-    /// Velocity between the last two given poses, m/s: of the camera in the body, and of the body in
-    /// the camera.
+    /// Velocity between the last two reported poses, m/s: of the camera in the body's frame, and of
+    /// the body in the camera's.
     velocities: Option<[Vector3<f64>; 2]>,
     /// See [`of_camera`](Self::of_camera).
     is_of_camera: bool,
 }
 
-/// How fast a body may plausibly move between two frames that confirm each other: metres per second relative to its distance, and radians
-/// per second. At 4 m, 12 m/s and two turns a second: more than a whip pan. Chosen, not tuned. Raised, two wrong poses may confirm each
-/// other; lowered, a camera that is found in fast motion is given later.
+/// Maximum plausible motion between two frames that confirm each other: metres per second relative
+/// to the distance, and radians per second. Raised, two wrong poses may confirm each other;
+/// lowered, a camera that is found in fast motion is reported later.
 const FASTEST_SHIFT_PER_S: f64 = 3.0;
 const FASTEST_TURN_PER_S: f64 = 12.0;
-/// Slack for measurement noise and jitter of stamps: of the distance, and radians. Chosen: about twice the largest uncertainty of a pose
-/// that is given (`verify`). Raised, two wrong poses may confirm each other.
+/// Tolerance for measurement noise and timestamp jitter: fraction of the distance, and radians.
+/// Raised, two wrong poses may confirm each other; lowered, noisy poses are not confirmed.
 const SLACK_SHIFT: f64 = 0.02;
 const SLACK_TURN: f64 = 0.02;
-/// Frames further apart than this do not confirm each other, seconds. Chosen, not tuned: within more, the camera could be anywhere. Raised,
-/// two wrong poses have longer to agree; lowered, cameras of 2 frames a second are never tracked.
+/// Maximum interval between frames that confirm each other, seconds. Raised, two wrong poses have
+/// longer to agree; lowered, cameras of 2 frames a second are never tracked.
 const MAX_GAP_S: f64 = 0.5;
-/// Fastest motion since the last given pose, m/s, where that is more than `FASTEST_SHIFT_PER_S`: a
-/// thrown prop. Raised, nearer copies pass for a motion.
+/// Maximum speed since the last reported pose, m/s, if that exceeds `FASTEST_SHIFT_PER_S`: a thrown
+/// prop. Raised, copies farther away pass for motion; lowered, thrown props count as jumps.
 const FASTEST_M_PER_S: f64 = 10.0;
-/// Poses must agree for so long, seconds, where the body cannot have come there: a cut, or a wrong
-/// pose before. Raised, a cut costs more; lowered, a pan to a copy is believed sooner.
+/// How long poses must agree where the body cannot have moved there, seconds: after a cut or a
+/// wrong pose. Raised, a cut costs more; lowered, a pan to a copy is believed sooner.
 const JUMP_CONFIRMED_S: f64 = 3.0;
 
 impl TrackStateMachine {
-    /// Of a stage: what moves is the camera, which is not thrown and does not bounce.
+    /// Creates the machine of a stage: what moves is the camera, whose acceleration is limited,
+    /// unlike a thrown or bouncing prop.
     pub fn of_camera() -> Self {
         Self { is_of_camera: true, ..Self::default() }
     }
 
-    /// The state after the last frame.
+    /// Returns the state after the last frame.
     pub fn state(&self) -> State {
         self.state
     }
 
-    /// Whether a pose of the body was given in any frame.
+    /// Whether a pose of the body was reported in any frame.
     pub fn was_given(&self) -> bool {
         self.found_before
     }
@@ -119,24 +123,26 @@ impl TrackStateMachine {
         matches!(self.state, State::Tracking | State::Coasting)
     }
 
-    /// Why the last frame's verified pose was not given; `None` where it was, or where there was none.
+    /// Returns why the last frame's verified pose was not reported; `None` if it was, or if there
+    /// was none.
     pub fn doubt(&self) -> Option<Doubt> {
         self.doubt
     }
 
-    /// Whether the body can have come to a pose since its last given one; true where none was
-    /// given.
+    /// Whether the body can have reached a pose since its last reported one; true if none was
+    /// reported.
     pub fn may_have_come(&self, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> bool {
         let velocities = self.velocities.filter(|_| self.is_of_camera);
         self.last_given.is_none_or(|last| is_reachable(&last.pose, pose, timestamp.seconds_since(last.timestamp), velocities))
     }
 
-    /// Whether a pose in this frame needs nothing but to be seen: it goes on with a track.
+    /// Whether a pose in this frame would continue a track without further confirmation.
     pub fn continues_at(&self, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> bool {
         self.is_continued() && self.may_have_come(pose, timestamp)
     }
 
-    /// Gives the body up at once: its poses are withheld, and none may be predicted from them.
+    /// Ends the track at once: poses are withheld, and none may be predicted from them. Returns the
+    /// state.
     pub fn withhold(&mut self) -> State {
         let found_before = self.found_before;
         let state = if found_before { State::Lost } else { State::Searching };
@@ -144,8 +150,8 @@ impl TrackStateMachine {
         self.state
     }
 
-    /// Takes the outcome of a frame. `coast_s` and `confirm_frames` are the tracker's settings; a
-    /// frame that leaves no doubt needs one to confirm it.
+    /// Updates the state with the outcome of a frame. `coast_s` and `confirm_frames` are the
+    /// tracker's settings; `confirm_frames` is 1 for a conclusive frame.
     pub fn update(&mut self, timestamp: Timestamp, verified: Option<&Pose<Body, Camera>>, coast_s: f64, confirm_frames: u32) -> State {
         let continued = self.is_continued();
         self.doubt = None;
@@ -176,22 +182,23 @@ impl TrackStateMachine {
         };
         if verified.is_none() {
             let is_stale = |p: &Pending| timestamp.seconds_since(p.timestamp) > MAX_GAP_S;
-            // A single verified frame must be followed by another at once; a track may skip frames
-            // while it coasts, and so may what jumped.
+            // A single verified frame must be confirmed by the next one; a track may skip frames
+            // while it coasts, and so may a jump.
             self.pending = self.pending.filter(|p| !is_stale(p) && (self.is_continued() || p.jumped.is_some()));
         }
         self.state
     }
 
-    /// A verified pose beside those that wait.
+    /// Returns a verified pose merged with those that wait.
     fn taken_up(&self, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> Pending {
         let fresh = |jumped| Pending { pose: *pose, timestamp, agreeing: 1, jumped };
-        // While coasting, one frame that agrees with the last given one is enough, whatever was
-        // seen meanwhile.
+        // While coasting, agreement with the last reported pose is enough, whatever was seen
+        // meanwhile.
         let given = self.last_given.filter(|_| self.is_continued());
         let jumped = || (!self.may_have_come(pose, timestamp)).then_some(timestamp);
         match [self.pending, given].into_iter().flatten().find(|before| agree(before, pose, timestamp)) {
-            // The way from a copy of the picture to itself is no way from the last given pose.
+            // Plausible motion from a copy of the picture to the same copy is no plausible motion
+            // from the last reported pose.
             Some(before) if before.jumped.is_some() => Pending { agreeing: before.agreeing.saturating_add(1), ..fresh(before.jumped) },
             Some(before) => match jumped() {
                 None => Pending { agreeing: before.agreeing.saturating_add(1), ..fresh(None) },
@@ -209,29 +216,29 @@ fn agree(pending: &Pending, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> 
         return false;
     }
     let distance = nearest_m(&pending.pose, pose);
-    // Of the camera's centre: turning it on the spot is no shift.
+    // Uses the camera's centre: rotation on the spot is no shift.
     let shift = (pose.translation - pending.pose.translation).norm();
     let turn = pose.angle_to(&pending.pose);
     shift < (SLACK_SHIFT + FASTEST_SHIFT_PER_S * dt) * distance && turn < SLACK_TURN + FASTEST_TURN_PER_S * dt
 }
 
-/// Whether a body can have moved from one pose to another within some seconds, as nothing on a
-/// stage moves faster. Turns do not count: a copy lies elsewhere, and what only turns is the same
+/// Whether a body can have moved between two poses within `dt_s` seconds, given the speeds possible
+/// on a stage. Rotation is ignored: a copy is elsewhere, and whatever only rotates is the same
 /// picture, tilted.
 fn is_reachable(from: &Pose<Body, Camera>, to: &Pose<Body, Camera>, dt_s: f64, velocities: Option<[Vector3<f64>; 2]>) -> bool {
     let (distance, dt_s) = (nearest_m(from, to), dt_s.max(0.0));
     let slack = SLACK_SHIFT * distance;
     let reach = slack + (FASTEST_SHIFT_PER_S * distance).max(FASTEST_M_PER_S) * dt_s;
     let of_way = slack + 0.5 * MAX_ACCELERATION * dt_s * dt_s;
-    // A camera that turns on the spot stays where it is in the body, and a prop that does stays
-    // where it is before the camera.
+    // A camera rotating on the spot stays in place relative to the body; a prop rotating on the
+    // spot stays in place relative to the camera. Either suffices.
     ways(from, to)
         .into_iter()
         .enumerate()
         .any(|(k, way)| way.norm() < reach && velocities.is_none_or(|velocities| (way - velocities[k] * dt_s).norm() < of_way))
 }
 
-/// Of the camera in the body, and of the body in the camera.
+/// Returns the displacement of the camera in the body's frame and of the body in the camera's.
 fn ways(from: &Pose<Body, Camera>, to: &Pose<Body, Camera>) -> [Vector3<f64>; 2] {
     [to.translation - from.translation, to.inverse().translation - from.inverse().translation]
 }
@@ -320,7 +327,8 @@ mod tests {
         assert_eq!(run(&[Some(0.0), Some(0.0), Some(3.0), Some(0.0)]), [Searching, Tracking, Coasting, Tracking]);
     }
 
-    /// Frames that leave no doubt, at a rate; the states, and whether each was doubted as a jump.
+    /// Returns the states for conclusive frames at a rate, and whether each pose was doubted as a
+    /// jump.
     fn sure(per_s: f64, seen: impl IntoIterator<Item = Option<f64>>) -> Vec<(State, bool)> {
         let mut lock = TrackStateMachine::default();
         let states = seen.into_iter().enumerate().map(|(k, x)| {
@@ -333,13 +341,13 @@ mod tests {
     #[test]
     fn a_copy_is_not_the_body_however_long_it_is_seen_without_the_body() {
         let given = |states: &[(State, bool)]| states.iter().filter(|(state, _)| *state == State::Tracking).count();
-        // A pan to a copy 4 m aside, for two seconds, with gaps, and back.
+        // A pan to a copy 4 m aside for two seconds, with gaps, and back.
         let mut seen = vec![Some(0.0); 10];
         seen.extend((0..60).map(|k| (k % 7 != 3).then_some(4.0)));
         let states = sure(30.0, seen.clone().into_iter().chain([Some(0.1); 3]));
         assert_eq!((given(&states[10..70]), given(&states[70..])), (0, 3));
         assert!(states[10].1 && states[68].1);
-        // A cut is believed in the end.
+        // A cut is accepted eventually.
         let states = sure(30.0, [Some(0.0); 10].into_iter().chain([Some(4.0); 120]));
         assert_eq!(states.iter().skip(10).position(|(state, _)| *state == State::Tracking), Some(90));
         assert!(states[100..].iter().all(|(state, _)| *state == State::Tracking));
@@ -357,8 +365,8 @@ mod tests {
         assert_eq!(sure(30.0, hidden)[35..], [(State::Tracking, false); 2]);
     }
 
-    /// A copy that hides the stage stands before it, 0.9 m nearer: found a tenth of a second after
-    /// the stage was last seen, at a speed that a camera may well have, but not that soon.
+    /// A copy that hides the stage stands 0.9 m in front of it. It is found a tenth of a second
+    /// after the stage was last seen: a speed that a camera may have, but cannot reach that soon.
     #[test]
     fn a_copy_is_no_motion_that_a_camera_cannot_begin() {
         let seen = || [Some(0.0), Some(0.01), Some(0.02), None, None].into_iter().chain([Some(0.92); 20]);
@@ -384,7 +392,8 @@ mod tests {
         }
     }
 
-    /// A prop that spins on the spot: the camera flies about it, and it stays where it is.
+    /// A prop that spins on the spot: relative to it the camera flies around it, but it stays in
+    /// place before the camera.
     #[test]
     fn a_spun_prop_is_no_jump() {
         let mut lock = TrackStateMachine::default();

@@ -1,4 +1,4 @@
-//! Where a body is expected: in the frame that finds it, and in the ones that do not.
+//! Predicts where a body is: in the frame that finds it, and in frames that do not find it.
 
 use nalgebra::Vector2;
 
@@ -11,24 +11,26 @@ use crate::motion::MotionEstimate;
 use crate::track::acquire::search_windows::Extent;
 use crate::track::acquire::unexplained_cells::MARGIN_PX;
 
-/// Verified poses further apart tell nothing of the motion within a frame, seconds; those of two frames in a row do, however slow the
-/// camera. Chosen: two frames at 30 a second. Raised, a motion that has changed is taken for this frame's; lowered, a dropped frame leaves
-/// it unknown.
+/// Maximum interval between verified poses that imply a motion, seconds; consecutive frames always
+/// do. Raised, outdated motion is used; lowered, a dropped frame leaves the motion unknown.
 const MAX_MOTION_GAP_S: f64 = 0.07;
-/// For so long after a body was last seen, seconds, that place is searched first. Chosen: what was covered for a moment, or found just now, is still there. Raised,
-/// bodies that went away keep others waiting; lowered, one that was found in one frame may not be found in the next, which has to confirm it.
+/// How long after a body was last seen its place is searched first, seconds. Raised, bodies that
+/// went away delay others; lowered, one found in one frame may be missed in the next, which must
+/// confirm it.
 const LAST_SEEN_FOR_S: f64 = 0.5;
 
 impl TrackedBody {
-    /// Its motion in the frame, if it was aligned there.
+    /// Returns its motion in the frame at `timestamp`, if it was aligned there.
     pub fn motion_at(&self, timestamp: Timestamp) -> Option<&MotionEstimate> {
         self.motion.as_ref().filter(|(_, then)| *then == timestamp).map(|(motion, _)| motion)
     }
 
-    /// The motion of a body that was just found, with its pose known to so much (one sigma, metres and radians). `camera`: the camera's motion in the stage, where the body is an object
-    /// and that is known.
+    /// Returns the prior of a newly found body's motion; `off`: one sigma of its pose, metres and
+    /// radians. `camera`: the camera's motion relative to the stage, if the body is an object and
+    /// that is known.
     ///
-    /// A rolling shutter does not use `camera`: there a tilt and a motion ahead look alike, and the wider prior of objects would leave every tilt open.
+    /// `camera` is not used under a rolling shutter: there a tilt and a motion ahead look alike,
+    /// and the wider prior of objects would leave every tilt undetermined.
     pub fn unseen(&self, pose: Pose<Body, Camera>, off: [f64; 2], camera: Option<&MotionEstimate>) -> MotionEstimate {
         let distance_m = self.aligner.distance_m(&pose);
         match camera.filter(|_| self.aligner.is_global()) {
@@ -44,18 +46,18 @@ impl TrackedBody {
         self.before = Some((pose, timestamp, twist));
     }
 
-    /// Whether its motion is known: it was verified in two frames in a row before it was lost.
+    /// Whether its motion is known: it was verified in two consecutive frames before it was lost.
     pub fn has_motion(&self) -> bool {
         self.before.is_some_and(|(_, _, twist)| twist.is_some())
     }
 
-    /// Where the body should be at a stamp, carried on from the last verified poses.
+    /// Returns the pose extrapolated to a timestamp from the last verified poses.
     pub fn predicted(&self, timestamp: Timestamp) -> Option<Pose<Camera, Body>> {
         let (before, dt_s, twist) = self.before_at(timestamp)?;
         Some(twist.map_or(before, |twist| perturbed(&before, &(twist.0 * dt_s))))
     }
 
-    /// Where it was last seen, if that is not long ago, and where it should be by now.
+    /// Returns where it was last seen, if recently, and then its extrapolated pose, if known.
     pub fn expected_poses(&self, timestamp: Timestamp) -> impl Iterator<Item = Pose<Camera, Body>> {
         let recent = self.before.map(|(last, then, twist)| (last, timestamp.seconds_since(then), twist));
         recent.filter(|(_, dt_s, _)| *dt_s <= LAST_SEEN_FOR_S).into_iter().flat_map(|(last, dt_s, twist)| {
@@ -64,14 +66,15 @@ impl TrackedBody {
         })
     }
 
-    /// The part of the frame that has it in it where it was last seen, if that is not long ago, and where it should be by now; `None` if that lies beyond the frame.
+    /// Returns the bounding box in the frame of where it was last seen, if recently, and where it
+    /// is predicted, with a margin; `None` if that lies outside the frame.
     pub fn expected_place(&self, timestamp: Timestamp, camera: &CameraModel) -> Option<Extent> {
         let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
         for pose in self.expected_poses(timestamp) {
             for rectangle in self.body.surfaces.iter().map(|s| &s.rectangle) {
                 for (x, y) in [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)] {
                     let corner = [x * rectangle.size_m[0], y * rectangle.size_m[1]];
-                    // From behind its face as well: a box has it on its other side.
+                    // Includes surfaces seen from behind: a box shows its other side there.
                     let Some(seen) = rectangle.see(&pose.inverse(), camera, corner, f64::NEG_INFINITY) else { continue };
                     (low, high) = (low.inf(&seen.pixel), high.sup(&seen.pixel));
                 }
@@ -83,7 +86,8 @@ impl TrackedBody {
         (0..2).all(|k| from[k] < to[k]).then_some([from, to])
     }
 
-    /// The last verified pose as seen from a stamp, if it is recent enough to tell of motion.
+    /// Returns the last verified pose, the seconds since then, and the twist that led to it, if it
+    /// is recent enough to imply motion at `timestamp`.
     pub fn before_at(&self, timestamp: Timestamp) -> Option<(Pose<Camera, Body>, f64, Option<Twist>)> {
         let (pose, then, twist) = self.before?;
         let dt_s = timestamp.seconds_since(then);

@@ -1,4 +1,11 @@
-//! What is known of one body: its pictures, its lock, its motion, and the last verified pose with the anchors that it rests on.
+//! Everything known of one body: its pictures, its track state, its motion, and its last verified
+//! pose with the anchors on which that rests.
+//!
+//! Per frame, [`TrackedBody::follow`] aligns it from its predicted motion; if it is not followed,
+//! `body_search` calls [`TrackedBody::align_found`] with candidates or
+//! [`TrackedBody::best_verified`]. A pose that alignment supports is then checked against the
+//! opposite tilt and against poses one picture period aside. [`TrackedBody::model_fit`] and
+//! [`TrackedBody::study`] measure what the model does not explain. `expected` predicts where it is.
 
 mod expected;
 
@@ -34,95 +41,102 @@ use crate::track::patches::verify::{Refusal, Verified, VerifyBuffers, View, judg
 use crate::track::scene::reference::PreparedBody;
 use crate::track::scene::surface::BodySpec;
 
-/// An aligned body is followed over gaps up to this, seconds, and always to the next frame. Chosen: three frames at 30 a second. Raised,
-/// alignment begins from starts beyond its basin, in vain; lowered, a dropped frame costs a search by features.
+/// Maximum gap over which an aligned body is followed, seconds; it is always followed to the next
+/// frame. Raised, alignment starts outside its basin, in vain; lowered, a dropped frame costs a
+/// search by features.
 const MAX_FOLLOWED_GAP_S: f64 = 0.1;
-/// Residuals of an alignment that fits, sigmas: those of noise are 1. Chosen, not tuned: of bodies that were seen in part they were 0.9 to 1.2, of those tilted the wrong way 1.9 to 6. Raised, the right
-/// one of two planar poses may not be tried; lowered, the wrong one costs several followed bodies.
+/// Maximum residual sigma of an alignment that fits (noise alone: 1). Raised, the right one of two
+/// planar poses may not be tried; lowered, the wrong one costs as much as several followed bodies.
 const FITTING_SCALE: f64 = 1.5;
-/// Share of fitting anchors beyond which no rival is asked. Chosen well above what a new pose needs (`MIN_SHARE_NEW`). Raised, frames
-/// cost more; lowered, the first candidate may be taken for a better one.
+/// Fraction of fitting anchors above which no rival start is tried. Raised, frames cost more;
+/// lowered, the first candidate may hide a better one.
 const CLEAR_SHARE: f64 = 0.6;
-/// Frames between two tests of a followed pose against the one tilted the other way; a test takes about 1 ms. Chosen: twice a second at 30
-/// frames. Raised, a pose on the wrong branch stays longer; lowered, frames cost more.
+/// Frames between two checks of a followed pose against the opposite tilt, about 1 ms each. Raised,
+/// a pose on the wrong branch stays longer; lowered, frames cost more.
 const AUDIT_FRAMES: u32 = 16;
 
-/// A followed pose further from its start than this share of the picture's period is compared with the poses a period aside. Chosen: alignment falls to either side from
-/// half a period. Raised, it may be a period off; lowered, frames of repetitive pictures cost more.
+/// Distance of a followed pose from its start, fraction of the picture's period, above which it is
+/// compared with poses one period aside. Raised, it may be a period off; lowered, frames of
+/// repetitive pictures cost more.
 const CLOSE_PERIODS: f64 = 0.25;
-/// A pose is refused where one a period aside is stronger by this factor, see [`Alignment::strength`]. Chosen: of windows with grain and of stripes with a picture amidst the right one is by 2.4,
-/// while one mark among 160 tiles makes next to no difference, and is left to the features that found it. Raised, poses pass that are a period off; lowered to 1, chance decides.
+/// Factor by which a pose one period aside must be stronger for this one to be refused, see
+/// [`Alignment::strength`]. Raised, poses pass that are a period off; lowered to 1, chance decides.
 const CLEARLY_STRONGER: f64 = 1.2;
 
-/// An object that shows more tiles than this tells an error of its model from noise, as the stage does. Chosen, not tuned: 74 numbers beyond the pose's six. Raised, objects
-/// have wider covariances than errors and are given a frame later; lowered, chance decides.
+/// Minimum tile weight at which an object's model error can be separated from noise, as the stage's
+/// can. Raised, objects have wider covariances and are reported a frame later; lowered, chance
+/// decides.
 const TELLING_TILES: f64 = 40.0;
 
-/// Where the readout's sigma displaces the rows of a frame by more, pixels, what of the model does not fit may be the shutter. Raised, lenses are blamed for it; lowered,
-/// a zoom is noticed later by a moving camera whose shutter is not known.
+/// Displacement of rows by the readout's sigma, pixels, above which misfit may be due to the
+/// shutter. Raised, lenses are blamed for it; lowered, a moving camera with unknown shutter notices
+/// a zoom later.
 const DOUBTED_PX: f64 = 0.1;
-/// A copy lies this far from where the pose puts the body, share of the frame's width. Chosen:
-/// three times what folds and lenses that are known roughly displace. Raised, a copy in front of
-/// the picture is believed; lowered, a picture that hangs in deep folds is refused.
+/// Minimum distance of a copy's anchor from where the pose puts it, fraction of the frame's width.
+/// Raised, a copy in front of the picture is believed; lowered, a picture that hangs in deep folds
+/// is refused.
 const COPY_AWAY: f64 = 0.005;
-/// Anchors of a surface by which the pose explains it. Raised, copies beside a small or covered
-/// picture pass; lowered, chance decides.
+/// Minimum anchors of a surface for the pose to explain it. Raised, copies beside a small or
+/// occluded picture pass; lowered, chance decides.
 const MIN_OF_SURFACE: usize = 8;
 
-/// Starts that differ by less, radians and of the distance, are one. Raised, a start that would succeed is left out; lowered, alignment fails
-/// twice from the same place.
+/// Maximum difference between two starts that count as the same, radians and fraction of the
+/// distance. Raised, a start that would succeed is skipped; lowered, alignment fails twice from the
+/// same place.
 const SAME_START: f64 = 0.005;
 
-/// A body and what its frames said so far; keeps its buffers.
+/// A body and what its frames showed so far; keeps its buffers between frames.
 pub struct TrackedBody {
     /// Its pictures.
     pub body: PreparedBody,
     /// Its surfaces' numbers in the reference index.
     pub surfaces: std::ops::Range<u32>,
-    /// What verified poses mean in time.
+    /// Its track state.
     pub track: TrackStateMachine,
-    /// Follows it.
+    /// Aligns it; keeps what it learns.
     pub aligner: Aligner,
     /// The anchors that fit the last verified pose.
     pub anchors: Vec<FittedAnchor>,
-    /// Where features found it, all anchors that were found, fitting or not; empty where it was aligned.
+    /// All anchors that were found near a pose from features, fitting or not; empty if the pose was
+    /// aligned.
     found: Vec<FittedAnchor>,
-    /// What the last frame said of the shutter, where that is asked and the body was aligned.
+    /// What the last frame said about the shutter, if it was asked and the body was aligned.
     pub clue: Option<ShutterClue>,
-    /// What of it was recognised when it was last looked for by features.
+    /// What was recognised when it was last searched for by features.
     pub seen: Recognition,
-    /// Of the poses that the last frame's verification refused, the one that came furthest.
+    /// The refusal of the last frame's poses that passed the most checks.
     pub refusal: Option<Refusal>,
-    /// Where features put it in this frame, and alignment began in vain or not.
+    /// Poses from features from which alignment started in this frame, successfully or not.
     pub tried: Vec<Pose<Body, Camera>>,
-    /// Whether alignment began where features put it, in the last frame that looked for it, and failed.
+    /// Whether alignment from features failed in the last frame that searched for it.
     pub is_in_vain: bool,
-    /// Whether the last alignment fits what the frame shows of the body, of which it shows too little.
+    /// Whether the last alignment fits what is visible of the body, but too little is visible.
     pub is_seen_in_part: bool,
-    /// Where it should be in this frame, if it was followed from there, in vain or not.
+    /// Its predicted pose in this frame, if it was followed from there, successfully or not.
     pub followed_from: Option<Pose<Body, Camera>>,
     /// Why the last frame has no verified pose.
     pub reason: Option<Reason>,
-    /// When two copies of its picture were seen and nothing told which of them is the body.
+    /// When two copies of its picture were last seen and it was undecided which of them is the
+    /// body.
     pub two_seen: Option<Timestamp>,
-    /// The pixels that the last pose rests on, where somebody watches them.
+    /// The pixels on which the last pose rests, if somebody observes them.
     pub used: Option<Used>,
     patches: Vec<Patch>,
-    /// The motion at the last aligned frame, and its stamp.
+    /// The motion at the last aligned frame, and its timestamp.
     motion: Option<(MotionEstimate, Timestamp)>,
-    /// Derivative of that motion by the readout, per second.
+    /// Derivative of that motion by the readout time, per second.
     by_readout: MotionError,
-    /// How well the readout is known; `None` where it is not asked.
+    /// How well the readout time is known; `None` if it is not asked.
     readout_doubt: Option<ReadoutDoubt>,
     /// Whether the opposite velocity is as likely; see [`Alignment::has_opposite`].
     has_opposite: bool,
-    /// The motion that the last frame was followed from.
+    /// The motion from which the last frame was followed, and its timestamp.
     followed: Option<(MotionEstimate, Timestamp)>,
-    /// How jerky that is.
+    /// How jerky that motion is.
     process_noise: ProcessNoise,
-    /// The last verified pose, its stamp, and the motion that led to it.
+    /// The last verified pose, its timestamp, and the twist that led to it.
     before: Option<(Pose<Camera, Body>, Timestamp, Option<Twist>)>,
-    /// How long after a frame the next one comes, seconds.
+    /// Maximum time from a frame to the next, seconds.
     to_next_s: f64,
     /// Followed frames since the last audit.
     unaudited: u32,
@@ -131,32 +145,36 @@ pub struct TrackedBody {
     residuals: TileResiduals,
     error_buffers: ModelErrorBuffers,
     field_size: FieldSize,
-    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, by what does not fit the model, of the last verified pose.
+    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of the last verified pose, due to
+    /// model misfit.
     model_error: Matrix6<f64>,
     shape_doubt: ShapeDoubt,
     jump: Jump,
     model_watch: ModelWatch,
-    /// What is studied of a frame, and what it leaves.
+    /// Anchors of the frame under study, and their residuals.
     studied: Vec<FittedAnchor>,
     study_residuals: TileResiduals,
 }
 
-/// What the displacements that a pose leaves say of the model.
+/// What residual tile displacements imply about the model.
 #[derive(Debug, Clone, Copy)]
 pub struct ModelFit {
     /// Root mean square of the displacements, pixels.
     pub rms_px: f64,
-    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, if all that does not fit were one smooth field, and the pose rested on this frame alone; `None` where all fits
-    /// within the noise.
+    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, assuming that all misfit is one smooth
+    /// field and that the pose rests on this frame alone; `None` if the misfit is within the noise.
     pub at_most: Option<Matrix6<f64>>,
-    /// What they say of the focal length; `None` where that explains nothing and was not asked for.
+    /// What they imply about the focal length; `None` if that explains nothing and was not asked
+    /// for.
     pub focal: Option<FocalClue>,
-    /// The step of the logarithm of the focal length that would explain how the pose jumped; `None` where it did not.
+    /// The change in log focal length that would explain a jump of the pose; `None` if it did not
+    /// jump.
     pub step: Option<f64>,
 }
 
 impl TrackedBody {
-    /// Prepares a body. `surfaces`: its surfaces, ready for alignment; `first`: the number of its first surface in the reference index.
+    /// Prepares a body. `surfaces`: its surfaces, ready for alignment; `first`: the number of its
+    /// first surface in the reference index.
     pub fn new(spec: &BodySpec, surfaces: Vec<AlignSurface>, first: u32, shutter: Shutter) -> Self {
         let body = PreparedBody::new(spec);
         let aligner = Aligner::of_surfaces(surfaces, shutter);
@@ -202,17 +220,19 @@ impl TrackedBody {
         }
     }
 
-    /// Takes how long after a frame the next one comes, as [`FrameInterval`](super::frame_interval::FrameInterval) has it.
+    /// Sets the time to the next frame, seconds; see
+    /// [`FrameInterval`](super::frame_interval::FrameInterval).
     pub fn expect_next(&mut self, to_next_s: f64) {
         self.to_next_s = to_next_s;
     }
 
-    /// Takes how well the readout is known in the frame that comes.
+    /// Sets how well the readout time is known for the coming frame.
     pub fn expect_readout(&mut self, doubt: Option<ReadoutDoubt>) {
         self.readout_doubt = doubt;
     }
 
-    /// From now on the rows are read in this time, and the motion is what it would be, had they always been.
+    /// Sets the readout time, and corrects the motion to what it would be had that always been the
+    /// readout time. `change_s`: the difference from the former one.
     pub fn take_readout(&mut self, readout_s: f64, change_s: f64) {
         self.aligner.take_readout(readout_s);
         if let Some((estimate, _)) = &mut self.motion {
@@ -220,12 +240,14 @@ impl TrackedBody {
         }
     }
 
-    /// Whether this frame moves so that what is not known of the readout displaces its rows.
+    /// Whether this frame moves so fast that the readout's uncertainty displaces its rows
+    /// noticeably.
     pub fn is_readout_in_doubt(&self) -> bool {
         self.clue.is_some_and(|clue| self.readout_doubt.is_some_and(|doubt| doubt.sigma_s * clue.speed_px_s > DOUBTED_PX))
     }
 
-    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of the last verified pose by a readout that is known to this, one sigma, seconds.
+    /// Returns the covariance of [δp, δθ] of `T_body_camera`, body axes, of the last verified pose
+    /// due to the readout's uncertainty `sigma_s`; `None` if it has no effect.
     pub fn covariance_by_readout(&self, pose: &Pose<Body, Camera>, sigma_s: f64) -> Option<Matrix6<f64>> {
         if sigma_s == 0.0 || self.by_readout == MotionError::zeros() {
             return None;
@@ -233,16 +255,17 @@ impl TrackedBody {
         let shift = self.by_readout.fixed_rows::<3>(0) * sigma_s;
         let turn = pose.rotation * (self.by_readout.fixed_rows::<3>(3) * sigma_s);
         let step = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
-        // The derivative itself is wrong by a share of the step, in any direction.
+        // The derivative itself is wrong by a fraction of the step, in any direction.
         let [shift, turn] = [shift, turn].map(|part| (CURVATURE * part.norm()).powi(2));
         Some(step * step.transpose() + Matrix6::from_diagonal(&Vector6::new(shift, shift, shift, turn, turn, turn)))
     }
 
-    /// How the frame is to be asked for its readout, if it is; `since_s` as for [`align`](Self::align).
+    /// Returns how to ask the frame for its readout time, if at all; `since_s` as for
+    /// [`align`](Self::align).
     fn readout_question(&self, expected: &MotionEstimate, camera_rays: &CameraRays, since_s: Option<f64>) -> Option<ReadoutQuestion> {
         let doubt = self.readout_doubt?;
         let Some(dt_s) = since_s else {
-            // Its motion is found by the frame alone.
+            // A newly found body has no predicted motion: the frame alone determines it.
             let expected_by_readout = MotionError::zeros();
             return (doubt.sigma_s > 0.0).then_some(ReadoutQuestion {
                 expected_by_readout,
@@ -263,7 +286,8 @@ impl TrackedBody {
         Some(ReadoutQuestion { expected_by_readout, is_open: false, may_teach: false, min_speed_px_s })
     }
 
-    /// Aligns the body from where it should be; `None` where it was not aligned lately, or the picture does not bear it out.
+    /// Aligns the body from its predicted motion; `None` if it was not aligned recently, or the
+    /// picture does not confirm it.
     pub fn follow(&mut self, frame: &Frame, levels: &mut FrameLevels, camera_rays: &CameraRays) -> Option<Verified> {
         let (estimate, then) = self.motion.take()?;
         self.followed = Some((estimate, then));
@@ -275,7 +299,9 @@ impl TrackedBody {
         let distance_m = self.aligner.distance_m(&estimate.motion.pose);
         let expected = estimate.after(dt_s, distance_m, &self.process_noise);
         self.followed_from = Some(expected.motion.pose);
-        // Blur shows the way that it moved along, but not in which direction. And where rows do not tell velocities, two or three frames hardly tell how these change.
+        // Blur shows the axis of motion but not its direction. And under a global shutter, the
+        // acceleration estimated from two or three frames may be wrong, so constant velocity is
+        // tried too.
         let opposite = has_opposite.then(|| estimate.motion.reversed());
         let even = (self.aligner.is_global() && self.process_noise.is_untold()).then(|| estimate.motion.even());
         let verified = self.align(frame, levels, camera_rays, &expected, Some(dt_s)).or_else(|| {
@@ -293,13 +319,13 @@ impl TrackedBody {
         Some(verified)
     }
 
-    /// Whether what the frame shows is not clearly better explained by the surface tilted the other way.
+    /// Whether the opposite tilt does not explain the frame clearly better.
     fn is_audited(&mut self, pose: &Pose<Camera, Body>, camera: &CameraModel) -> bool {
         self.unaudited = 0;
         self.twin_margin(pose, camera) > -MIN_MARGIN
     }
 
-    /// How much worse than the pose its tilted twin explains the anchors.
+    /// Returns how much worse than the pose its planar twin explains the anchors.
     fn twin_margin(&mut self, pose: &Pose<Camera, Body>, camera: &CameraModel) -> f64 {
         self.observations.clear();
         self.observations.extend(self.anchors.iter().map(|a| a.observation));
@@ -309,8 +335,9 @@ impl TrackedBody {
         margin
     }
 
-    /// Aligns the body from where features found it, known to so much (one sigma, metres and radians), before anything is judged: small and covered
-    /// stages have too few features to be judged by those. The picture decides, and the twin that is tilted the other way must do clearly worse.
+    /// Aligns the body from a pose that features found, with `expected` stating its uncertainty,
+    /// without verifying anchors first: small and occluded stages have too few features for that.
+    /// The picture decides, and the planar twin must be clearly worse.
     pub fn align_found(
         &mut self,
         frame: &Frame,
@@ -321,7 +348,9 @@ impl TrackedBody {
         let verified = self.align(frame, levels, camera_rays, expected, None)?;
         let margin = self.twin_margin(&verified.pose.inverse(), camera_rays.camera());
         let distance_m = self.aligner.distance_m(&verified.pose);
-        // It resumes a track by itself, where a new one would wait for a second frame. Under a rolling shutter its tilt goes with its motion, and one of 48 flags was 0.37 degrees off.
+        // Such a pose would resume a track by itself, where a new track waits for a second frame.
+        // Under a rolling shutter tilt and motion are correlated: of 48 flags one was 0.37 degrees
+        // off.
         let is_doubtful = self.track.is_continued() && !self.aligner.is_global() && !is_sharp(&verified.covariance, distance_m);
         let refusal = if margin < MIN_MARGIN {
             Some(Refusal::Ambiguous(margin))
@@ -330,7 +359,8 @@ impl TrackedBody {
         };
         let Some(refusal) = refusal else { return Some(verified) };
         debug!(?refusal, "aligned, and refused");
-        // What one frame leaves open, as rows do of a motion, the next one may tell: it is followed there.
+        // What one frame leaves uncertain, such as motion under a rolling shutter, the next may
+        // determine, so the body is still followed from here.
         if refusal != Refusal::Uncertain {
             self.forget_alignment();
         }
@@ -338,40 +368,41 @@ impl TrackedBody {
         None
     }
 
-    /// Takes back what this frame's alignment said: it is not followed from there.
+    /// Discards this frame's alignment: the body is not followed from there.
     fn forget_alignment(&mut self) {
         self.motion = None;
         self.forget_findings();
     }
 
-    /// Takes back what this frame's alignment says of the shutter, and which pixels its pose rests on.
+    /// Discards what this frame's alignment says about the shutter, and its used pixels.
     fn forget_findings(&mut self) {
         self.clue = None;
         self.used.iter_mut().for_each(Used::clear);
     }
 
-    /// Gives up the pose that this frame seemed to show, for this reason.
+    /// Discards the pose that this frame seemed to show, and its motion, for this reason.
     pub fn give_up(&mut self, reason: Reason) {
         self.motion = None;
         self.leave_open(reason);
     }
 
-    /// Withholds the pose that this frame seems to show, for this reason, but keeps its motion, from which the next frame is aligned.
+    /// Withholds the pose that this frame seems to show, for this reason, but keeps its motion,
+    /// from which the next frame is aligned.
     pub fn leave_open(&mut self, reason: Reason) {
         self.forget_findings();
         self.forget_model_error();
         self.reason = Some(reason);
     }
 
-    /// Keeps the refusal that came furthest.
+    /// Keeps the refusal that passed the most checks.
     fn refuse(&mut self, refusal: Refusal) {
         if self.refusal.is_none_or(|other| refusal.stage() > other.stage()) {
             self.refusal = Some(refusal);
         }
     }
 
-    /// Aligns the body from a start and judges the result. `since_s`: seconds since the last frame, if the start comes from the motion
-    /// of an aligned body.
+    /// Aligns the body from a start and verifies the result. `since_s`: seconds since the last
+    /// frame, if the start is predicted from an aligned body's motion.
     pub fn align(
         &mut self,
         frame: &Frame,
@@ -388,7 +419,7 @@ impl TrackedBody {
         self.aligner.ask_readout(self.readout_question(expected, camera_rays, since_s));
         let mut solution = self.aligner.align(levels, camera_rays, expected, since_s)?;
         let found = solution.alignment;
-        // Pushed far away, it is a new pose as much as one that was found anew.
+        // A pose found far from its prediction is treated as a new one.
         let is_expected = since_s.is_some() && !found.is_pushed();
         debug!(
             share = found.share(),
@@ -409,7 +440,8 @@ impl TrackedBody {
         if !is_expected {
             self.process_noise = ProcessNoise::default();
         } else if self.clue.is_none_or(|clue| !clue.is_open) {
-            // Where the shutter is in question, jerk must not explain what a wrong one does.
+            // While the shutter is uncertain, process noise must not absorb what a wrong readout
+            // time causes.
             self.process_noise.learn(expected.innovations(&found.estimate));
         }
         self.motion = Some((found.estimate, frame.timestamp));
@@ -432,7 +464,8 @@ impl TrackedBody {
         Some(verified)
     }
 
-    /// Whether the pose may be a period of the picture off: it was found anew, or its start was so far off, or may have been. And from time to time.
+    /// Whether the pose may be one period of the picture off: it was found anew, its start was or
+    /// may have been far off, or a periodic check is due.
     fn may_be_a_period_off(&self, expected: &MotionEstimate, found: &Alignment, is_followed: bool) -> bool {
         let Some(period_m) = self.periods_m().map(|period| period.norm()).min_by(f64::total_cmp) else { return false };
         let distance_m = self.aligner.distance_m(&found.pose);
@@ -444,12 +477,12 @@ impl TrackedBody {
         !is_followed || is_due || moved_m > CLOSE_PERIODS * period_m || 3.0 * open_m > 0.5 * period_m
     }
 
-    /// Whether one of its pictures repeats itself.
+    /// Whether one of its pictures is repetitive.
     pub fn repeats(&self) -> bool {
         self.body.surfaces.iter().any(|surface| !surface.periods.is_empty())
     }
 
-    /// The periods of the surface that most anchors lie on, in body axes, metres.
+    /// Returns the periods of the surface with the most anchors, body axes, metres.
     fn periods_m(&self) -> impl Iterator<Item = Vector3<f64>> {
         let surface = &self.body.surfaces[most_frequent_surface(&self.anchors, self.body.surfaces.len()) as usize];
         let (width, height) = surface.spec.artwork.dimensions();
@@ -457,7 +490,7 @@ impl TrackedBody {
         surface.periods.iter().map(move |period| surface.spec.body_point(middle + period) - surface.spec.body_point(middle))
     }
 
-    /// Whether the frame is clearly better explained from a period aside of the pose.
+    /// Whether a pose one period aside explains the frame clearly better.
     fn is_a_period_off(&mut self, found: &Alignment, levels: &mut FrameLevels, camera_rays: &CameraRays) -> bool {
         let rivals: Vec<Vector3<f64>> = self.periods_m().flat_map(|period| [period, -period]).collect();
         rivals.iter().any(|aside| {
@@ -473,9 +506,10 @@ impl TrackedBody {
         })
     }
 
-    /// An alignment in the terms of the record: pose, covariance, and correspondences.
+    /// Converts an alignment to the record's conventions and keeps its anchors.
     fn aligned(&mut self, found: &Alignment, camera: &CameraModel) -> Verified {
-        // Alignment turns the camera in its own axes, R <- R Exp(δθ); the record in the body's.
+        // Alignment rotates the camera in its own axes, R <- R Exp(δθ); the record uses the body's
+        // axes.
         let mut by_error = Matrix6::identity();
         by_error.fixed_view_mut::<3, 3>(3, 3).copy_from(&found.pose.rotation_matrix());
         let covariance = by_error * found.covariance * by_error.transpose();
@@ -500,13 +534,16 @@ impl TrackedBody {
             share: found.share(),
             inliers: found.inliers as usize,
             rms_px: found.rms_px,
-            // Of a body that was never given, what does not fit takes no part only once it is followed.
+            // Before a body was first reported, tiles that do not fit are downweighted only once it
+            // is followed; until then they may pull the pose.
             is_conclusive: found.is_borne_out(self.aligner.distance_m(&found.pose)) && (self.track.was_given() || !found.may_be_pulled()),
         }
     }
 
-    /// What the anchors of a verified pose leave displaced; `None` where they are too few. `asks_focal`: asked for the focal length in any case.
-    /// `is_stage`: what is wrong with the lens spans the picture, and the stage tells it; what is wrong with an object is no larger than the object.
+    /// Measures the residual displacements of a verified pose's anchors and updates the covariance
+    /// by misfit; `None` if there are too few anchors. `asks_focal`: estimate the focal length in
+    /// any case. `is_stage`: a lens error spans the picture, and the stage shows it; the model
+    /// error of an object is no larger than the object.
     pub fn model_fit(
         &mut self,
         verified: &Verified,
@@ -517,12 +554,13 @@ impl TrackedBody {
     ) -> Option<ModelFit> {
         let t_camera_body = verified.pose.inverse();
         let Self { residuals, anchors, found, body, error_buffers, field_size, model_error: own_error, .. } = self;
-        // Those that do not fit tell of a lens or a shape that is off, which is why they do not.
+        // Includes anchors that do not fit: a wrong lens or shape may be why they do not.
         let anchors = if found.is_empty() { anchors } else { found };
         residuals.take(&t_camera_body, camera, anchors)?;
         let field_px = if is_stage { f64::from(camera.width()) } else { residuals.extent_px() };
         let error = model_error(&t_camera_body, field_px, residuals, error_buffers);
-        // An object that shows few tiles cannot tell the one from the other: all of it counts as a field.
+        // An object with few tiles cannot separate model error from noise: all of it counts as a
+        // field.
         let tells = is_stage || residuals.weight() > TELLING_TILES;
         let of_frame = error.map_or(Matrix6::zeros(), |e| if tells { field_size.take(&e) } else { e.at_most() });
         let noise = error.map_or(1.0, |e| e.noise);
@@ -536,42 +574,47 @@ impl TrackedBody {
         Some(fit)
     }
 
-    /// The next verified pose rests on no frame before it.
+    /// Forgets the model error: the next verified pose does not rest on earlier frames.
     pub fn forget_model_error(&mut self) {
         (self.model_error, self.field_size) = (Matrix6::zeros(), FieldSize::default());
     }
 
-    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of the pose that was asked for its model fit last, by what the model does not explain; zero where all
-    /// fits.
+    /// Returns the covariance of [δp, δθ] of `T_body_camera`, body axes, due to misfit, of the last
+    /// pose passed to [`model_fit`](Self::model_fit); zero if everything fits.
     pub fn covariance_by_misfit(&self) -> Matrix6<f64> {
         self.model_error
     }
 
-    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of a verified pose by how the surfaces' shapes and places may be off; none where they are not in doubt.
+    /// Returns the covariance of [δp, δθ] of `T_body_camera`, body axes, of a verified pose due to
+    /// doubt about the surfaces' shapes and places; `None` without such doubt.
     pub fn covariance_by_shape(&self, pose: &Pose<Body, Camera>, camera: &CameraModel) -> Option<Matrix6<f64>> {
         self.shape_doubt.covariance(pose, camera, &self.body.surfaces, &self.anchors)
     }
 
-    /// The same by how far their corners and places may be off as configured.
+    /// Like [`covariance_by_shape`](Self::covariance_by_shape), due to the configured uncertainty
+    /// of corners and places.
     pub fn covariance_by_surfaces(&self, pose: &Pose<Body, Camera>, camera: &CameraModel) -> Option<Matrix6<f64>> {
         covariance_by_surfaces(pose, camera, &self.body.surfaces, &self.anchors)
     }
 
-    /// Covariance of [δp, δθ] of `T_body_camera`, body axes, of the pose that was asked for its model fit last, where one sigma of the logarithm of the focal length is this.
+    /// Returns the covariance of [δp, δθ] of `T_body_camera`, body axes, of the last pose passed to
+    /// [`model_fit`](Self::model_fit), if the log focal length has this sigma.
     pub fn covariance_by_focal(&self, pose: &Pose<Body, Camera>, sigma: f64) -> Option<Matrix6<f64>> {
         let step = self.residuals.pose_by_focal()? * sigma;
         let linear = covariance_of_inverse(&pose.inverse(), &(step * step.transpose()));
-        // What is linear in the step is wrong by its square, in every direction.
+        // The linear step is wrong by the square of sigma, in every direction.
         let (turn, shift) = (sigma.powi(2), sigma.powi(2) * self.aligner.distance_m(pose));
         Some(linear + Matrix6::from_diagonal(&Vector6::new(shift, shift, shift, turn, turn, turn).map(|off| off.powi(2))))
     }
 
-    /// Whether this frame is to be studied. `is_lens_right`: what a lens that was moved leaves is no part of the model.
+    /// Whether this frame is to be studied. `is_lens_right`: otherwise the misfit is due to a moved
+    /// lens, not to the model.
     pub fn is_study_due(&mut self, is_lens_right: bool) -> bool {
         self.model_watch.is_due(is_lens_right)
     }
 
-    /// Lets the frame of a verified pose say what of the model it speaks against, and tells a part that frames have spoken against for a while.
+    /// Studies which part of the model the frame of a verified pose contradicts. Returns a part
+    /// that frames have contradicted for some time.
     pub fn study(&mut self, pose: &Pose<Body, Camera>, view: &View, buffers: &mut VerifyBuffers) -> Option<ModelNews> {
         let t_camera_body = pose.inverse();
         let Self { anchors, found, body, studied, residuals, study_residuals, model_watch, error_buffers, aligner, .. } = self;
@@ -596,12 +639,12 @@ impl TrackedBody {
         Some(self.named(&misfit))
     }
 
-    /// From now on every frame is asked what it says of the model, for [`ModelWatch::parts`] to tell in the end.
+    /// From now on studies every frame, for the final [`ModelWatch::parts`].
     pub fn study_model(&mut self) {
         self.model_watch = ModelWatch::thorough(self.body.surfaces.len());
     }
 
-    /// How well the model fitted the frames since it was to be studied.
+    /// Returns how well the model fitted the frames since [`study_model`](Self::study_model).
     pub fn model_report(&self, camera: &CameraModel) -> ModelReport {
         let parts = self.model_watch.parts(&self.body, camera);
         ModelReport { parts: parts.iter().map(|m| self.named(m)).collect(), ..self.model_watch.report() }
@@ -612,9 +655,9 @@ impl TrackedBody {
         ModelNews { part: misfit.part, surface: surface.map(|s| s.spec.name.clone()), cost_mm: misfit.cost_mm }
     }
 
-    /// Whether anchors that were found in a frame are a second copy of what a pose explains
-    /// elsewhere: they lie on a surface of which the last verified pose shows enough, and far from
-    /// where it puts them. A flat that was moved alone is no copy, nor are folds.
+    /// Whether anchors found in a frame show a second copy of what a pose explains elsewhere: they
+    /// lie on a surface of which the last verified pose explains enough, and far from where it puts
+    /// them. A flat that was moved alone is no copy, nor are folds.
     pub fn is_elsewhere(&self, pose: &Pose<Body, Camera>, copy: &[FittedAnchor], camera: &CameraModel) -> bool {
         let surface = most_frequent_surface(copy, self.body.surfaces.len());
         let t_camera_body = pose.inverse();
@@ -630,7 +673,7 @@ impl TrackedBody {
         on_surface(&self.anchors) >= MIN_OF_SURFACE && 4 * away > 3 * copy.len()
     }
 
-    /// Puts starts to the test, and takes the first clear success, or the best of what passes.
+    /// Verifies starts, and returns the first clear success, otherwise the best that passes.
     pub fn best_verified(
         &mut self,
         starts: impl Iterator<Item = Pose<Camera, Body>>,
@@ -662,7 +705,8 @@ impl TrackedBody {
     }
 }
 
-/// Whether alignment from the one leads where it leads from the other: half a degree and as much of the distance is well within its basin.
+/// Whether alignment from both poses leads to the same result: 0.005 radians (0.3 degrees) and as
+/// much of the distance are well within its basin.
 pub fn is_near(a: &Pose<Body, Camera>, b: &Pose<Body, Camera>) -> bool {
     a.angle_to(b) < SAME_START && (a.translation - b.translation).norm() < SAME_START * a.translation.norm()
 }

@@ -6,7 +6,9 @@ fn truth() -> Pose<Camera, Body> {
     facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4))
 }
 
-/// A body that is where it was a frame ago, of which the frames before say that its velocity changes by that much. Whether it is found.
+/// Returns whether a body at rest is found if earlier frames seemed to show that its angular
+/// velocity changes by `turn_acceleration`. `is_told`: whether enough frames were seen to trust
+/// that.
 fn is_followed(turn_acceleration: f64, is_told: bool) -> bool {
     let surface = cloth(1);
     let shutter = Shutter { readout_s: 0.0, exposure_s: 0.0 };
@@ -29,13 +31,14 @@ fn is_followed(turn_acceleration: f64, is_told: bool) -> bool {
 #[test]
 fn what_few_frames_make_of_an_acceleration_does_not_lose_a_body() {
     assert!(is_followed(0.0, false) && is_followed(0.0, true));
-    // A ninth of a radian aside by the next frame, which is beyond what alignment reaches.
+    // Predicted a ninth of a radian off in the next frame, beyond the basin of alignment.
     assert!(is_followed(200.0, false));
-    // Frames enough have seen how it moves: it is not looked for elsewhere.
+    // Enough frames have shown how it moves: it is not searched for elsewhere.
     assert!(!is_followed(200.0, true));
 }
 
-/// Looks for a cloth from its true pose, after some of it was covered from the right on with another picture. Whether it is given, and whether it is seen in part.
+/// Aligns a cloth from its true pose, with a fraction of it covered by another picture from the
+/// right. Returns whether it is verified, and whether it is seen in part.
 fn is_found(covered_share: f64) -> [bool; 2] {
     let surface = cloth(1);
     let shutter = Shutter { readout_s: 0.0, exposure_s: 0.0 };
@@ -59,7 +62,8 @@ fn what_fits_and_is_covered_is_told_from_what_does_not_fit() {
     assert_eq!(is_found(1.0), [false, false]);
 }
 
-/// A still prop, seen small by a camera whose rows are read out over so long, in the frame that finds it; and that frame, levels and rays.
+/// Runs `ask` on a still prop, seen small under a rolling shutter with this readout time, in the
+/// frame that finds it; passes the frame, its levels and the rays as well.
 fn with_small_prop(
     readout_s: f64,
     is_continued: bool,
