@@ -34,16 +34,14 @@ use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::MotionEstimate;
 
-/// Candidates per body that are aligned in a frame, out of at most four, best first: two planar
-/// poses and one in reserve. Raised, frames without the stage cost more; lowered to 1, only the
-/// wrong one of two planar poses may be tried.
+/// Maximum candidates per body that are aligned in a frame, best first. Raised, frames without the
+/// stage cost more; lowered to 1, only the wrong one of two planar poses may be tried.
 const TRIED: usize = 3;
 /// Minimum features at the first look for a closer look; fewer mean a black or blank frame. Raised,
 /// dim stages are not searched for; lowered, black frames cost more.
 const MIN_FEATURES: usize = 16;
-/// Attempts per frame once the stage is known, over all missing bodies: unsuccessful follows,
-/// candidates aligned, poses checked by patches. Raised, a frame costs up to two followed bodies
-/// more per attempt; lowered, only the wrong one of two planar poses may be tried.
+/// Maximum attempts per frame once the stage is known: follows in vain, candidates, patch checks.
+/// Raised, frames take longer; lowered, only the wrong one of two planar poses may be tried.
 const TRIED_BESIDE: usize = 2;
 
 /// Candidates of a second copy of a body that are checked: both planar poses. Raised, frames that

@@ -15,9 +15,8 @@ use super::patches::verify::Refusal;
 /// Minimum matches on one homography for the picture to count as recognised. Raised, a picture that
 /// is barely seen counts as not recognised. Only the reported reason depends on it.
 const MIN_RECOGNISED: usize = 12;
-/// Minimum side of the picture (square root of its area), as a fraction of the frame's width and in
-/// pixels; below it the reason is its size. Raised, other faults of a small picture are attributed
-/// to size.
+/// Minimum side of the picture (root of its area): fraction of the frame's width, and pixels.
+/// Raised, other faults of a small picture are attributed to its size.
 const MIN_SIDE: f64 = 0.09;
 const MIN_SIDE_PX: f64 = 60.0;
 /// Maximum residual of the best pose beyond that of the homographies (see [`Recognition::misfit`])

@@ -47,14 +47,12 @@ use crate::geometry::resection::perturbed;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
 
-/// Maximum standard deviation of an object's direction, as implied by its residual tile
-/// displacements, radians (one degree). Raised, false poses of small pictures are reported;
-/// lowered, blurred objects are given up.
+/// Maximum sigma of an object's direction by residual tile displacements, radians (one degree).
+/// Raised, false poses of small pictures are reported; lowered, blurred objects are given up.
 const MAX_MISFIT_TURN: f64 = std::f64::consts::PI / 180.0;
 
-/// How long after a second copy of the stage's picture was seen it counts as still there, seconds.
-/// Raised, the stage returns later once the copy is gone; lowered, a copy that is hard to see is
-/// forgotten.
+/// How long a second copy of the stage's picture counts as still there, seconds. Raised, the stage
+/// returns later once the copy is gone; lowered, a copy that is hard to see is forgotten.
 const COPY_REMEMBERED_S: f64 = 0.5;
 
 /// Minimum interval between recognitions of a followed stage for the focal length that its matches

@@ -19,9 +19,8 @@ use crate::geometry::resection::{MovingCamera, Observation, resect, residual_and
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::{Motion, MotionEstimate};
 
-/// How far a frame's motion may be off after the model changed, one sigma: fraction of the
-/// distance, and radians. Raised, frames start at coarser levels than necessary; lowered, frames of
-/// a model that changed much are lost.
+/// Sigma of a frame's motion after the model changed: fraction of the distance, and radians.
+/// Raised, frames start at coarser levels than necessary; lowered, a large change loses frames.
 const START_SHIFT: f64 = 0.02;
 const START_TURN: f64 = 0.01;
 

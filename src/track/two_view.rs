@@ -36,9 +36,8 @@ const MIN_FOR_HOMOGRAPHY: usize = 12;
 /// Minimum baseline of an essential matrix, as a fraction of the distance. Raised, fewer frames
 /// have one; lowered, its direction is noise near the reference camera.
 const MIN_BASELINE: f64 = 0.01;
-/// Fraction of the correspondences that the motion refined from the metric pose must explain to be
-/// accepted directly. Raised, more frames pay for five-point samples; lowered, a worse motion may
-/// be kept.
+/// Minimum fraction of correspondences that fit the motion refined from the metric pose to accept
+/// it. Raised, more frames pay for five-point samples; lowered, a worse motion may be kept.
 const CLEAR_SHARE: f64 = 0.8;
 /// Five-point samples, and models kept for refinement. Raised, frames that need them cost more.
 const SAMPLES: usize = 12;

@@ -92,25 +92,20 @@ pub const FEW_INLIERS: usize = 20;
 /// Maximum candidates: both planar poses of a homography and of an affine map. Raised, wrong ones
 /// cost more.
 const MAX_CANDIDATES: usize = 4;
-/// Distance from a match at which its surface's affine map is sampled to separate the planar poses,
-/// pixels of the match's level. Not sensitive: the map is the same everywhere, and perspective
-/// vanishes this near.
+/// How far from a match its surface's affine map is sampled to get planar poses, pixels of the
+/// match's level. Raised, perspective distorts the sample; lowered, no effect.
 const AFFINE_REACH_PX: f64 = 10.0;
-/// Position noise of a feature, pixels of the level on which it was found, one sigma. Raised, wrong
-/// matches come within reach of a pose; lowered, right ones fall out of reach of an inaccurate
-/// start.
+/// Position noise of a feature, one sigma, pixels of its level. Raised, wrong matches come within
+/// reach of a pose; lowered, right ones fall out of reach of an inaccurate start.
 pub const FEATURE_NOISE_PX: f64 = 1.0;
-/// Maximum distance of a match that takes part in refining a pose, sigmas: first from the start,
-/// then from the refined pose. Raised, wrong matches pull the pose; lowered, right ones of other
-/// surfaces are excluded.
+/// Maximum distance of matches that refine a pose, sigmas: from the start, then from the refined
+/// pose. Raised, wrong matches pull it; lowered, right ones of other surfaces are excluded.
 const REFINED_WITHIN: [f64; 2] = [20.0, 8.0];
 /// Maximum steps of either refinement; alignment continues from the result. Raised, candidates cost
 /// more.
 const REFINING_STEPS: usize = 5;
-/// The second planar pose is skipped if the first explains at least `TELLING_MATCHES` and the
-/// second less than `MIN_EXPLAINED` of them. `TELLING_MATCHES` lowered or `MIN_EXPLAINED` raised,
-/// the right one may be skipped; `MIN_EXPLAINED` lowered, impossible poses cost as much as the
-/// first.
+/// If one planar pose explains `TELLING_MATCHES`, its twin must explain `MIN_EXPLAINED` of them.
+/// First lowered or second raised, right ones are skipped; second lowered, wrong ones cost time.
 const TELLING_MATCHES: usize = 60;
 const MIN_EXPLAINED: f64 = 0.5;
 /// Upper bound of a squared residual, sigmas; its root is the inlier limit. Raised, wrong matches

@@ -13,15 +13,13 @@ use crate::geometry::local_affinities::{LocalAffinity, robust_shift};
 use crate::geometry::{Body, Camera, PointPair, Pose};
 use crate::track::scene::reference::PreparedBody;
 
-/// Uncertainty of a pose found by features, one sigma: fraction of the distance, and radians (three
-/// pixels at a focal length of 1000). Raised, alignment starts at coarser levels than necessary;
-/// lowered, such a pose pulls the aligned one.
+/// Sigma of a pose found by features: fraction of the distance, and radians. Raised, alignment
+/// starts at coarser levels than necessary; lowered, such a pose pulls the aligned one.
 pub const FIRST_SHIFT: f64 = 0.003;
 pub const FIRST_TURN: f64 = 0.003;
 
-/// Maximum distance from its predicted place at which a body is searched for, fraction of the
-/// frame's width. Raised, wrong matches agree by chance; lowered, bodies whose motion changed are
-/// found later.
+/// Maximum distance of a body from its predicted place, fraction of the frame's width. Raised,
+/// wrong matches agree by chance; lowered, bodies whose motion changed are found later.
 const FURTHEST: f64 = 0.05;
 /// Minimum places that must agree on a shift. Raised, emerging bodies are found a frame later;
 /// lowered, wrong candidates cost time.

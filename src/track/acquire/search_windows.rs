@@ -19,14 +19,12 @@ const STEP_PX: u32 = SIDE_PX / 2;
 /// Maximum area of a slice with more than one window, pixels. Raised, frames in which a body is
 /// missing take longer; lowered, searching everywhere takes more frames.
 const SLICE_PX: u64 = 280_000;
-/// Maximum side of a window at a predicted place, pixels; a full window fits into the slice beside
-/// it. Raised, a body that is elsewhere is found late; lowered, one that changes its speed leaves
-/// its window.
+/// Maximum side of a window at a predicted place, pixels. Raised, a body that is elsewhere is found
+/// late; lowered, one that changes its speed leaves its window.
 const EXPECTED_PX: u32 = 340;
 
-/// Minimum urgency of a window that shares the slice, and thus the features, with a predicted
-/// place: mean wait of its cells, looks. Raised, a body elsewhere is found later; lowered, a partly
-/// occluded one gets too few features.
+/// Minimum mean wait (looks) of a window that shares the slice with a predicted place. Raised, a
+/// body elsewhere is found later; lowered, a partly occluded one gets too few features.
 const JOINING_URGENCY: f32 = 6.0;
 
 /// A rectangle of a frame: first column and row, then the end column and row, exclusive.

@@ -15,9 +15,8 @@ pub const SIDE_PX: u32 = 16;
 const MIN_CELLS: usize = 6;
 /// Maximum regions searched in a frame, largest first. Raised, a frame full of specks costs more.
 const MAX_REGIONS: usize = 24;
-/// Margin around a region that is included in the search, pixels of the frame: the reach of a
-/// corner's descriptor two octaves up. Raised, searches cost more; lowered, corners near a region's
-/// border are found at full size only.
+/// Margin around a region that is searched too, pixels of the frame. Raised, searches cost more;
+/// lowered, corners near a region's border are found at full size only.
 pub const MARGIN_PX: u32 = 64;
 
 /// Initial wait of a cell that becomes unexplained, looks. Raised, a body that emerges from behind

@@ -10,9 +10,8 @@ pub(in crate::track) struct ClockSteps {
     last: Option<Timestamp>,
 }
 
-/// Pause that stands for a step back, nanoseconds: longer than any coasting or comparison, so
-/// tracking restarts. Raised, nothing changes; lowered below a second, motion is carried over a
-/// pause of unknown length.
+/// Pause that stands for a step back, nanoseconds; restarts tracking. Raised, nothing changes;
+/// lowered below a second, motion is carried over a pause of unknown length.
 const PAUSE_NS: i64 = 10_000_000_000;
 
 impl ClockSteps {

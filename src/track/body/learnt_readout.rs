@@ -13,13 +13,11 @@ use super::learnt_camera::LearntTime;
 use super::shutter_news::ShutterNews;
 use crate::track::align::ShutterClue;
 
-/// Maximum sigma of a single frame's readout estimate, seconds: about the readout time of a usual
-/// sensor. Raised, still frames count, which show only the model's errors; lowered, slow clips give
-/// no answer.
+/// Maximum sigma of a single frame's readout estimate, seconds. Raised, still frames count, which
+/// show only the model's errors; lowered, slow clips give no answer.
 pub const VAGUE_READOUT_S: f64 = 0.01;
-/// Common displacement of rows for other reasons than the readout, pixels, one sigma: fog, gels,
-/// people, a slightly wrong lens. Raised, slow clips teach nothing; lowered, a config gets a
-/// readout time that the camera does not have.
+/// Sigma of row displacement common to all frames that is not due to the readout, pixels. Raised,
+/// slow clips teach nothing; lowered, a readout is learnt that the camera does not have.
 pub const MODEL_ERROR_PX: f64 = 0.05;
 /// Sigma of a readout time about which nothing is known, around 0, seconds. Raised, first poses of
 /// moving cameras are less certain; lowered, slow sensors contradict it.
@@ -30,9 +28,8 @@ const MAX_FRAMES: usize = 240;
 /// Linearisation error of a readout step, fraction of the step, one sigma. Raised, the readout is
 /// known later; lowered, first answers look too certain.
 pub const CURVATURE: f64 = 0.25;
-/// Minimum fraction of a readout change that shows in a frame's rows, for the frame to count.
-/// Raised, cameras that are shaken evenly teach less; lowered, one frame's noise passes for a large
-/// change.
+/// Minimum fraction of a readout change that a frame must show to count. Raised, cameras shaken
+/// evenly teach less; lowered, one frame's noise passes for a large change.
 const MIN_SHOWN: f64 = 0.3;
 /// Change at which the used readout time follows the found one, in sigmas. Raised, it lags;
 /// lowered, poses are corrected in every frame.
@@ -53,13 +50,11 @@ const KNOWN_SIGMA_S: f64 = 5e-4;
 /// Minimum displacement of rows by the readout's sigma for a frame to be asked, pixels. Raised, the
 /// readout stays less certain; lowered, slow frames cost more for nothing.
 const ASKED_PX: f64 = 0.1;
-/// Displacement by the readout's sigma above which a jump in velocity cannot be told from a wrong
-/// readout, pixels; frames are then solved without jumps. Raised, the readout is found less well;
-/// lowered, starts and stops are followed less well until it is known.
+/// Row displacement by the readout's sigma, pixels, above which velocity jumps are not tried.
+/// Raised, the readout is found less well; lowered, starts and stops are followed less well.
 const OPEN_PX: f64 = 0.1;
-/// Minimum difference between found and known readout that counts as a contradiction: in sigmas, in
-/// seconds, and as a fraction; all must be exceeded. Raised, wrong configs pass; lowered, right
-/// ones are blamed.
+/// Minimum differences of found and known readout that contradict: sigmas, seconds, fraction; all
+/// must be exceeded. Raised, wrong configs pass; lowered, right ones are blamed.
 const CONTRADICTING_SIGMAS: f64 = 3.0;
 const CONTRADICTING_S: f64 = 1e-3;
 const CONTRADICTING_SHARE: f64 = 0.1;

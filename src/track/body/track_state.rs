@@ -82,9 +82,8 @@ pub struct TrackStateMachine {
     is_of_camera: bool,
 }
 
-/// Maximum plausible motion between two frames that confirm each other: metres per second relative
-/// to the distance, and radians per second. Raised, two wrong poses may confirm each other;
-/// lowered, a camera that is found in fast motion is reported later.
+/// Maximum motion between frames that confirm each other: distances per second, radians per second.
+/// Raised, two wrong poses may confirm each other; lowered, fast cameras are reported later.
 const FASTEST_SHIFT_PER_S: f64 = 3.0;
 const FASTEST_TURN_PER_S: f64 = 12.0;
 /// Tolerance for measurement noise and timestamp jitter: fraction of the distance, and radians.

@@ -15,8 +15,7 @@ use crate::track::acquire::unexplained_cells::MARGIN_PX;
 /// do. Raised, outdated motion is used; lowered, a dropped frame leaves the motion unknown.
 const MAX_MOTION_GAP_S: f64 = 0.07;
 /// How long after a body was last seen its place is searched first, seconds. Raised, bodies that
-/// went away delay others; lowered, one found in one frame may be missed in the next, which must
-/// confirm it.
+/// went away delay others; lowered, a new body may miss its confirmation.
 const LAST_SEEN_FOR_S: f64 = 0.5;
 
 impl TrackedBody {

@@ -41,9 +41,8 @@ use crate::track::patches::verify::{Refusal, Verified, VerifyBuffers, View, judg
 use crate::track::scene::reference::PreparedBody;
 use crate::track::scene::surface::BodySpec;
 
-/// Maximum gap over which an aligned body is followed, seconds; it is always followed to the next
-/// frame. Raised, alignment starts outside its basin, in vain; lowered, a dropped frame costs a
-/// search by features.
+/// Maximum gap over which a body is followed, seconds; the next frame always is. Raised, alignment
+/// starts outside its basin; lowered, a dropped frame costs a search by features.
 const MAX_FOLLOWED_GAP_S: f64 = 0.1;
 /// Maximum residual sigma of an alignment that fits (noise alone: 1). Raised, the right one of two
 /// planar poses may not be tried; lowered, the wrong one costs as much as several followed bodies.
@@ -55,34 +54,29 @@ const CLEAR_SHARE: f64 = 0.6;
 /// a pose on the wrong branch stays longer; lowered, frames cost more.
 const AUDIT_FRAMES: u32 = 16;
 
-/// Distance of a followed pose from its start, fraction of the picture's period, above which it is
-/// compared with poses one period aside. Raised, it may be a period off; lowered, frames of
-/// repetitive pictures cost more.
+/// Distance of a followed pose from its start, in periods, above which it is checked for being a
+/// period off. Raised, it may be a period off; lowered, frames of repetitive pictures cost more.
 const CLOSE_PERIODS: f64 = 0.25;
 /// Factor by which a pose one period aside must be stronger for this one to be refused, see
 /// [`Alignment::strength`]. Raised, poses pass that are a period off; lowered to 1, chance decides.
 const CLEARLY_STRONGER: f64 = 1.2;
 
-/// Minimum tile weight at which an object's model error can be separated from noise, as the stage's
-/// can. Raised, objects have wider covariances and are reported a frame later; lowered, chance
-/// decides.
+/// Minimum tile weight at which an object's model error is separated from noise, as for the stage.
+/// Raised, objects have wider covariances and are reported a frame later; lowered, chance decides.
 const TELLING_TILES: f64 = 40.0;
 
-/// Displacement of rows by the readout's sigma, pixels, above which misfit may be due to the
-/// shutter. Raised, lenses are blamed for it; lowered, a moving camera with unknown shutter notices
-/// a zoom later.
+/// Row displacement by the readout's sigma, pixels, above which misfit may be due to the shutter.
+/// Raised, lenses are blamed for it; lowered, zooms are noticed later if the shutter is unknown.
 const DOUBTED_PX: f64 = 0.1;
-/// Minimum distance of a copy's anchor from where the pose puts it, fraction of the frame's width.
-/// Raised, a copy in front of the picture is believed; lowered, a picture that hangs in deep folds
-/// is refused.
+/// Minimum distance of a copy's anchor from its projection, fraction of the frame's width. Raised,
+/// a copy in front of the picture is believed; lowered, a picture in deep folds is refused.
 const COPY_AWAY: f64 = 0.005;
 /// Minimum anchors of a surface for the pose to explain it. Raised, copies beside a small or
 /// occluded picture pass; lowered, chance decides.
 const MIN_OF_SURFACE: usize = 8;
 
-/// Maximum difference between two starts that count as the same, radians and fraction of the
-/// distance. Raised, a start that would succeed is skipped; lowered, alignment fails twice from the
-/// same place.
+/// Maximum difference of equal starts, radians and fraction of the distance. Raised, a start that
+/// would succeed is skipped; lowered, alignment fails twice from the same place.
 const SAME_START: f64 = 0.005;
 
 /// A body and what its frames showed so far; keeps its buffers between frames.
