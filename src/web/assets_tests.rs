@@ -38,6 +38,11 @@ fn every_file_that_the_page_names_is_there_and_each_is_named() {
     assert_eq!(reached, there);
 }
 
+/// Whether a file is for the compiler of types, and for editors: no browser asks for it.
+fn is_for_the_compiler(path: &Path) -> bool {
+    path.ends_with("tsconfig.json") || path.to_string_lossy().ends_with(".d.ts")
+}
+
 #[test]
 fn each_file_of_the_folder_is_embedded() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/web/page");
@@ -47,7 +52,7 @@ fn each_file_of_the_folder_is_embedded() {
             let path = entry.unwrap().path();
             if path.is_dir() {
                 folders.push(path);
-            } else if path.extension().is_some() && !path.ends_with("types.d.ts") {
+            } else if path.extension().is_some() && !is_for_the_compiler(&path) {
                 files.insert(format!("/{}", path.strip_prefix(&root).unwrap().display()).replace("/index.html", "/"));
             }
         }

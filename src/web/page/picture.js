@@ -29,7 +29,7 @@ let below = null;
 /** @type {HTMLCanvasElement | null} */
 let above = null;
 
-/** The canvases to draw on. @param {typeof below} picture @param {typeof above} marks */
+/** The canvases to draw on. @param {HTMLCanvasElement | null} picture @param {HTMLCanvasElement | null} marks */
 export function drawOn(picture, marks) {
   below = picture;
   above = marks;

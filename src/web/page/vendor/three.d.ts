@@ -1,6 +1,6 @@
-// What the page uses of three.js: `remake` makes three.js of it, one module without the rest.
+// What the page uses of three.js: `remake` makes three.js of it, one module without the rest, and the compiler of types knows three.js by it.
 export {
-  AmbientLight, Box3, BoxGeometry, BufferAttribute, BufferGeometry,  ConeGeometry, DirectionalLight, DoubleSide, GLSL3, GridHelper, Group, HalfFloatType,
+  AmbientLight, Box3, BoxGeometry, BufferAttribute, BufferGeometry, ConeGeometry, DirectionalLight, DoubleSide, GLSL3, GridHelper, Group, HalfFloatType,
   LinearFilter, LinearMipmapLinearFilter, LinearSRGBColorSpace, LoadingManager, Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial, NearestFilter, NoBlending, NoColorSpace,
   Object3D, PCFShadowMap, PerspectiveCamera, PlaneGeometry, Quaternion, RawShaderMaterial, Raycaster, RGBAFormat, Scene, ShadowMaterial, Texture, TextureLoader,
   Vector2, Vector3, Vector4, WebGLRenderer, WebGLRenderTarget,
