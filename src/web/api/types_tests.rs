@@ -88,7 +88,7 @@ impl Declarations {
     /// A type as it is written; `key` is what has it.
     fn of(&self, key: &str, seen: &Seen, at: &str) -> String {
         if ANY.contains(&key) {
-            return "any".to_owned();
+            return "unknown".to_owned();
         }
         let mut kinds = Vec::new();
         kinds.extend(seen.is_bool.then(|| "boolean".to_owned()));

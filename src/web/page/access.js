@@ -1,10 +1,10 @@
 // Who may change something: the show lock, and the pairing of a browser on another machine.
 import { computed, effect, signal } from "./vendor/signals.js";
 import { useRef, useState } from "./vendor/hooks.js";
-import { post, read, reason, sentence, whenRefused } from "./ask.js";
+import { ask, parsed, post, reason, sentence, whenRefused } from "./ask.js";
 import { contact } from "./daemon.js";
 import { draft } from "./drafts.js";
-import { html } from "./ui.js";
+import { html, typed } from "./ui.js";
 
 /** Milliseconds between two looks at the session: another page may have locked it. */
 const LOOKS_EVERY = 2000;
@@ -13,7 +13,8 @@ const HELD_FOR = 1000;
 /** Letters of the name that a browser is listed by. */
 const LONGEST_NAME = 60;
 
-/** @typedef {import("./types.js").Session} Session */
+/** @import { Signal } from "./vendor/signals.js"
+ * @import { Session } from "./types.js" */
 
 /** How this browser stands; null until that is known. */
 export const session = signal(/** @type {Session | null} */ (null));
@@ -30,13 +31,19 @@ export const barred = computed(() => {
   return null;
 });
 
+/** The session as it came last: the same words say nothing new. */
+let heard = "";
+
 async function look() {
   if (document.hidden || contact.value === false) return;
   try {
-    const found = await read("session");
+    const text = await (await ask("session")).text();
+    if (text === heard) return;
+    heard = text;
+    const found = /** @type {Session} */ (parsed(text));
     // A page of another version does not know what this daemon says.
     if (session.peek() !== null && session.peek()?.page !== found.page) location.reload();
-    if (JSON.stringify(found) !== JSON.stringify(session.peek())) session.value = found;
+    session.value = found;
   } catch {
     // That nobody answers is said elsewhere.
   }
@@ -50,7 +57,7 @@ export function watchAccess() {
   whenRefused.add((status, isChange) => {
     // What the page reads by itself opens no box.
     if (status === 401 && isChange) isPairing.value = true;
-    if (status === 401 || status === 423) look();
+    if (status === 401 || status === 423) void look();
   });
 }
 
@@ -157,13 +164,13 @@ async function pair(event) {
 /** The box for the code, where this browser may not yet do what it was asked to. */
 export function Pairing() {
   if (!isPairing.value || session.value?.needs_pairing === false) return null;
-  const typed = (/** @type {typeof code} */ into) => (/** @type {any} */ event) => (into.value = event.target.value);
+  const into = (/** @type {Signal<string>} */ kept) => (/** @type {Event} */ event) => (kept.value = typed(event));
   return html`<section class="pairing" aria-labelledby="pairing">
     <h2 id="pairing">Pair this browser</h2>
     <p>On the daemon's machine, <code>stagepose pair</code> prints a code of eight digits. It is used once.</p>
     <form onSubmit=${pair}>
-      <label class="field"><span>Code</span><input inputmode="numeric" autocomplete="one-time-code" maxlength="20" required value=${code.value} onInput=${typed(code)} /></label>
-      <label class="field"><span>Name of this browser</span><input maxlength=${LONGEST_NAME} placeholder="Anna's tablet" value=${name.value} onInput=${typed(name)} /></label>
+      <label class="field"><span>Code</span><input inputmode="numeric" autocomplete="one-time-code" maxlength="20" required value=${code.value} onInput=${into(code)} /></label>
+      <label class="field"><span>Name of this browser</span><input maxlength=${LONGEST_NAME} placeholder="Anna's tablet" value=${name.value} onInput=${into(name)} /></label>
       <div class="row">
         <button type="submit">Pair</button>
         <button type="button" onClick=${() => (isPairing.value = false)}>Not now</button>

@@ -1,13 +1,27 @@
 // Questions to the daemon, and changes, with its answer as a sentence where it refuses.
 
+/** @import { Finding, Output, Part, RecordingList, Retracked, Session, Timeline } from "./types.js" */
+
+/**
+ * What the daemon answers with where it is asked for JSON, by the path.
+ * @typedef {{
+ *   session: Session,
+ *   health: {parts: Part[]},
+ *   outputs: {outputs: Output[]},
+ *   recordings: RecordingList,
+ *   [timeline: `recordings/${string}/timeline?${string}`]: Timeline,
+ *   [retracked: `recordings/${string}/retracked?${string}`]: Retracked,
+ * }} Answers
+ */
+
 /** What says that a request comes from the page itself. */
 const OWN = { "X-Stagepose": "1" };
 
 /** What the daemon refuses, with its own sentence. */
 export class Refused extends Error {
-  /** @param {number} status @param {string} sentence */
-  constructor(status, sentence) {
-    super(sentence);
+  /** @param {number} status @param {string} says */
+  constructor(status, says) {
+    super(says);
     this.status = status;
   }
 }
@@ -24,7 +38,7 @@ export function sentence(words) {
 
 /** What is the matter, as a sentence. @param {unknown} why */
 export function reason(why) {
-  return why instanceof Error ? why.message : sentence(`${why}`);
+  return why instanceof Error ? why.message : sentence(String(why));
 }
 
 /** @param {string} path below the page's address @param {RequestInit} [how] */
@@ -46,27 +60,43 @@ export async function ask(path, how = {}) {
 async function refusal(answer) {
   const text = await answer.text();
   try {
-    const { findings } = JSON.parse(text);
-    return findings.map((/** @type {any} */ found) => [found.line ? `line ${found.line}: ${found.sentence}` : found.sentence, found.mend].filter(Boolean).map(sentence).join(" ")).join(" ");
+    const { findings } = /** @type {{findings: Finding[]}} */ (parsed(text));
+    return findings.map((found) => [found.line ? `line ${found.line}: ${found.sentence}` : found.sentence, found.mend ?? ""].filter(Boolean).map(sentence).join(" ")).join(" ");
   } catch {
     return sentence(text) || `stagepose answers with ${answer.status}.`;
   }
 }
 
-/** The answer as JSON. @param {string} path @param {AbortSignal} [signal] @returns {Promise<any>} */
+/** What a text of JSON says. @param {string} text @returns {unknown} */
+export function parsed(text) {
+  return JSON.parse(text);
+}
+
+/** An answer's content, of which the caller knows what it is. @template T @param {Response} answer @returns {Promise<T>} */
+export async function content(answer) {
+  return /** @type {T} */ (parsed(await answer.text()));
+}
+
+/** Lines of JSON, one a row. @param {string} path @param {AbortSignal} [signal] @returns {Promise<unknown[]>} */
+export async function lines(path, signal) {
+  const text = await (await ask(path, { signal })).text();
+  return text.split("\n").filter((line) => line !== "").map(parsed);
+}
+
+/** The answer as JSON. @template {keyof Answers} P @param {P} path @param {AbortSignal} [signal] @returns {Promise<Answers[P]>} */
 export async function read(path, signal) {
-  return (await ask(path, { signal })).json();
+  return content(await ask(path, { signal }));
 }
 
-/** A change. @param {string} path @param {any} [content] sent as JSON, or as it is where it is bytes */
-export function post(path, content) {
-  return send("POST", path, content);
+/** A change. @param {string} path @param {unknown} [sent] goes as JSON, or as it is where it is bytes */
+export function post(path, sent) {
+  return send("POST", path, sent);
 }
 
-/** @param {"POST" | "PUT" | "DELETE"} method @param {string} path @param {any} [content] @param {Record<string, string>} [headers] */
-export function send(method, path, content, headers = {}) {
-  const isBytes = content instanceof Blob;
-  const type = isBytes ? content.type : "application/json";
-  const body = content === undefined ? undefined : isBytes ? content : JSON.stringify(content);
-  return ask(path, { method, headers: { ...OWN, ...(content === undefined ? {} : { "Content-Type": type }), ...headers }, body });
+/** @param {"POST" | "PUT" | "DELETE"} method @param {string} path @param {unknown} [sent] @param {Record<string, string>} [headers] */
+export function send(method, path, sent, headers = {}) {
+  const isBytes = sent instanceof Blob;
+  const type = isBytes ? sent.type : "application/json";
+  const body = sent === undefined ? undefined : isBytes ? sent : JSON.stringify(sent);
+  return ask(path, { method, headers: { ...OWN, ...(sent === undefined ? {} : { "Content-Type": type }), ...headers }, body });
 }

@@ -1,7 +1,7 @@
 // Backup and restore: what a restore would change is said before it is done.
 import { signal } from "./vendor/signals.js";
 import { Barred, Change, Download } from "./access.js";
-import { Refused, ask, post, reason, sentence } from "./ask.js";
+import { Refused, ask, content, post, reason, sentence } from "./ask.js";
 import { html } from "./ui.js";
 import { differing, entries, textOf } from "./zip.js";
 
@@ -10,8 +10,8 @@ const CONFIG = "stage.toml";
 /** Changed lines that are shown. */
 const SHOWN = 40;
 
-/** @typedef {import("./types.js").Finding} Finding
- * @typedef {{file: File, replaces: string[], adds: string[], findings: Finding[], goes: string[], comes: string[], isKnown: boolean}} Plan what a restore would do;
+/** @import { Finding } from "./types.js" */
+/** @typedef {{file: File, replaces: string[], adds: string[], findings: Finding[], goes: string[], comes: string[], isKnown: boolean}} Plan what a restore would do;
  *   `isKnown`: the config of now could be read */
 
 const plan = signal(/** @type {Plan | null} */ (null));
@@ -29,7 +29,8 @@ async function choose(event) {
     const config = found.find(({ name }) => name === CONFIG);
     if (config === undefined) throw new Error(`${file.name} has no ${CONFIG}, so it is no backup. Choose a backup of this page.`);
     // The daemon tries it: what it would refuse is not offered.
-    const { replaces, adds, findings } = await (await post("restore?try=1", new Blob([file], { type: "application/zip" }))).json();
+    /** @type {Pick<Plan, "replaces" | "adds" | "findings">} */
+    const { replaces, adds, findings } = await content(await post("restore?try=1", new Blob([file], { type: "application/zip" })));
     const [now, then] = await Promise.all([ask("config").then((answer) => answer.text(), () => null), textOf(file, config)]);
     plan.value = { file, replaces, adds, findings, ...differing(now ?? "", then), isKnown: now !== null };
   } catch (why) {
@@ -41,8 +42,9 @@ async function choose(event) {
 /** @param {Plan} of */
 async function restore({ file }) {
   try {
-    const { findings = [] } = await (await post("restore", new Blob([file], { type: "application/zip" }))).json();
-    said.value = [`${file.name} is in place, and the config was read anew.`, ...findings.map((/** @type {any} */ found) => sentence(found.sentence))].join(" ");
+    /** @type {{findings?: Finding[]}} */
+    const { findings = [] } = await content(await post("restore", new Blob([file], { type: "application/zip" })));
+    said.value = [`${file.name} is in place, and the config was read anew.`, ...findings.map((found) => sentence(found.sentence))].join(" ");
     plan.value = null;
   } catch (why) {
     said.value = reason(why);

@@ -1,6 +1,6 @@
 // One recording: its timeline, the row that is shown, and playing it at its own pace or another.
 import { signal } from "./vendor/signals.js";
-import { ask, read, reason } from "./ask.js";
+import { ask, content, lines, parsed, read, reason } from "./ask.js";
 
 /** Columns of a timeline that are asked for: an hour at 30 frames a second has one a second. */
 const COLUMNS = 4000;
@@ -8,12 +8,9 @@ const COLUMNS = 4000;
 const STAMPS = 400;
 const LONGEST_GAP = 2000;
 
-/** @typedef {import("./types.js").Column} Column
- * @typedef {import("./types.js").Timeline} Timeline
- * @typedef {Timeline["events"][number]} Happening
- * @typedef {{id: string} & Timeline} Clip
- * @typedef {import("./types.js").Retracked} Retracked
- * @typedef {{row: number, record: import("./daemon.js").PoseRecord | null, today: import("./daemon.js").PoseRecord | null,
+/** @import { Column, PoseRecord, Retracked, Timeline } from "./types.js" */
+/** @typedef {{id: string} & Timeline} Clip
+ * @typedef {{row: number, record: PoseRecord | null, today: PoseRecord | null,
  *   size: [number, number] | null}} Shown a row without a picture has no size; `today` is its record by today's config, where that was tried */
 
 /** The recording that is open. */
@@ -70,11 +67,11 @@ export async function learnRetracked() {
   if (now !== null && shown.value === now && !own.aborted) shown.value = { ...now, today };
 }
 
-/** A row's record by today's config. @param {number} number @param {AbortSignal} own */
+/** A row's record by today's config. @param {number} number @param {AbortSignal} own @returns {Promise<PoseRecord | null>} */
 async function recordToday(number, own) {
   if (clip.value === null || retracked.value === null) return null;
   const path = `recordings/${clip.value.id}/retracked/poses?from=${number}&count=1`;
-  return ask(path, { signal: own }).then((answer) => answer.json(), () => null);
+  return ask(path, { signal: own }).then((answer) => content(answer), () => null);
 }
 
 /** Closes it. */
@@ -94,7 +91,7 @@ export function go(to) {
   if (clip.value === null || clip.value.frames === 0) return;
   noLoss.value = "";
   row.value = Math.min(clip.value.frames - 1, Math.max(0, Math.round(to)));
-  fetchShown();
+  void fetchShown();
 }
 
 /** Fetches the wanted row and then, if another is wanted meanwhile, that one: a slow line shows fewer rows, never older ones. */
@@ -114,14 +111,14 @@ async function fetchShown() {
   }
   isFetching = false;
   // Another recording was opened meanwhile.
-  if (own.aborted && clip.value !== null) fetchShown();
+  if (own.aborted && clip.value !== null) void fetchShown();
 }
 
 /** @param {string} id @param {number} number @param {AbortSignal} own @returns {Promise<{picture: ImageBitmap | null, said: Shown}>} */
 async function frame(id, number, own) {
   try {
     const [answer, today] = await Promise.all([ask(`recordings/${id}/frame/${number}`, { signal: own }), recordToday(number, own)]);
-    const record = JSON.parse(decodeURIComponent(answer.headers.get("X-Stagepose-Record") ?? "null"));
+    const record = /** @type {PoseRecord | null} */ (parsed(decodeURIComponent(answer.headers.get("X-Stagepose-Record") ?? "null")));
     const picture = await createImageBitmap(await answer.blob());
     fault.value = "";
     return { picture, said: { row: number, record, today, size: [picture.width, picture.height] } };
@@ -134,7 +131,7 @@ async function frame(id, number, own) {
 /** Milliseconds of a row since the first; undefined while that is not known. @param {number} of */
 function stampOf(of) {
   const from = of - (of % STAMPS);
-  if (!stamps.has(from)) fetchStamps(from);
+  if (!stamps.has(from)) void fetchStamps(from);
   return stamps.get(from)?.[of - from];
 }
 
@@ -145,9 +142,8 @@ async function fetchStamps(from) {
   const { id, first_ns } = clip.value;
   stamps.set(from, null);
   try {
-    const text = await (await ask(`recordings/${id}/poses?from=${from}&count=${STAMPS}`, { signal: own })).text();
-    const lines = text.split("\n").filter((line) => line !== "");
-    if (!own.aborted) stamps.set(from, lines.map((line) => (JSON.parse(line).timestamp_ns - (first_ns ?? 0)) / 1e6));
+    const records = /** @type {PoseRecord[]} */ (await lines(`recordings/${id}/poses?from=${from}&count=${STAMPS}`, own));
+    if (!own.aborted) stamps.set(from, records.map(({ timestamp_ns }) => (timestamp_ns - (first_ns ?? 0)) / 1e6));
   } catch (why) {
     if (own.aborted) return;
     playing.value = false;
@@ -232,7 +228,7 @@ export async function goToLoss(way) {
   go(column.row);
   if (column.rows === 1) return;
   const { signal: own } = open_;
-  const text = await ask(`recordings/${id}/poses?from=${column.row}&count=${column.rows}`, { signal: own }).then((answer) => answer.text(), () => "");
-  const first = text.split("\n").findIndex((line) => line !== "" && !["tracking", "coasting"].includes(JSON.parse(line).state));
+  const records = /** @type {PoseRecord[]} */ (await lines(`recordings/${id}/poses?from=${column.row}&count=${column.rows}`, own).catch(() => []));
+  const first = records.findIndex(({ state }) => state !== "tracking" && state !== "coasting");
   if (!own.aborted && first > 0) go(column.row + first);
 }

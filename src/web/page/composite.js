@@ -3,11 +3,13 @@
 import { signal } from "./vendor/signals.js";
 import { frozen, head, painters, scene } from "./daemon.js";
 import { align, summary } from "./gl/align.js";
-import { Compositor, MODES } from "./gl/compose.js";
+import { Compositor } from "./gl/compose.js";
 import { models } from "./models.js";
 import { set } from "./things.js";
 
-/** @typedef {import("./daemon.js").Head} Head @typedef {{median: number | null, most: number | null, tiles: number, unlike: number, sequence: number}} Measured */
+/** @import { Mode } from "./gl/compose.js"
+ * @import { Head, Motion, PoseRecord, Scene } from "./types.js"
+ * @typedef {{median: number | null, most: number | null, tiles: number, unlike: number, sequence: number}} Measured */
 
 /** Milliseconds between two measurements, and tiles that one looks at: some 20 ms of work. */
 const MEASURES_EVERY = 1000;
@@ -16,7 +18,7 @@ const TILES = 150;
 const ASKS_AGAIN = 1000;
 
 /** How it is shown. */
-export const mode = signal(/** @type {(typeof MODES)[number]} */ ("set"));
+export const mode = signal(/** @type {Mode} */ ("set"));
 /** The set's strength in a mix, or where a wipe begins. */
 export const share = signal(0.5);
 /** Without handles: for a projector. */
@@ -31,11 +33,12 @@ export let compositor = null;
 /** The frame that is on the canvas. @type {Head | null} */
 let shown = null;
 let measuredAt = 0;
-let known = /** @type {any} */ (null);
+/** The session that it is of. @type {Scene | null} */
+let known = null;
 
 /** The floor's height, metres: as chosen, else the stage's lowest point if that is below the stage frame's zero. */
 export function floorHeight() {
-  const points = scene.value?.stage.surfaces.flatMap((/** @type {any} */ { outline_m }) => outline_m.map((/** @type {number[]} */ [, , z]) => z)) ?? [];
+  const points = scene.value?.stage.surfaces.flatMap(({ outline_m }) => outline_m.map(([, , z]) => z)) ?? [];
   return set.value.floor_m ?? Math.min(0, ...points);
 }
 
@@ -76,23 +79,24 @@ export function learn() {
   } else {
     known = scene.value;
     compositor.setScene(known, floor);
-    artworks(known);
+    void artworks(known);
   }
   again();
 }
 
-/** Fetches what is on the surfaces. @param {any} of the scene that they are of */
+/** Fetches what is on the surfaces. @param {Scene} of the scene that they are of */
 async function artworks(of) {
   const fetched = await Promise.all(
-    of.stage.surfaces.map(async (/** @type {any} */ _, /** @type {number} */ k) => {
+    of.stage.surfaces.map(async (_, k) => {
       const answer = await fetch(`./api/v1/surfaces/${k}/picture`, { cache: "no-store" }).catch(() => null);
-      if (answer === null || answer.status === 503) return "later";
+      if (answer === null || answer.status === 503) return /** @type {const} */ ("later");
       return answer.ok ? createImageBitmap(await answer.blob(), { colorSpaceConversion: "none" }).catch(() => null) : null;
     }),
   );
   if (of !== known || compositor === null) return;
-  if (fetched.includes("later")) setTimeout(() => of === known && artworks(of), ASKS_AGAIN);
-  else compositor.setArtworks(fetched);
+  const pictures = fetched.filter((one) => one !== "later");
+  if (pictures.length < fetched.length) setTimeout(() => of === known && artworks(of), ASKS_AGAIN);
+  else compositor.setArtworks(pictures);
 }
 
 /** @param {ImageBitmap} picture @param {Head} said */
@@ -104,13 +108,13 @@ function paint(picture, said) {
   const now = performance.now();
   if (now - measuredAt > MEASURES_EVERY && said.record.state === "tracking") {
     measuredAt = now;
-    measured.value = measure(said.record, said.motion ?? null, TILES);
+    measured.value = measure(said.record, said.motion, TILES);
   } else if (said.record.state !== "tracking") {
     measured.value = null;
   }
 }
 
-/** How far the artwork, drawn by a record's pose, lies from the last picture. @param {any} record @param {any} motion @param {number} [tiles] at most
+/** How far the artwork, drawn by a record's pose, lies from the last picture. @param {PoseRecord} record @param {Motion | null} motion @param {number} [tiles] at most
  * @returns {Measured | null} */
 export function measure(record, motion, tiles) {
   if (compositor === null || compositor.artworks.children.length === 0) return null;
@@ -122,7 +126,7 @@ export function measure(record, motion, tiles) {
 export function again() {
   if (compositor === null) return;
   compositor.set.setThings(set.value.objects, models.value);
-  compositor.draw(shown?.record, shown?.motion ?? null, { mode: mode.value, share: share.value, clean: clean.value });
+  compositor.draw(shown?.record ?? null, shown?.motion ?? null, { mode: mode.value, share: share.value, clean: clean.value });
 }
 
 /** Whether nothing but changes of the set draws: the picture stands still. */

@@ -1,6 +1,7 @@
 // What the daemon sends: pictures with their records, and between them how things stand. A picture is asked for when the last one is decoded (where painting is slow,
 // when it is painted), and the browser paints the newest: the page shows that however slow it is. Silence is said within a second.
 import { signal } from "./vendor/signals.js";
+import { content, parsed } from "./ask.js";
 
 /** Milliseconds: the daemon speaks each 250 at least; who has said nothing for this long is gone, and that is looked at so often: a loss is said within 650, and a
  * machine so busy that it is late by 350 is none. */
@@ -17,15 +18,12 @@ const LONG_PAINT = 25;
 /** Shown frames that the rate is counted over. */
 const RATE_OVER = 30;
 
-/** @typedef {import("./types.js").Pose} Pose
- * @typedef {import("./types.js").PoseRecord} PoseRecord
- * @typedef {import("./types.js").Motion} Motion
- * @typedef {import("./types.js").Head} Head */
+/** @import { Head, Known, Scene } from "./types.js" */
 
 /** Whether the daemon speaks; null until that is known. */
 export const contact = signal(/** @type {boolean | null} */ (null));
 /** How things stand, as /api/v1/state has it, where no frames come. */
-export const standing = signal(/** @type {import("./types.js").Known | null} */ (null));
+export const standing = signal(/** @type {Known | null} */ (null));
 /** What was said of the frame that is shown. */
 export const head = signal(/** @type {Head | null} */ (null));
 /** Frames shown a second; null with fewer than two. */
@@ -35,7 +33,7 @@ export const frozen = signal(false);
 /** Whether frames are asked for with the pixels that their poses rest on. */
 export const pixelsWanted = signal(false);
 /** Camera and surfaces of this session, as /api/v1/scene has them. */
-export const scene = signal(/** @type {import("./types.js").Scene | null} */ (null));
+export const scene = signal(/** @type {Scene | null} */ (null));
 
 /** Who draws a frame when the browser paints; the picture is gone afterwards. @type {Set<(picture: ImageBitmap, head: Head) => void>} */
 export const painters = new Set();
@@ -76,7 +74,7 @@ function connect() {
   const opened = new WebSocket(address);
   opened.binaryType = "arraybuffer";
   opened.onopen = ask;
-  opened.onmessage = ({ data }) => {
+  opened.onmessage = (/** @type {MessageEvent<string | ArrayBuffer>} */ { data }) => {
     if (opened === socket) hear(data);
   };
   opened.onclose = () => {
@@ -114,7 +112,7 @@ function hear(data) {
   heardAt = performance.now();
   contact.value = true;
   if (typeof data === "string") {
-    const said = JSON.parse(data);
+    const said = /** @type {{page: string, state: Known}} */ (parsed(data));
     // A page of another version does not know what this daemon says.
     if (page !== null && page !== said.page) location.reload();
     page = said.page;
@@ -125,17 +123,16 @@ function hear(data) {
       shownAt = [];
     }
   } else {
-    show(data);
+    void show(data);
   }
 }
 
 /** @param {ArrayBuffer} data */
 async function show(data) {
   const length = new DataView(data).getUint32(0, true);
-  /** @type {Head} */
-  const said = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+  const said = /** @type {Head} */ (parsed(new TextDecoder().decode(new Uint8Array(data, 4, length))));
   const picture = await createImageBitmap(new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" })).catch(() => null);
-  if (said.epoch !== epoch) learnScene(said.epoch);
+  if (said.epoch !== epoch) void learnScene(said.epoch);
   owesFrame = false;
   if (picture !== null) {
     // A browser that paints later than the next picture comes paints that one.
@@ -171,7 +168,7 @@ async function learnScene(of) {
   epoch = of;
   try {
     const answer = await fetch("./api/v1/scene", { cache: "no-store" });
-    scene.value = answer.ok ? await answer.json() : null;
+    scene.value = answer.ok ? await content(answer) : null;
   } catch {
     // The next frame asks again.
     epoch = 0;

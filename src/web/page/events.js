@@ -1,6 +1,6 @@
 // What happened: the daemon's events, the last of them first.
 import { computed, signal } from "./vendor/signals.js";
-import { sentence } from "./ask.js";
+import { parsed, sentence } from "./ask.js";
 import { html } from "./ui.js";
 
 /** Events that are shown; the daemon remembers more. */
@@ -8,8 +8,10 @@ const SHOWN = 40;
 /** Milliseconds from a lost connection to the next try. */
 const TRY_AGAIN = 1000;
 
-/** @typedef {import("./types.js").Happening} Happening
- * @typedef {import("./types.js").Job} Job */
+/** @import { Happening, Job } from "./types.js" */
+
+/** Whether it is how far a job is. @param {Happening | Job} said @returns {said is Job} */
+const isJob = (said) => said.event === "job";
 
 /** The newest first. */
 export const happened = signal(/** @type {Happening[]} */ ([]));
@@ -30,11 +32,11 @@ export function listenToEvents() {
   const socket = new WebSocket(address);
   // Each connection begins with what is remembered.
   let isFirst = true;
-  socket.onmessage = ({ data }) => {
-    const said = JSON.parse(data);
-    if (said.event === "job") job.value = said;
+  socket.onmessage = (/** @type {MessageEvent<string>} */ { data }) => {
+    const said = /** @type {Happening | Job} */ (parsed(data));
+    if (isJob(said)) job.value = said;
     // How far something is fills no list.
-    if (said.event === "job" && said.state === "running") return;
+    if (isJob(said) && said.state === "running") return;
     happened.value = [said, ...(isFirst ? [] : happened.value)].slice(0, SHOWN);
     isFirst = false;
   };

@@ -3,6 +3,7 @@ import { effect, signal } from "./vendor/signals.js";
 import { Raycaster, TransformControls, Vector2 } from "./vendor/three.js";
 import { again, compositor, learn } from "./composite.js";
 import { undistorted } from "./gl/lens.js";
+import { thingOf } from "./gl/set.js";
 import { alter, chosen, set } from "./things.js";
 
 /** What the handles do. */
@@ -14,6 +15,12 @@ export const ACTIONS = /** @type {const} */ ([
 /** What they do now. */
 export const action = signal(/** @type {"translate" | "rotate" | "scale"} */ ("translate"));
 
+/** @import { Object3D } from "./vendor/three.js"
+ * @typedef {Pick<PointerEvent, "x" | "y" | "button">} Pointer */
+
+/** Handles read no more of an event than this, whatever their declarations say. @param {Pointer} pointer */
+const asEvent = (pointer) => /** @type {PointerEvent} */ (pointer);
+
 /** Lets things be chosen and moved by the pointer; what it returns ends it. @param {HTMLCanvasElement} canvas */
 export function handlesOn(canvas) {
   const over = compositor;
@@ -24,7 +31,7 @@ export function handlesOn(canvas) {
   over.set.scene.add(helper);
   over.handles.push({ root: helper, isHeld: () => controls.object !== undefined });
   const rays = new Raycaster();
-  /** Where the pointer is in the pinhole's picture, -1 to 1. @param {PointerEvent} event */
+  /** Where the pointer is in the pinhole's picture, -1 to 1, as the handles are told of it. @param {PointerEvent} event @returns {Pointer | null} */
   const at = (event) => {
     const { camera } = over.known ?? {};
     if (!camera || !over.pinhole) return null;
@@ -33,38 +40,38 @@ export function handlesOn(canvas) {
     const towards = undistorted(camera, raw);
     if (towards === null) return null;
     const { fx, fy, cx, cy, width: w, height: h } = over.pinhole;
-    return /** @type {any} */ ({ x: (2 * (fx * towards[0] + cx + 0.5)) / w - 1, y: 1 - (2 * (fy * towards[1] + cy + 0.5)) / h, button: event.button });
+    return { x: (2 * (fx * towards[0] + cx + 0.5)) / w - 1, y: 1 - (2 * (fy * towards[1] + cy + 0.5)) / h, button: event.button };
   };
   const down = (/** @type {PointerEvent} */ event) => {
     const pointer = at(event);
     if (pointer === null || event.button !== 0) return;
     over.set.scene.updateMatrixWorld();
-    controls.pointerHover(pointer);
-    controls.pointerDown(pointer);
+    controls.pointerHover(asEvent(pointer));
+    controls.pointerDown(asEvent(pointer));
     canvas.setPointerCapture(event.pointerId);
     if (!controls.dragging) choose(pointer);
   };
   const move = (/** @type {PointerEvent} */ event) => {
     const pointer = at(event);
     if (pointer === null) return;
-    if (controls.dragging) controls.pointerMove({ ...pointer, button: -1 });
-    else controls.pointerHover(pointer);
+    if (controls.dragging) controls.pointerMove(asEvent({ ...pointer, button: -1 }));
+    else controls.pointerHover(asEvent(pointer));
     again();
   };
   const up = (/** @type {PointerEvent} */ event) => {
     const pointer = at(event);
     if (controls.dragging && controls.object) kept(controls.object);
-    if (pointer !== null) controls.pointerUp(pointer);
+    if (pointer !== null) controls.pointerUp(asEvent(pointer));
     again();
   };
-  /** @param {{x: number, y: number}} pointer */
+  /** @param {Pointer} pointer */
   const choose = ({ x, y }) => {
     rays.setFromCamera(new Vector2(x, y), over.set.camera);
     const [hit] = rays.intersectObjects(over.set.things.children, true);
-    /** @type {import("./vendor/three.js").Object3D | null} */
+    /** @type {Object3D | null} */
     let found = hit?.object ?? null;
-    while (found && !found.userData.thing) found = found.parent;
-    chosen.value = found?.userData.thing ?? null;
+    while (found && thingOf(found) === null) found = found.parent;
+    chosen.value = found && thingOf(found);
   };
   controls.addEventListener("objectChange", () => controls.object && kept(controls.object));
   const stop = effect(() => {
@@ -89,11 +96,13 @@ export function handlesOn(canvas) {
   };
 }
 
-/** Takes over where the handles have put a thing. @param {import("./vendor/three.js").Object3D} body */
+/** Takes over where the handles have put a thing. @param {Object3D} body */
 function kept(body) {
+  const thing = thingOf(body);
+  if (thing === null) return;
   const round = (/** @type {number} */ value) => Math.round(value * 1e4) / 1e4;
   const { position, rotation, scale } = body;
-  alter(body.userData.thing, {
+  alter(thing, {
     position_m: [position.x, position.y, position.z].map(round),
     rotation_deg: [rotation.x, rotation.y, rotation.z].map((radians) => round((radians * 180) / Math.PI)),
     size_m: [scale.x, scale.y, scale.z].map((value) => Math.max(0.001, round(Math.abs(value)))),

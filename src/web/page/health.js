@@ -20,8 +20,7 @@ const LEVELS = {
   off: { word: "Off", shape: "M2 7h12v2H2z" },
 };
 
-/** @typedef {import("./types.js").Part} Part
- * @typedef {import("./types.js").Output} Output */
+/** @import { Output, Part } from "./types.js" */
 
 const parts = signal(/** @type {Part[] | null} */ (null));
 const outputs = signal(/** @type {Output[]} */ ([]));
@@ -61,7 +60,7 @@ function Card({ part, level, sentence: words, mend }) {
   </li>`;
 }
 
-/** What a decoded packet says, as lines: a text with fields, or an object. @param {any} last */
+/** What a decoded packet says, as lines: a text with fields, or an object. @param {unknown} last */
 function decoded(last) {
   return typeof last === "string" ? last.replace(/ \{ /g, " {\n  ").replace(/, (?=[a-z_]+:)/g, ",\n  ").replace(/ \}$/, "\n}") : JSON.stringify(last, null, 1);
 }
@@ -69,7 +68,7 @@ function decoded(last) {
 /** @param {Output} props */
 function Sent({ name, protocol, sent, failed, withheld, dropped, per_s, latency_us, last, last_hex }) {
   const counts = [`${sent} sent`, per_s === null ? null : `${per_s.toFixed(1)} a second`, failed ? `${failed} failed` : null, withheld ? `${withheld} withheld` : null, dropped ? `${dropped} dropped` : null];
-  const late = latency_us === null || sent === 0 ? "" : `, ${(latency_us / 1000).toFixed(2)} ms after the pose`;
+  const late = sent === 0 ? "" : `, ${(latency_us / 1000).toFixed(2)} ms after the pose`;
   return html`<li class="card">
     <h3>${name}</h3>
     <span class="level">${protocol}</span>
@@ -124,12 +123,12 @@ function Log() {
 /** The view. */
 export function Health() {
   useEffect(() => {
-    readLog();
+    void readLog();
     const timer = setInterval(look, LOOKS_EVERY);
     // At once, and where the daemon comes back.
     const stop = effect(() => {
       void contact.value;
-      look();
+      void look();
     });
     return () => {
       clearInterval(timer);

@@ -2,7 +2,7 @@
 // where another browser has changed the set meanwhile, a person chooses.
 import { effect, signal } from "./vendor/signals.js";
 import { barred } from "./access.js";
-import { Refused, ask, reason, send } from "./ask.js";
+import { Refused, ask, content, parsed, reason, send } from "./ask.js";
 import { fetchModels } from "./models.js";
 import { asSet, replace, set } from "./things.js";
 
@@ -41,7 +41,7 @@ function agree(on) {
 /** @returns {Agreed | null} */
 function agreedBefore() {
   try {
-    return JSON.parse(localStorage.getItem(AGREED_AS) ?? "null");
+    return /** @type {Agreed | null} */ (parsed(localStorage.getItem(AGREED_AS) ?? "null"));
   } catch {
     return null;
   }
@@ -51,7 +51,7 @@ function agreedBefore() {
 async function load() {
   const answer = await ask("set");
   const tag = answer.headers.get("ETag");
-  const found = asSet(await answer.json());
+  const found = asSet(await content(answer));
   if (found === null) {
     saved.value = "Not saved: the daemon has a set that this page does not know. Put set.json beside its config away.";
     return;
@@ -85,7 +85,7 @@ async function save() {
       saved.value = "Being saved …";
       /** @type {Record<string, string>} */
       const held = agreed.tag === null ? {} : { "If-Match": agreed.tag };
-      const answer = await send("PUT", "set", JSON.parse(now), held);
+      const answer = await send("PUT", "set", parsed(now), held);
       agree({ text: now, tag: answer.headers.get("ETag") });
     }
     if (agreed?.text === text()) saved.value = "Saved beside the config.";
@@ -100,7 +100,7 @@ async function save() {
 async function meet() {
   try {
     const answer = await ask("set");
-    tear({ text: JSON.stringify(asSet(await answer.json())), tag: answer.headers.get("ETag") });
+    tear({ text: JSON.stringify(asSet(await content(answer))), tag: answer.headers.get("ETag") });
   } catch (why) {
     saved.value = `Not saved yet; it is kept in this browser. ${reason(why)}`;
   }
@@ -109,12 +109,12 @@ async function meet() {
 /** This browser's set takes the place of the other. */
 export function keepMine() {
   agree(theirs);
-  save();
+  void save();
 }
 
 /** The other's set takes the place of this one. */
 export function takeTheirs() {
-  const found = asSet(JSON.parse(theirs?.text ?? "null"));
+  const found = asSet(parsed(theirs?.text ?? "null"));
   if (found === null) return;
   const of = theirs;
   replace(found);
@@ -138,6 +138,6 @@ export function keepSet() {
     clearTimeout(timer);
     stop();
     stopModels();
-    if (agreed !== null) save();
+    if (agreed !== null) void save();
   };
 }

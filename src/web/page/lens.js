@@ -1,5 +1,7 @@
 // Where a camera shows points of the stage: poses and the lens, as docs/glossary.md has their conventions.
 
+/** @import { Camera } from "./types.js" */
+
 /** A vector turned by a unit quaternion. @param {number[]} q x, y, z, w @param {number[]} v */
 export function turn([x, y, z, w], [a, b, c]) {
   const [tx, ty, tz] = [2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)];
@@ -21,7 +23,7 @@ export function within(pose, point) {
 /** Nearer points than this, metres, are not drawn: they are beside or behind the lens. */
 const NEAR_M = 0.01;
 
-/** The raw pixel of a point in the camera's frame; null where the lens shows none. @param {any} camera @param {number[]} point */
+/** The raw pixel of a point in the camera's frame; null where the lens shows none. @param {Camera} camera @param {number[]} point */
 export function pixel(camera, [x, y, z]) {
   if (!(z > NEAR_M)) return null;
   const [a, b] = [x / z, y / z];
@@ -38,7 +40,7 @@ export function pixel(camera, [x, y, z]) {
 /** Rounds in which the lens is undone. Each takes off nine tenths of the error or more where the formula does not fold. */
 const ROUNDS = 20;
 
-/** The direction (x, y at z = 1) that the lens shows at a raw pixel: to draw by, not to measure by. @param {any} camera @param {number[]} seen */
+/** The direction (x, y at z = 1) that the lens shows at a raw pixel: to draw by, not to measure by. @param {Camera} camera @param {number[]} seen */
 export function direction(camera, [u, v]) {
   const dy = (v - camera.cy) / camera.fy;
   const dx = (u - camera.cx) / camera.fx - camera.skew * dy;

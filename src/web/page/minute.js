@@ -5,7 +5,8 @@ import { head } from "./daemon.js";
 /** Milliseconds that are remembered. */
 export const REMEMBERED = 60_000;
 
-/** @typedef {{at: number, state: string, rms: number | null, place: number[] | null, objects: (number[] | null)[]}} Moment when a frame was shown (milliseconds of
+/** @import { State } from "./types.js" */
+/** @typedef {{at: number, state: State, rms: number | null, place: number[] | null, objects: (number[] | null)[]}} Moment when a frame was shown (milliseconds of
  *   performance.now), and what its record says */
 
 /** The oldest first. The list is changed in place: drawing reads it, no view is made anew for it. */

@@ -1,6 +1,6 @@
 // Models from files: glTF in one file (.glb). A file that names others is refused, for the page loads nothing from elsewhere.
 import { signal } from "./vendor/signals.js";
-import { ask, reason, send } from "./ask.js";
+import { ask, parsed, reason, send } from "./ask.js";
 import { Box3, Group, GLTFLoader, LoadingManager, TextureLoader, Vector3 } from "./vendor/three.js";
 
 /** Bytes of a file at most. */
@@ -49,12 +49,12 @@ async function take(file, kept, bytes) {
   refuseOthers(file, bytes);
   const loader = new GLTFLoader(new LoadingManager());
   // Pictures through an element: the policy lets nothing be fetched from memory.
-  loader.register((/** @type {any} */ parser) => {
+  loader.register((parser) => {
     parser.textureLoader = new TextureLoader(parser.options.manager);
     return { name: "pictures" };
   });
   const gltf = await loader.parseAsync(bytes, "").catch((/** @type {unknown} */ why) => {
-    throw new Error(`${file} cannot be read (${why instanceof Error ? why.message : why}). Export it as glTF binary (.glb) without compression.`);
+    throw new Error(`${file} cannot be read (${why instanceof Error ? why.message : String(why)}). Export it as glTF binary (.glb) without compression.`);
   });
   models.value = new Map([...models.value, [kept, upright(gltf.scene)]]);
 }
@@ -66,9 +66,10 @@ function refuseOthers(name, bytes) {
   if (bytes.byteLength < 20 || view.getUint32(0, true) !== 0x46546c67) throw new Error(`${name} is not a glTF binary file. Export it as .glb.`);
   const length = view.getUint32(12, true);
   if (20 + length > bytes.byteLength) throw new Error(`${name} is cut short. Copy it again.`);
+  /** @type {{buffers?: {uri?: string}[], images?: {uri?: string}[]}} */
   let said;
   try {
-    said = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 20, length)));
+    said = /** @type {typeof said} */ (parsed(new TextDecoder().decode(new Uint8Array(bytes, 20, length))));
   } catch {
     throw new Error(`${name} does not say what is in it. Export it again.`);
   }

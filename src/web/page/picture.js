@@ -4,7 +4,7 @@ import { head, scene } from "./daemon.js";
 import { pixel, place, within } from "./lens.js";
 import { emptied } from "./ui.js";
 
-/** @typedef {import("./daemon.js").Head} Head */
+/** @import { Camera, Head, Pose, PoseRecord, State, Surface } from "./types.js" */
 
 /** Whether the outlines are drawn. */
 export const outlined = signal(true);
@@ -65,9 +65,9 @@ export function drawPicture(canvas, picture) {
   canvas.getContext("2d", { alpha: false })?.drawImage(picture, 0, 0);
 }
 
-/** The marks of a frame on a canvas that lies on its picture. @param {HTMLCanvasElement} above @param {{record: import("./daemon.js").PoseRecord | null, size: number[]}} said */
-export function drawMarks(above, said) {
-  const drawn = emptied(above);
+/** The marks of a frame on a canvas that lies on its picture. @param {HTMLCanvasElement} on @param {{record: PoseRecord | null, size: number[]}} said */
+export function drawMarks(on, said) {
+  const drawn = emptied(on);
   if (!drawn) return;
   const { context, width, colour } = drawn;
   const { record, size } = said;
@@ -75,7 +75,7 @@ export function drawMarks(above, said) {
   const known = scene.value;
   if (!known || !record || !seen) return;
   const scale = width / size[0];
-  const draw = (/** @type {import("./types.js").Surface} */ surface, /** @type {import("./types.js").Pose | null} */ pose, /** @type {string} */ state) => {
+  const draw = (/** @type {Surface} */ surface, /** @type {Pose | null} */ pose, /** @type {State} */ state) => {
     const inStage = (/** @type {number[]} */ point) => (pose === null ? point : place(pose, point));
     const pixels = surface.outline_m.map((point) => pixel(known.camera, within(seen, inStage(point))));
     stroke(context, pixels, scale, colour(state));
@@ -89,8 +89,8 @@ export function drawMarks(above, said) {
   });
 }
 
-/** Lines on the stage's floor, a metre apart, through the lens. @param {CanvasRenderingContext2D} context @param {import("./types.js").Camera} camera
- * @param {import("./types.js").Pose} pose @param {number} scale @param {string} colour */
+/** Lines on the stage's floor, a metre apart, through the lens. @param {CanvasRenderingContext2D} context @param {Camera} camera
+ * @param {Pose} pose @param {number} scale @param {string} colour */
 function drawFloor(context, camera, pose, scale, colour) {
   const [x, y] = pose.position_m.map((value) => Math.round(value));
   const along = Array.from({ length: 1 + (2 * REACHES) / POINTS }, (_, k) => k * POINTS - REACHES);

@@ -12,7 +12,7 @@ import { drawMarks, drawPicture, outlined } from "./picture.js";
 import { Retracking, Today, goToDifference, swap } from "./retracked.js";
 import { theme } from "./theme.js";
 import { Timeline, clock, secondsOf } from "./timeline.js";
-import { StateMark, amount, html } from "./ui.js";
+import { StateMark, amount, html, typed } from "./ui.js";
 
 /** Milliseconds between two looks at the list; where a recording begins or ends it is looked at once. */
 const LOOKS_EVERY = 10_000;
@@ -37,18 +37,18 @@ async function look() {
   }
 }
 
-/** @param {string} path @param {string} done @param {any} [content] */
-async function wish(path, done, content) {
+/** @param {string} path @param {string} done @param {unknown} [sent] */
+async function wish(path, done, sent) {
   said.value = "";
   try {
-    await post(path, content);
+    await post(path, sent);
     said.value = done;
     return true;
   } catch (why) {
     said.value = reason(why);
     return false;
   } finally {
-    look();
+    void look();
   }
 }
 
@@ -67,15 +67,15 @@ function Picture() {
   const above = useRef(/** @type {HTMLCanvasElement | null} */ (null));
   const again = () => {
     const now = shown.peek();
-    if (above.current && now?.size) drawMarks(above.current, /** @type {any} */ (chosen(now)));
+    if (above.current && now?.size) drawMarks(above.current, { record: chosen(now), size: now.size });
     else above.current?.getContext("2d")?.reset();
   };
   useEffect(() => {
-    const paint = (/** @type {ImageBitmap | null} */ picture, /** @type {any} */ of) => {
+    const paint = (/** @type {ImageBitmap | null} */ picture, /** @type {import("./clip.js").Shown} */ of) => {
       if (!below.current || !above.current) return;
       if (picture !== null) drawPicture(below.current, picture);
       else below.current.getContext("2d", { alpha: false })?.reset();
-      if (picture !== null) drawMarks(above.current, /** @type {any} */ (chosen(of)));
+      if (of.size !== null) drawMarks(above.current, { record: chosen(of), size: of.size });
       else above.current.getContext("2d")?.reset();
     };
     const sized = new ResizeObserver(again);
@@ -87,27 +87,26 @@ function Picture() {
     };
   }, []);
   useEffect(again, [theme.value, outlined.value, whose.value, shown.value?.today]);
-  const [width, height] = size.value.split("x").map(Number);
   const caption = fault.value || noLoss.value;
-  return html`<figure class="picture" style=${{ aspectRatio: width / height, maxWidth: `calc((100vh - 22rem) * ${width / height})` }}>
+  return html`<figure class="picture" style=${{ aspectRatio: aspect.value, maxWidth: `calc((100vh - 22rem) * ${aspect.value})` }}>
     <canvas ref=${below} role="img" aria-label="The recorded picture" />
     <canvas ref=${above} class="marks ${outlined.value ? "" : "off"}" aria-hidden="true" />
     ${caption ? html`<figcaption role="status">${caption}</figcaption>` : null}
   </figure>`;
 }
 
-/** A row with the record whose outlines are drawn. @param {import("./clip.js").Shown} of */
-function chosen(of) {
-  return { ...of, record: whose.peek() === "today" ? of.today : of.record };
+/** The record whose outlines are drawn. @param {import("./clip.js").Shown} of */
+function chosen({ record, today }) {
+  return whose.peek() === "today" ? today : record;
 }
 
-/** The last known size of the pictures. */
-const size = computed(() => {
+/** Width over height of the pictures; that of the last one, where a row has none. */
+const aspect = computed(() => {
   const now = shown.value?.size;
-  if (now) lastSize = now.join("x");
-  return lastSize;
+  if (now) lastAspect = now[0] / now[1];
+  return lastAspect;
 });
-let lastSize = "16x9";
+let lastAspect = 16 / 9;
 
 const time = computed(() => (clip.value === null ? "–" : `${clock(secondsOf(clip.value, row.value))} of ${clock(secondsOf(clip.value, Math.max(0, clip.value.frames - 1)))}`));
 const place = computed(() => (clip.value === null ? "–" : `${row.value + 1} of ${clip.value.frames}`));
@@ -143,7 +142,7 @@ function Player() {
       <button type="button" onClick=${() => go(row.value - 1)}>−1 row</button>
       <button type="button" onClick=${() => go(row.value + 1)}>+1 row</button>
       <label class="field speed"><span>Speed</span>
-        <select value=${`${speed.value}`} onChange=${(/** @type {any} */ event) => (speed.value = Number(event.target.value))}>
+        <select value=${`${speed.value}`} onChange=${(/** @type {Event} */ event) => (speed.value = Number(typed(event)))}>
           ${SPEEDS.map((one) => html`<option key=${one} value=${`${one}`} selected=${one === speed.value}>${one} ×</option>`)}
         </select>
       </label>
@@ -178,7 +177,7 @@ function Recorder() {
     </div>
     ${now !== null && !now.ring_s ? html`<p class="note">The last seconds are not kept: [recorder] ring_s in the config says how many shall be.</p>` : null}
     <form class="row" onSubmit=${addMark}>
-      <label class="field wide"><span>Mark this moment</span><input maxlength=${LONGEST_MARK} value=${mark.value} placeholder="cue 12" onInput=${(/** @type {any} */ event) => (mark.value = event.target.value)} /></label>
+      <label class="field wide"><span>Mark this moment</span><input maxlength=${LONGEST_MARK} value=${mark.value} placeholder="cue 12" onInput=${(/** @type {Event} */ event) => (mark.value = typed(event))} /></label>
       <${Change} act=${addMark}>Mark<//>
     </form>
     <p role="status" class="note">${said.value}</p>
@@ -224,12 +223,11 @@ function Bundle() {
 function Events() {
   const of = clip.value;
   if (of === null || of.events.length === 0) return null;
-  const words = (/** @type {import("./clip.js").Happening} */ { event, text, says }) => sentence(says ?? [event.replaceAll("_", " "), text].filter(Boolean).join(": "));
   return html`<section class="happened" aria-labelledby="inside">
     <h2 id="inside">What happened in it</h2>
     <ol>
       ${of.events.map(
-        (one, k) => html`<li key=${k} class=${one.level ?? "info"}><button type="button" class="plain" onClick=${() => go(one.row)}><time>${clock(secondsOf(of, one.row))}</time> ${words(one)}</button></li>`,
+        (one, k) => html`<li key=${k} class=${one.level}><button type="button" class="plain" onClick=${() => go(one.row)}><time>${clock(secondsOf(of, one.row))}</time> ${sentence(one.says)}</button></li>`,
       )}
     </ol>
   </section>`;
@@ -255,7 +253,7 @@ export function Recordings() {
     const stop = effect(() => {
       // Where a recording begins or ends, and where the daemon comes back.
       void [happened.value[0], contact.value];
-      look();
+      void look();
     });
     return () => {
       clearInterval(timer);

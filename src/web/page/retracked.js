@@ -2,11 +2,13 @@
 import { computed, effect, signal } from "./vendor/signals.js";
 import { useEffect } from "./vendor/hooks.js";
 import { Change } from "./access.js";
-import { ask, post, reason, send, sentence } from "./ask.js";
+import { content, lines, post, reason, send, sentence } from "./ask.js";
 import { clip, fault, go, learnRetracked, playing, retracked, row, whose } from "./clip.js";
 import { job } from "./events.js";
 import { Drawing } from "./timeline.js";
 import { amount, html } from "./ui.js";
+
+/** @import { State } from "./types.js" */
 
 /** Rows whose differences are fetched at once. */
 const ROWS = 2000;
@@ -22,7 +24,8 @@ async function begin() {
   if (clip.value === null) return;
   said.value = "";
   try {
-    wanted.value = (await (await post(`recordings/${clip.value.id}/retrack`)).json()).job;
+    const begun = /** @type {{job: number}} */ (await content(await post(`recordings/${clip.value.id}/retrack`)));
+    wanted.value = begun.job;
     said.value = "It is being tracked again; what was recorded stays.";
   } catch (why) {
     said.value = reason(why);
@@ -42,17 +45,19 @@ export function swap() {
   if (retracked.value !== null) whose.value = whose.value === "recorded" ? "today" : "recorded";
 }
 
+/** @typedef {{row: number, recorded: State, retracked: State, position_mm: number | null}} Difference a row, as both have it */
+
 /** Goes to the next row whose state differs, or whose poses are further apart than in 95 of 100 rows. */
 export async function goToDifference() {
   const [of, found] = [clip.value, retracked.value];
   if (of === null || !found?.compared) return;
   playing.value = false;
   const far = Math.max(found.compared.position_mm?.p95 ?? Infinity, 0);
-  const differs = (/** @type {any} */ one) => one.recorded !== one.retracked || (one.position_mm !== null && one.position_mm > far);
+  const differs = (/** @type {Difference} */ one) => one.recorded !== one.retracked || (one.position_mm !== null && one.position_mm > far);
   try {
     for (let from = row.value + 1; from < of.frames; from += ROWS) {
-      const text = await (await ask(`recordings/${of.id}/retracked/differences?from=${from}&count=${ROWS}`)).text();
-      const next = text.split("\n").filter((line) => line !== "").map((line) => JSON.parse(line)).find(differs);
+      const rows = /** @type {Difference[]} */ (await lines(`recordings/${of.id}/retracked/differences?from=${from}&count=${ROWS}`));
+      const next = rows.find(differs);
       if (clip.value?.id !== of.id) return;
       if (next) return go(next.row);
     }
@@ -101,7 +106,7 @@ export function Retracking() {
         if (last.state === "running" || last.job !== wanted.peek()) return;
         wanted.value = null;
         said.value = last.state === "done" ? "" : sentence(`it was not tracked again: ${last.text}`);
-        if (last.state === "done") learnRetracked();
+        if (last.state === "done") void learnRetracked();
       }),
     [],
   );

@@ -5,8 +5,9 @@ import { painters, scene } from "./daemon.js";
 import { direction, turn, within } from "./lens.js";
 import { drawAgain, extraMarks, hidden, parted } from "./picture.js";
 
+/** @import { Camera, Head, Pose, Scene, Surface } from "./types.js" */
 /** @typedef {{width: number, height: number, grey: Uint8ClampedArray}} Grey
- * @typedef {{levels: Grey[], surface: any}} Artwork the picture on a flat surface, each level half as large as the one before
+ * @typedef {{levels: Grey[], surface: Surface}} Artwork the picture on a flat surface, each level half as large as the one before
  * @typedef {{across: number, down: number, tiles: Int8Array}} Tiles UNKNOWN, SEEN or HIDDEN, row by row */
 
 /** Tiles across the picture, and samples along a side of one: details of 1/160 of a picture are compared. Raised, slower, and a small error of the pose counts. */
@@ -36,7 +37,8 @@ export const tiles = signal(/** @type {Tiles | null} */ (null));
 let artworks = null;
 /** Directions of the samples, x and y at z = 1, row by row. @type {Float32Array | null} */
 let rays = null;
-let of = /** @type {any} */ (null);
+/** The session that they are of. @type {Scene | null} */
+let learnt = null;
 let lookedAt = 0;
 /** @type {OffscreenCanvas | null} */
 let small = null;
@@ -53,11 +55,11 @@ function greyOf(picture, width, height) {
   return { width, height, grey };
 }
 
-/** What hangs on the flat surfaces. @param {any} stage */
-async function fetchArtworks(stage) {
-  const flat = stage.surfaces.map((/** @type {any} */ surface, /** @type {number} */ k) => ({ surface, k })).filter((/** @type {any} */ { surface }) => !surface.mesh_m);
+/** What hangs on the flat surfaces. @param {Scene} of */
+async function fetchArtworks({ stage }) {
+  const flat = stage.surfaces.map((surface, k) => ({ surface, k })).filter(({ surface }) => !surface.mesh_m);
   return Promise.all(
-    flat.map(async (/** @type {{surface: any, k: number}} */ { surface, k }) => {
+    flat.map(async ({ surface, k }) => {
       const answer = await fetch(`./api/v1/surfaces/${k}/picture`, { cache: "no-store" });
       if (!answer.ok) throw new Error(`${answer.status}`);
       const picture = await createImageBitmap(await answer.blob());
@@ -71,21 +73,21 @@ async function fetchArtworks(stage) {
   );
 }
 
-/** Learns a session's stage. @param {any} known */
+/** Learns a session's stage. @param {Scene | null} known */
 async function learn(known) {
-  of = known;
+  learnt = known;
   artworks = rays = tiles.value = null;
   if (known === null) return;
   try {
-    const found = await fetchArtworks(known.stage);
-    if (of === known) artworks = found;
+    const found = await fetchArtworks(known);
+    if (learnt === known) artworks = found;
   } catch {
     // The daemon may still be reading them: the next look asks again.
-    if (of === known) of = null;
+    if (learnt === known) learnt = null;
   }
 }
 
-/** @param {any} camera */
+/** @param {Camera} camera */
 function raysOf(camera) {
   const [columns, rows] = [ACROSS * SIDE, Math.round((ACROSS * SIDE * camera.height) / camera.width)];
   const all = new Float32Array(2 * columns * rows);
@@ -98,7 +100,7 @@ function raysOf(camera) {
   return all;
 }
 
-/** How a camera sees a surface: where it stands in the surface's frame, and its axes there. @param {any} pose @param {any} surface */
+/** How a camera sees a surface: where it stands in the surface's frame, and its axes there. @param {Pose} pose @param {Surface} surface */
 function seenFrom(pose, surface) {
   const place = within(surface.pose, pose.position_m);
   const [x, y, z, w] = surface.pose.orientation_xyzw;
@@ -106,7 +108,7 @@ function seenFrom(pose, surface) {
   return { place, axes };
 }
 
-/** Where on which artwork each sample is: its number (-1 for none), and its place across and down, 0 to 1. @param {any} pose */
+/** Where on which artwork each sample is: its number (-1 for none), and its place across and down, 0 to 1. @param {Pose} pose */
 function lookUp(pose) {
   const views = /** @type {Artwork[]} */ (artworks).map(({ surface }) => ({ ...seenFrom(pose, surface), size: surface.size_m }));
   const directions = /** @type {Float32Array} */ (rays);
@@ -138,10 +140,10 @@ function at({ width, height, grey }, u, v) {
   return (1 - b) * ((1 - a) * grey[k] + a * grey[k + 1]) + b * ((1 - a) * grey[k + down] + a * grey[k + down + 1]);
 }
 
-/** Looks at a picture. @param {ImageBitmap} picture @param {any} pose @returns {Tiles} */
-function look(picture, pose) {
+/** Looks at a picture. @param {ImageBitmap} picture @param {Camera} by its lens @param {Pose} pose @returns {Tiles} */
+function look(picture, by, pose) {
   const columns = ACROSS * SIDE;
-  rays ??= raysOf(of.camera);
+  rays ??= raysOf(by);
   const rows = rays.length / 2 / columns;
   const camera = greyOf(picture, columns, rows);
   const { which, u, v } = lookUp(pose);
@@ -197,7 +199,7 @@ const now = computed(() => hiddenParts(tiles.value));
 /** What the look before found: two must agree, for somebody who walks by is not worth a sentence. */
 let before = "";
 
-/** @param {ImageBitmap} picture @param {import("./daemon.js").Head} said */
+/** @param {ImageBitmap} picture @param {Head} said */
 function paint(picture, said) {
   const { record } = said;
   if (record.state !== "tracking" || !record.pose) {
@@ -208,9 +210,9 @@ function paint(picture, said) {
   const time = performance.now();
   if (time - lookedAt < LOOKS_EVERY) return;
   lookedAt = time;
-  if (of !== scene.value) learn(scene.value);
+  if (learnt !== scene.value) void learn(scene.value);
   if (!artworks?.length || !scene.value) return;
-  tiles.value = look(picture, record.pose);
+  tiles.value = look(picture, scene.value.camera, record.pose);
   if (now.value === before) hidden.value = before;
   before = now.value;
 }

@@ -9,7 +9,7 @@ import { ACTIONS, action, handlesOn } from "./gizmo.js";
 import { isTorn, keepMine, keepSet, saved, takeTheirs } from "./keeping.js";
 import { load, models } from "./models.js";
 import { add, alter, change, chosen, remove, set, undo } from "./things.js";
-import { amount, html } from "./ui.js";
+import { amount, html, typed } from "./ui.js";
 
 /** What each mode shows. */
 const SHOWS = {
@@ -26,10 +26,10 @@ const AXES = { floor: ["Right", "Upstage", "Up"], surface: ["Right", "Up", "Out"
 const refused = signal(/** @type {string | null} */ (null));
 
 function Picture() {
-  const canvas = useRef(null);
-  const figure = useRef(null);
+  const canvas = useRef(/** @type {HTMLCanvasElement | null} */ (null));
+  const figure = useRef(/** @type {HTMLElement | null} */ (null));
   useEffect(() => {
-    const own = /** @type {HTMLCanvasElement} */ (/** @type {unknown} */ (canvas.current));
+    const own = /** @type {HTMLCanvasElement} */ (canvas.current);
     const end = composeOn(own);
     const endHandles = handlesOn(own);
     const endKeeping = keepSet();
@@ -62,7 +62,7 @@ function Picture() {
     </figure>
     <div class="row">
       <${Modes} />
-      <button type="button" onClick=${() => /** @type {any} */ (figure.current)?.requestFullscreen?.()}>Full screen, clean</button>
+      <button type="button" onClick=${() => figure.current?.requestFullscreen?.()}>Full screen, clean</button>
     </div>
   </div>`;
 }
@@ -80,7 +80,7 @@ function Modes() {
     </fieldset>
     ${has
       ? html`<label class="slider"><span>${mode.value === "mix" ? "Strength" : "Line"}</span>
-          <input type="range" min="0" max="1" step="0.01" value=${share.value} onInput=${(/** @type {any} */ event) => (share.value = Number(event.target.value))} />
+          <input type="range" min="0" max="1" step="0.01" value=${share.value} onInput=${(/** @type {Event} */ event) => (share.value = Number(typed(event)))} />
         </label>`
       : null}`;
 }
@@ -108,17 +108,17 @@ function Chosen({ thing }) {
   const { id, on } = thing;
   const surfaces = scene.value?.stage.surfaces ?? [];
   const names = AXES[on === "floor" ? "floor" : "surface"];
-  const three = (/** @type {"position_m" | "rotation_deg" | "size_m"} */ key, /** @type {string[]} */ labels, /** @type {any} */ rest) =>
+  const three = (/** @type {"position_m" | "rotation_deg" | "size_m"} */ key, /** @type {string[]} */ labels, /** @type {{unit: string, step?: number, least?: number}} */ rest) =>
     labels.map((label, k) => {
       const onValue = (/** @type {number} */ value) => alter(id, { [key]: thing[key].map((old, axis) => (axis === k ? value : old)) });
       return html`<${NumberField} key=${`${id} ${key} ${k}`} label=${label} value=${thing[key][k]} ...${rest} onValue=${onValue} />`;
     });
   return html`<section class="chosen" aria-label=${thing.name}>
-    <label class="field wide"><span>Name</span><input type="text" value=${thing.name} maxlength="60" onInput=${(/** @type {any} */ event) => alter(id, { name: event.target.value })} /></label>
+    <label class="field wide"><span>Name</span><input type="text" value=${thing.name} maxlength="60" onInput=${(/** @type {Event} */ event) => alter(id, { name: typed(event) })} /></label>
     <label class="field wide"><span>Stands on</span>
-      <select value=${on} onChange=${(/** @type {any} */ event) => alter(id, { on: event.target.value })}>
+      <select value=${on} onChange=${(/** @type {Event} */ event) => alter(id, { on: typed(event) })}>
         <option value="floor" selected=${on === "floor"}>the floor</option>
-        ${surfaces.map((/** @type {any} */ { name }, /** @type {number} */ k) => html`<option key=${k} value=${`${k}`} selected=${on === `${k}`}>${name}</option>`)}
+        ${surfaces.map(({ name }, k) => html`<option key=${k} value=${`${k}`} selected=${on === `${k}`}>${name}</option>`)}
       </select>
     </label>
     <div class="fields">${three("position_m", names, { unit: "m" })}</div>
@@ -136,7 +136,7 @@ function Chosen({ thing }) {
       </fieldset>
     </div>
     <div class="row">
-      <label class="field"><span>Colour</span><input type="color" value=${thing.colour} onInput=${(/** @type {any} */ event) => alter(id, { colour: event.target.value })} /></label>
+      <label class="field"><span>Colour</span><input type="color" value=${thing.colour} onInput=${(/** @type {Event} */ event) => alter(id, { colour: typed(event) })} /></label>
       <button type="button" aria-pressed=${thing.shown ? "true" : "false"} onClick=${() => alter(id, { shown: !thing.shown })}>Shown</button>
       <button type="button" onClick=${() => remove(id)}>Remove</button>
     </div>
@@ -155,7 +155,7 @@ async function chosenFile({ target }) {
     if (!set.value.objects.some((thing) => thing.file === name)) add("model", { file: name, name: name.replace(/\.glb$/i, "") });
     if (unkept !== null) refused.value = `${file.name} is here, but stagepose does not keep it: ${unkept}`;
   } catch (why) {
-    refused.value = why instanceof Error ? why.message : `${why}`;
+    refused.value = why instanceof Error ? why.message : String(why);
   }
   input.value = "";
 }

@@ -22,6 +22,7 @@ const DRAG = 0.008;
 /** Of the smaller side of the canvas, what half the stage takes up. */
 const FILLS = 0.46;
 
+/** @import { Pose, PoseRecord, State } from "./types.js" */
 /** @typedef {{least: number[], most: number[]}} Bounds */
 /** @typedef {(point: number[]) => number[]} Projection to pixels of the canvas */
 
@@ -75,15 +76,15 @@ function drawFloor(context, to, { least, most }) {
   for (let y = front; y <= back; y += 1) line([left, y], [right, y]);
 }
 
-/** The surfaces of all bodies that have a place, the farthest first. @param {any} record */
+/** The surfaces of all bodies that have a place, the farthest first. @param {PoseRecord} record */
 function surfaces(record) {
-  /** @type {{points: number[][], state: string}[]} */
+  /** @type {{points: number[][], state: State}[]} */
   const all = [];
   for (const { outline_m } of scene.value?.stage.surfaces ?? []) all.push({ points: outline_m, state: record.state });
   scene.value?.objects.forEach((object, k) => {
     const { pose, state } = record.objects[k] ?? {};
     if (!pose) return;
-    for (const { outline_m } of object.surfaces) all.push({ points: outline_m.map((/** @type {number[]} */ point) => place(pose, point)), state });
+    for (const { outline_m } of object.surfaces) all.push({ points: outline_m.map((point) => place(pose, point)), state });
   });
   const { away } = axes(view.value);
   const depth = (/** @type {number[][]} */ points) => points.reduce((sum, point) => sum + dot(away, point), 0) / points.length;
@@ -98,7 +99,7 @@ const corners = computed(() => {
   return [[-0.5, -0.5], [w, -0.5], [w, h], [-0.5, h]].map((corner) => direction(camera, corner));
 });
 
-/** The camera's pyramid. @param {CanvasRenderingContext2D} context @param {Projection} to @param {any} pose @param {Bounds} bounds */
+/** The camera's pyramid. @param {CanvasRenderingContext2D} context @param {Projection} to @param {Pose} pose @param {Bounds} bounds */
 function drawCamera(context, to, pose, { least, most }) {
   const middle = least.map((value, k) => (value + most[k]) / 2);
   const reach = REACH * Math.hypot(...middle.map((value, k) => value - pose.position_m[k]));
@@ -111,12 +112,12 @@ function drawCamera(context, to, pose, { least, most }) {
   context.fill(mark);
 }
 
-/** How sure the camera's place is. @param {CanvasRenderingContext2D} context @param {Projection} to @param {any} record */
+/** How sure the camera's place is. @param {CanvasRenderingContext2D} context @param {Projection} to @param {PoseRecord} record */
 function drawDoubt(context, to, { pose, covariance }) {
-  if (!covariance) return;
+  if (!pose || !covariance) return;
   const { long, short, turned } = ellipse([0, 6, 12].map((row) => covariance.slice(row, row + 3)), axes(view.value));
   const [x, y] = to(pose.position_m);
-  const scale = to(pose.position_m.map((/** @type {number} */ value, /** @type {number} */ k) => value + axes(view.value).right[k]))[0] - x;
+  const scale = to(pose.position_m.map((value, k) => value + axes(view.value).right[k]))[0] - x;
   const by = SIGMAS * ENLARGED * scale;
   const line = new Path2D();
   // The canvas has y down.
@@ -130,13 +131,13 @@ function drawTrail(context, to, of) {
   const trail = new Path2D();
   let isOpen = true;
   for (const moment of minute) {
-    const place = of(moment);
-    if (place) {
-      const [x, y] = to(place);
+    const point = of(moment);
+    if (point) {
+      const [x, y] = to(point);
       if (isOpen) trail.moveTo(x, y);
       else trail.lineTo(x, y);
     }
-    isOpen = !place;
+    isOpen = !point;
   }
   context.stroke(trail);
 }
@@ -165,8 +166,8 @@ function draw() {
     context.stroke(shape);
   }
   context.strokeStyle = colour("pale");
-  drawTrail(context, to, ({ place }) => place);
-  scene.value.objects.forEach((/** @type {any} */ _, /** @type {number} */ k) => drawTrail(context, to, ({ objects }) => objects[k]));
+  drawTrail(context, to, (moment) => moment.place);
+  scene.value.objects.forEach((_, k) => drawTrail(context, to, ({ objects }) => objects[k]));
   if (!pose) return;
   context.fillStyle = context.strokeStyle = colour("text");
   drawCamera(context, to, pose, room);
@@ -200,7 +201,7 @@ function dragged(event) {
 export function Stage() {
   const drawn = useRef(/** @type {HTMLCanvasElement | null} */ (null));
   useEffect(() => {
-    const own = /** @type {HTMLCanvasElement} */ (/** @type {unknown} */ (drawn.current));
+    const own = /** @type {HTMLCanvasElement} */ (drawn.current);
     canvas = own;
     const sized = new ResizeObserver(draw);
     sized.observe(own);

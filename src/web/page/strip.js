@@ -17,9 +17,9 @@ const SPEAKS = 1000;
 /** The strip's own words: the share of each state, and the worst fit. */
 const words = computed(() => {
   if (added.value === 0 || minute.length === 0) return "Nothing has been shown yet.";
-  const states = Object.keys(WORDS).map((state) => ({ state, count: minute.filter((moment) => moment.state === state).length }));
-  const shares = states.filter(({ count }) => count > 0).map(({ state, count }) => {
-    return `${WORDS[/** @type {keyof typeof WORDS} */ (state)].toLowerCase()} ${Math.round((100 * count) / minute.length)}\u00a0%`;
+  const states = Object.entries(WORDS).map(([state, word]) => ({ word, count: minute.filter((moment) => moment.state === state).length }));
+  const shares = states.filter(({ count }) => count > 0).map(({ word, count }) => {
+    return `${word.toLowerCase()} ${Math.round((100 * count) / minute.length)}\u00a0%`;
   });
   return `Of ${minute.length} frames shown: ${shares.join(", ")}; fits to ${amount(worst(), 2, "px")} at worst.`;
 });
@@ -60,9 +60,9 @@ function draw(canvas) {
 
 /** The strip with its words. */
 export function Strip() {
-  const drawn = useRef(null);
+  const drawn = useRef(/** @type {HTMLCanvasElement | null} */ (null));
   useEffect(() => {
-    const canvas = /** @type {HTMLCanvasElement} */ (/** @type {unknown} */ (drawn.current));
+    const canvas = /** @type {HTMLCanvasElement} */ (drawn.current);
     const again = () => draw(canvas);
     const sized = new ResizeObserver(again);
     sized.observe(canvas);

@@ -1,5 +1,6 @@
 // What is on the set. It is kept in this browser with every change, so that nothing typed is lost, and by the daemon (keeping.js).
 import { effect, signal } from "./vendor/signals.js";
+import { parsed } from "./ask.js";
 
 /**
  * @typedef {"cone" | "cube" | "grid" | "model"} Kind
@@ -24,7 +25,7 @@ const FIRST = {
 function kept() {
   try {
     const text = localStorage.getItem(KEPT_AS);
-    const found = text === null ? null : JSON.parse(text);
+    const found = text === null ? null : parsed(text);
     const set = asSet(found);
     if (set !== null) return set;
   } catch {
@@ -33,16 +34,23 @@ function kept() {
   return { objects: [], floor_m: null };
 }
 
-/** A set as this page knows sets; null where it is none. @param {any} found @returns {Kept | null} */
+/** A set as this page knows sets; null where it is none. @param {unknown} found @returns {Kept | null} */
 export function asSet(found) {
-  if (!Array.isArray(found?.objects) || !found.objects.every(isThing)) return null;
-  return { objects: found.objects, floor_m: Number.isFinite(found.floor_m) ? found.floor_m : null };
+  const { objects, floor_m } = fields(found);
+  if (!Array.isArray(objects) || !objects.every(isThing)) return null;
+  return { objects, floor_m: typeof floor_m === "number" && Number.isFinite(floor_m) ? floor_m : null };
 }
 
-/** @param {any} one */
+/** What an object has; nothing where it is none. @param {unknown} one @returns {Record<string, unknown>} */
+function fields(one) {
+  return one instanceof Object ? { ...one } : {};
+}
+
+/** @param {unknown} one @returns {one is Thing} */
 function isThing(one) {
-  const threes = [one?.position_m, one?.rotation_deg, one?.size_m];
-  return typeof one?.id === "string" && Object.hasOwn(FIRST, one.kind) && threes.every((three) => Array.isArray(three) && three.length === 3 && three.every(Number.isFinite));
+  const { id, kind, position_m, rotation_deg, size_m } = fields(one);
+  const threes = [position_m, rotation_deg, size_m];
+  return typeof id === "string" && typeof kind === "string" && Object.hasOwn(FIRST, kind) && threes.every((three) => Array.isArray(three) && three.length === 3 && three.every(Number.isFinite));
 }
 
 /** The set as it is now. */

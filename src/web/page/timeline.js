@@ -96,7 +96,7 @@ function pressed(event) {
 /** The state of the shown row as a word. */
 const word = computed(() => {
   const state = shown.value?.record?.state;
-  return state === undefined ? "" : (WORDS[/** @type {keyof typeof WORDS} */ (state)] ?? state);
+  return state === undefined ? "" : WORDS[state];
 });
 const told = computed(() => (clip.value === null ? "" : `${clock(secondsOf(clip.value, row.value))}, ${word.value}`));
 

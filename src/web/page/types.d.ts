@@ -131,7 +131,7 @@ export type Part = {
 export type Output = {
   dropped: number;
   failed: number;
-  last: any;
+  last: unknown;
   last_hex: string;
   latency_us: number;
   name: string;

@@ -33,6 +33,11 @@ export function StateMark({ state }) {
   </span>`;
 }
 
+/** What a field holds after an event of it. @param {Event} event */
+export function typed({ target }) {
+  return /** @type {HTMLInputElement | HTMLSelectElement} */ (target).value;
+}
+
 /** A number with its unit, or a dash. @param {number | null | undefined} value @param {number} digits @param {string} unit */
 export function amount(value, digits, unit) {
   return value === null || value === undefined ? "–" : `${value.toFixed(digits).replace("-", "\u2212")}\u00a0${unit}`;

@@ -43,6 +43,7 @@ export async function textOf(file, { packed, method, at }) {
 export function differing(before, after) {
   const [old, next] = [before, after].map((text) => text.split("\n").map((line) => line.trimEnd()));
   const without = (/** @type {string[]} */ lines, /** @type {string[]} */ others) => {
+    /** @type {Map<string, number>} */
     const left = new Map();
     for (const line of others) left.set(line, (left.get(line) ?? 0) + 1);
     return lines.filter((line) => {

@@ -8,8 +8,13 @@ import { bending, pinhole, projection } from "./lens.js";
 import { VirtualSet } from "./set.js";
 import { meshOf } from "./surfaces.js";
 
+/** @import { Object3D } from "../vendor/three.js"
+ * @import { Pair } from "./align.js"
+ * @import { Motion, Pose, PoseRecord, Scene as Known } from "../types.js" */
+
 /** How the set and the picture are shown. */
 export const MODES = /** @type {const} */ (["image", "set", "mix", "wipe", "alone"]);
+/** @typedef {(typeof MODES)[number]} Mode */
 /** Samples a pixel on the set's edges. */
 const SAMPLES = 4;
 /** Samples of the artwork along the direction in which it is seen shortened. */
@@ -79,7 +84,7 @@ void main() { grey = vec4(texture(artwork, at).rrr, gl_FrontFacing ? has : 0.0);
 
 /** @param {ImageBitmap | null} image */
 function textureOf(image) {
-  const texture = new Texture(/** @type {any} */ (image));
+  const texture = new Texture(image);
   texture.colorSpace = NoColorSpace;
   texture.generateMipmaps = false;
   texture.minFilter = texture.magFilter = LinearFilter;
@@ -104,11 +109,11 @@ export class Compositor {
     this.renderer.setClearColor(0x000000, 0);
     this.set = new VirtualSet();
     this.picture = textureOf(null);
-    /** The gizmo, which a clean picture does not have. @type {{root: import("../vendor/three.js").Object3D, isHeld: () => boolean}[]} */
+    /** The gizmo, which a clean picture does not have. @type {{root: Object3D, isHeld: () => boolean}[]} */
     this.handles = [];
     /** Artwork by surface, as the measurement draws it. */
     this.artworks = new Scene();
-    /** @type {any} */
+    /** @type {Known | null} */
     this.known = null;
     this.uniforms = { picture: { value: this.picture }, drawn: { value: /** @type {Texture | null} */ (null) }, strength: { value: 1 }, edge: { value: 0 }, backdrop: { value: 1 }, ...rows() };
     const over = { vertexShader: VERTEX, uniforms: this.uniforms, depthTest: false, depthWrite: false, blending: NoBlending, side: DoubleSide };
@@ -121,7 +126,7 @@ export class Compositor {
     this.compares = new Scene().add(this.compared);
   }
 
-  /** The camera and the stage of a session. @param {any} known as /api/v1/scene has them @param {number} floor metres */
+  /** The camera and the stage of a session. @param {Known} known as /api/v1/scene has them @param {number} floor metres */
   setScene(known, floor) {
     const { camera } = known;
     this.known = known;
@@ -147,7 +152,7 @@ export class Compositor {
   /** The artwork of the stage's surfaces, in their order; null where there is none. @param {(ImageBitmap | null)[]} pictures */
   setArtworks(pictures) {
     this.artworks.clear();
-    this.known.stage.surfaces.forEach((/** @type {any} */ surface, /** @type {number} */ k) => {
+    this.known?.stage.surfaces.forEach((surface, k) => {
       const artwork = textureOf(pictures[k] ?? null);
       artwork.generateMipmaps = true;
       artwork.minFilter = LinearMipmapLinearFilter;
@@ -161,21 +166,21 @@ export class Compositor {
 
   /** From now on this is the camera's picture. @param {ImageBitmap} image */
   setPicture(image) {
-    const before = /** @type {any} */ (this.picture.image);
+    const before = this.picture.image;
     if (before && (before.width !== image.width || before.height !== image.height)) this.picture.dispose();
-    this.picture.image = /** @type {any} */ (image);
+    this.picture.image = image;
     this.picture.needsUpdate = true;
     this.renderer.initTexture(this.picture);
   }
 
-  /** The camera's motion while the rows of this frame are read; null where it is not known. @param {any} pose
-   * @param {{velocity: number[], turn_rate: number[]} | null} motion */
-  setMotion(pose, motion) {
+  /** The camera's motion while the rows of this frame are read; null where it is not known. @param {Known} known
+   * @param {Pose} pose @param {Motion | null} motion */
+  setMotion({ readout_s, stage }, pose, motion) {
     const { turned, moved, plane } = this.uniforms;
-    const readout = motion === null ? 0 : (this.known.readout_s ?? 0);
+    const readout = motion === null ? 0 : readout_s;
     turned.value.fromArray(motion?.turn_rate ?? [0, 0, 0]).multiplyScalar(readout);
     moved.value.fromArray(motion?.velocity ?? [0, 0, 0]).multiplyScalar(readout);
-    const [surface] = this.known.stage.surfaces;
+    const [surface] = stage.surfaces;
     const normal = within({ position_m: [0, 0, 0], orientation_xyzw: pose.orientation_xyzw }, turn(surface.pose.orientation_xyzw, [0, 0, 1]));
     const middle = within(pose, surface.pose.position_m);
     const distance = normal.reduce((sum, value, axis) => sum + value * middle[axis], 0);
@@ -184,30 +189,30 @@ export class Compositor {
   }
 
   /** Draws the last picture with the set as the record's pose sees it; without a pose the picture alone.
-   * @param {any} record @param {any} motion @param {{mode: (typeof MODES)[number], share: number, clean: boolean}} how */
+   * @param {PoseRecord | null} record @param {Motion | null} motion @param {{mode: Mode, share: number, clean: boolean}} how */
   draw(record, motion, { mode, share, clean }) {
-    if (!this.target) return;
-    const hasSet = mode !== "image" && Boolean(record?.pose);
-    this.uniforms.strength.value = hasSet ? (mode === "mix" ? share : 1) : 0;
+    if (!this.target || !this.known) return;
+    const pose = mode === "image" ? null : record?.pose;
+    this.uniforms.strength.value = pose ? (mode === "mix" ? share : 1) : 0;
     this.uniforms.edge.value = mode === "wipe" ? share : 0;
     this.uniforms.backdrop.value = mode === "alone" ? 0 : 1;
     this.renderer.setRenderTarget(this.target);
-    if (hasSet) {
+    if (record && pose) {
       for (const { root, isHeld } of this.handles) root.visible = isHeld() && !clean;
-      this.set.setPoses(record);
-      this.setMotion(record.pose, motion);
+      this.set.setPoses(pose, record.objects);
+      this.setMotion(this.known, pose, motion);
       this.renderer.render(this.set.scene, this.set.camera);
     }
     this.renderer.setRenderTarget(null);
     this.renderer.render(this.shows, this.set.camera);
   }
 
-  /** The last picture and the artwork as the pose sees it, to be compared. @param {any} record @param {any} motion @returns {import("./align.js").Pair | null} */
+  /** The last picture and the artwork as the pose sees it, to be compared. @param {PoseRecord} record @param {Motion | null} motion @returns {Pair | null} */
   pair(record, motion) {
-    if (!this.target || !this.measured || !record?.pose) return null;
+    if (!this.target || !this.measured || !this.known || !record.pose) return null;
     const { width, height } = this.measured;
-    this.set.setPoses(record);
-    this.setMotion(record.pose, motion);
+    this.set.setPoses(record.pose, record.objects);
+    this.setMotion(this.known, record.pose, motion);
     this.renderer.setRenderTarget(this.target);
     this.renderer.render(this.artworks, this.set.camera);
     this.renderer.setRenderTarget(this.measured);

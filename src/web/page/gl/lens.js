@@ -2,6 +2,8 @@
 import { direction, pixel } from "../lens.js";
 import { BufferAttribute, BufferGeometry, Matrix4 } from "../vendor/three.js";
 
+/** @import { Camera } from "../types.js" */
+
 /** Cells across and down in which the bending is linear. Its error within a cell is the lens' curvature there: below 0.005 px for the lenses of
  * stage cameras. Raised, more corners a frame. */
 const ACROSS = 128;
@@ -20,7 +22,7 @@ const FAR = 200;
 /** @typedef {{width: number, height: number, fx: number, fy: number, cx: number, cy: number}} Pinhole the overscanned picture's own camera */
 
 /** The exact direction (x, y at z = 1) of a raw pixel; null where the lens shows none: beyond its fold, or where it cannot be undone.
- * @param {any} camera @param {number[]} raw @returns {number[] | null} */
+ * @param {Camera} camera @param {number[]} raw @returns {number[] | null} */
 export function undistorted(camera, raw) {
   let [x, y] = direction(camera, raw);
   const free = { ...camera, valid_radius: null };
@@ -37,7 +39,7 @@ export function undistorted(camera, raw) {
   return back !== null && Math.hypot(back[0] - raw[0], back[1] - raw[1]) < EXACT ? [x, y] : null;
 }
 
-/** The overscanned pinhole: as fine as the camera, as wide as what its border shows. @param {any} camera @returns {Pinhole} */
+/** The overscanned pinhole: as fine as the camera, as wide as what its border shows. @param {Camera} camera @returns {Pinhole} */
 export function pinhole(camera) {
   const shown = corners(camera).flat().filter((corner) => corner.towards !== null).map(({ towards }) => /** @type {number[]} */ (towards));
   const bounds = [0, 1].map((axis) => {
@@ -52,10 +54,10 @@ export function pinhole(camera) {
   return { width: Math.ceil(sides[0] * scale), height: Math.ceil(sides[1] * scale), fx, fy, cx: scale * more - 0.5 - fx * left, cy: scale * above - 0.5 - fy * top };
 }
 
-/** The grid over the raw picture, edges included. @param {any} camera */
+/** The grid over the raw picture, edges included. @param {Camera} camera */
 function corners(camera) {
-  return Array.from({ length: DOWN + 1 }, (_, j) =>
-    Array.from({ length: ACROSS + 1 }, (_, i) => {
+  return Array.from({ length: DOWN + 1 }, (_row, j) =>
+    Array.from({ length: ACROSS + 1 }, (_cell, i) => {
       const raw = [(i / ACROSS) * camera.width - 0.5, (j / DOWN) * camera.height - 0.5];
       return { raw, towards: undistorted(camera, raw) };
     }),
@@ -63,14 +65,14 @@ function corners(camera) {
 }
 
 /** The mesh that bends: `position` in the picture (-1 to 1, up), `raw` within the camera's picture (0 to 1, down), `towards` the direction that is seen there
- * (x, y at z = 1). A cell that the lens does not show whole is left out. @param {any} camera */
+ * (x, y at z = 1). A cell that the lens does not show whole is left out. @param {Camera} camera */
 export function bending(camera) {
   const grid = corners(camera);
   const [position, raw, towards] = /** @type {number[][]} */ ([[], [], []]);
   for (let j = 0; j < DOWN; j += 1) {
     for (let i = 0; i < ACROSS; i += 1) {
       const cell = [grid[j][i], grid[j + 1][i], grid[j + 1][i + 1], grid[j][i + 1]];
-      if (cell.some(({ towards }) => towards === null)) continue;
+      if (cell.some((corner) => corner.towards === null)) continue;
       for (const corner of [cell[0], cell[1], cell[2], cell[0], cell[2], cell[3]]) {
         const [u, v] = [(corner.raw[0] + 0.5) / camera.width, (corner.raw[1] + 0.5) / camera.height];
         position.push(2 * u - 1, 1 - 2 * v, 0);

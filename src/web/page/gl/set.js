@@ -1,12 +1,14 @@
 // The set as three.js draws it: the things on it, the stage's surfaces, which hide and take shadows, and light. All of it is in the stage's frame,
 // metres, z up.
 import {
-  AmbientLight, BoxGeometry, ConeGeometry, DirectionalLight, DoubleSide, GridHelper, Group, Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial, Object3D,
+  AmbientLight, BoxGeometry, ConeGeometry, DirectionalLight, DoubleSide, GridHelper, Group, Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial,
   PerspectiveCamera, PlaneGeometry, Quaternion, Scene, ShadowMaterial, Vector3,
 } from "../vendor/three.js";
 import { meshOf } from "./surfaces.js";
 
-/** @typedef {import("../things.js").Thing} Thing */
+/** @import { Object3D } from "../vendor/three.js"
+ * @import { Thing } from "../things.js"
+ * @import { Pose, PoseRecord, Scene as Known } from "../types.js" */
 
 /** How dark a shadow is, and metres that the floor and the light's shadows reach. */
 const SHADOW = 0.45;
@@ -19,10 +21,15 @@ const GRID = 0xff9d2e;
 /** Camera axes (x right, y down, z forward) to those of three.js (y up, z back). */
 const FLIP = new Matrix4().makeScale(1, -1, -1);
 
-/** A pose as a matrix. @param {{position_m: number[], orientation_xyzw: number[]}} pose */
+/** A pose as a matrix. @param {Pose} pose */
 export function matrix({ position_m, orientation_xyzw }) {
   const [x, y, z, w] = orientation_xyzw;
-  return new Matrix4().compose(new Vector3(...position_m), new Quaternion(x, y, z, w), new Vector3(1, 1, 1));
+  return new Matrix4().compose(new Vector3().fromArray(position_m), new Quaternion(x, y, z, w), new Vector3(1, 1, 1));
+}
+
+/** The thing that an object is the body of; null where it is of none. @param {Object3D} object */
+export function thingOf({ userData: { thing } }) {
+  return typeof thing === "string" ? thing : null;
 }
 
 /** What stands still on the stage, and what the set adds to it. */
@@ -38,9 +45,9 @@ export class VirtualSet {
     this.objects = [];
     this.things = new Group();
     this.scene.add(this.stage, this.things, new AmbientLight(0xffffff, 1.1), ...this.light());
-    /** @type {Map<string, {made: string, holder: Object3D}>} */
+    /** Things as they were made, by what they were made of. @type {Map<string, {kind: string, colour: string, model: Object3D | undefined, holder: Object3D}>} */
     this.held = new Map();
-    /** @type {any} */
+    /** @type {Known | null} */
     this.known = null;
     this.floor = 0;
   }
@@ -57,7 +64,7 @@ export class VirtualSet {
     return [lamp, lamp.target];
   }
 
-  /** The stage as the daemon describes it, and the height of its floor. @param {any} known @param {number} floor metres */
+  /** The stage as the daemon describes it, and the height of its floor. @param {Known} known @param {number} floor metres */
   setStage(known, floor) {
     this.known = known;
     this.floor = floor;
@@ -67,7 +74,7 @@ export class VirtualSet {
     ground.translate(0, 0, floor);
     this.stage.add(catcher(ground));
     for (const group of this.objects) this.scene.remove(group);
-    this.objects = known.objects.map((/** @type {any} */ object) => {
+    this.objects = known.objects.map((object) => {
       const group = new Group();
       group.matrixAutoUpdate = false;
       for (const surface of object.surfaces) group.add(...hider(meshOf(surface)));
@@ -76,8 +83,8 @@ export class VirtualSet {
     });
   }
 
-  /** The camera and the objects as a record has them. @param {{pose: any, objects?: any[]}} record */
-  setPoses({ pose, objects = [] }) {
+  /** The camera and the objects as a record has them. @param {Pose} pose @param {PoseRecord["objects"]} objects */
+  setPoses(pose, objects) {
     this.camera.matrix.copy(matrix(pose)).multiply(FLIP);
     this.camera.matrixWorldNeedsUpdate = true;
     this.objects.forEach((group, k) => {
@@ -98,11 +105,12 @@ export class VirtualSet {
       }
     }
     for (const thing of things) {
-      const made = JSON.stringify([thing.kind, thing.colour, thing.kind === "model" && models.has(thing.file ?? "")]);
+      const { kind, colour } = thing;
+      const model = kind === "model" ? models.get(thing.file ?? "") : undefined;
       let held = this.held.get(thing.id);
-      if (!held || held.made !== made) {
+      if (held?.kind !== kind || held.colour !== colour || held.model !== model) {
         if (held) this.things.remove(held.holder);
-        held = { made, holder: holderOf(thing, models) };
+        held = { kind, colour, model, holder: holderOf(thing, model) };
         this.held.set(thing.id, held);
         this.things.add(held.holder);
       }
@@ -141,14 +149,14 @@ function catcher(shape) {
   return catches;
 }
 
-/** The frame of a thing with the thing in it, one metre large, standing on its origin. @param {Thing} thing @param {Map<string, Object3D>} models */
-function holderOf(thing, models) {
+/** The frame of a thing with the thing in it, one metre large, standing on its origin. @param {Thing} thing @param {Object3D | undefined} model */
+function holderOf(thing, model) {
   const holder = new Group();
   holder.matrixAutoUpdate = false;
   const body = new Group();
   body.rotation.order = "ZYX";
   body.userData.thing = thing.id;
-  body.add(shapeOf(thing, models));
+  body.add(shapeOf(thing, model));
   holder.add(body);
   holder.traverse((one) => {
     if (one instanceof Mesh) one.castShadow = one.receiveShadow = true;
@@ -156,15 +164,15 @@ function holderOf(thing, models) {
   return holder;
 }
 
-/** @param {Thing} thing @param {Map<string, Object3D>} models */
-function shapeOf({ kind, colour, file }, models) {
+/** @param {Thing} thing @param {Object3D | undefined} model */
+function shapeOf({ kind, colour }, model) {
   if (kind === "grid") {
     // three.js has grids in x and z.
     const grid = new GridHelper(1, 10, GRID, GRID);
     grid.rotation.x = Math.PI / 2;
     return grid;
   }
-  if (kind === "model") return models.get(file ?? "")?.clone() ?? new Group();
+  if (kind === "model") return model?.clone() ?? new Group();
   const shape = kind === "cone" ? new ConeGeometry(0.5, 1, 48).rotateX(Math.PI / 2) : new BoxGeometry(1, 1, 1);
   return new Mesh(shape.translate(0, 0, 0.5), new MeshStandardMaterial({ color: colour, roughness: 0.7 }));
 }

@@ -2,11 +2,13 @@
 import { BufferAttribute, BufferGeometry } from "../vendor/three.js";
 import { place } from "../lens.js";
 
-/** @param {any} surface as /api/v1/scene has it */
+/** @import { Surface } from "../types.js" */
+
+/** @param {Surface} surface as /api/v1/scene has it */
 export function meshOf(surface) {
   const rows = surface.mesh_m ?? flat(surface);
   const [down, across] = [rows.length - 1, rows[0].length - 1];
-  const uv = rows.flatMap((/** @type {any} */ row, /** @type {number} */ j) => row.flatMap((/** @type {any} */ _, /** @type {number} */ i) => [i / across, j / down]));
+  const uv = rows.flatMap((row, j) => row.flatMap((_, i) => [i / across, j / down]));
   /** @type {number[]} */
   const triangles = [];
   for (let j = 0; j < down; j += 1) {
@@ -23,7 +25,7 @@ export function meshOf(surface) {
   return mesh;
 }
 
-/** @param {any} surface */
+/** @param {Surface} surface */
 function flat({ size_m: [w, h], pose }) {
   return [h / 2, -h / 2].map((y) => [-w / 2, w / 2].map((x) => place(pose, [x, y, 0])));
 }
