@@ -12,20 +12,23 @@ import { floored, outlined, parted, rested } from "./picture.js";
 import { THEMES, theme, toggleStage } from "./theme.js";
 import { html } from "./ui.js";
 
+/** @import { ComponentType } from "./vendor/preact.js"
+ * @import { Signal } from "./vendor/signals.js" */
+
 const keysShown = signal(false);
 
-/** Views that are loaded when they are first asked for: most people never do. @type {Record<string, () => Promise<any>>} */
+/** Views that are loaded when they are first asked for: most people never do. @type {Record<string, () => Promise<ComponentType>>} */
 const LATER = {
   set: () => import("./setpage.js").then(({ SetPage }) => SetPage),
   recordings: () => import("./recordings.js").then(({ Recordings }) => Recordings),
   health: () => import("./health.js").then(({ Health }) => Health),
 };
 /** Those that are here; null where one could not be loaded. */
-const loaded = signal(/** @type {Record<string, any>} */ ({ live: Live }));
+const loaded = signal(/** @type {Record<string, ComponentType | null>} */ ({ live: Live }));
 effect(() => {
   const name = shown.value;
   if (name in loaded.peek()) return;
-  const keep = (/** @type {any} */ view) => (loaded.value = { ...loaded.peek(), [name]: view });
+  const keep = (/** @type {ComponentType | null} */ view) => (loaded.value = { ...loaded.peek(), [name]: view });
   LATER[name]().then(keep, () => keep(null));
 });
 
@@ -39,16 +42,24 @@ async function mark() {
   untilRead = setTimeout(() => (unmarked.value = ""), READ_WITHIN);
 }
 
+/** Switches it. @param {Signal<boolean>} on */
+const switching = (on) => () => (on.value = !on.value);
+const toggleOutlines = switching(outlined);
+const toggleFloor = switching(floored);
+const toggleParts = switching(parted);
+const toggleResiduals = switching(rested);
+const toggleKeys = switching(keysShown);
+
 /** What single keys do. */
 const KEYS = [
   { key: " ", name: "Space", does: "freeze the picture, or go on", act: toggleFrozen },
-  { key: "o", name: "o", does: "outlines on and off", act: () => (outlined.value = !outlined.value) },
-  { key: "g", name: "g", does: "a metre grid on the floor on and off", act: () => (floored.value = !floored.value) },
-  { key: "x", name: "x", does: "which parts of the artwork are seen", act: () => (parted.value = !parted.value) },
-  { key: "u", name: "u", does: "the pixels used, and how far they lie off", act: () => (rested.value = !rested.value) },
+  { key: "o", name: "o", does: "outlines on and off", act: toggleOutlines },
+  { key: "g", name: "g", does: "a metre grid on the floor on and off", act: toggleFloor },
+  { key: "x", name: "x", does: "which parts of the artwork are seen", act: toggleParts },
+  { key: "u", name: "u", does: "the pixels used, and how far they lie off", act: toggleResiduals },
   { key: "r", name: "r", does: "mark this moment", act: mark },
   { key: "n", name: "n", does: "stage colours on and off", act: toggleStage },
-  { key: "?", name: "?", does: "this list", act: () => (keysShown.value = !keysShown.value) },
+  { key: "?", name: "?", does: "this list", act: toggleKeys },
   ...PAGES.map(({ name, title, key }) => ({ key, name: key, does: `the view ${title}`, act: () => show(name) })),
 ];
 
@@ -68,7 +79,7 @@ function Bar() {
       <${Lock} />
       ${shown.value === "live" || shown.value === "set" ? html`<${Switch} on=${frozen.value} act=${toggleFrozen}>Freeze<//>` : null}
       ${shown.value === "live"
-        ? html`<${Switch} on=${outlined.value} act=${KEYS[1].act}>Outlines<//><${Switch} on=${floored.value} act=${KEYS[2].act}>Floor<//><${Switch} on=${parted.value} act=${KEYS[3].act}>Seen parts<//><${Switch} on=${rested.value} act=${KEYS[4].act}>Residuals<//>`
+        ? html`<${Switch} on=${outlined.value} act=${toggleOutlines}>Outlines<//><${Switch} on=${floored.value} act=${toggleFloor}>Floor<//><${Switch} on=${parted.value} act=${toggleParts}>Seen parts<//><${Switch} on=${rested.value} act=${toggleResiduals}>Residuals<//>`
         : null}
       <fieldset class="choice">
         <legend>Colours</legend>
@@ -86,7 +97,7 @@ function Bar() {
 
 function Foot() {
   return html`<footer>
-    <button type="button" aria-expanded=${keysShown.value ? "true" : "false"} onClick=${KEYS[7].act}>Keys</button>
+    <button type="button" aria-expanded=${keysShown.value ? "true" : "false"} onClick=${toggleKeys}>Keys</button>
     ${keysShown.value
       ? html`<ul class="keys">${[...viewKeys.value, ...KEYS].filter(({ name }) => name !== "").map(({ name, does }) => html`<li key=${name}><kbd>${name}</kbd> ${does}</li>`)}</ul>`
       : null}

@@ -14,7 +14,8 @@ const STANDS = 1000;
 /** Milliseconds after which it is looked for what hides the stage: once the page stands. */
 const WAITS = 8000;
 
-/** @typedef {{state: string, sentence: string, mend: string | null}} Account what the state is, for a person */
+/** @import { State as Word } from "./types.js" */
+/** @typedef {{state: Word | "none", sentence: string, mend: string | null}} Account what the state is, for a person */
 
 /** What is to be said where no frame tells more. */
 const SENTENCES = {
@@ -25,6 +26,7 @@ const SENTENCES = {
   stale: "The camera gives no pictures.",
   none: "stagepose does not answer.",
 };
+/** @type {Partial<Record<Account["state"], string>>} */
 const MENDS = {
   stale: "See that the camera is plugged in and that no other program has it.",
   none: "See that it runs. This page goes on by itself when it is back.",
@@ -37,7 +39,7 @@ function account() {
   if (standing.value !== null) {
     const { state } = standing.value;
     if ((state === null || state === "stale") && trouble.value !== null) return { state: state ?? "stale", sentence: trouble.value, mend: null };
-    return state === null ? { state: "searching", sentence: "No picture has come from the camera yet.", mend: MENDS.stale } : of(state);
+    return state === null ? { state: "searching", sentence: "No picture has come from the camera yet.", mend: MENDS.stale ?? null } : of(state);
   }
   const { says, mend, record } = head.value ?? {};
   return record && says ? { state: record.state, sentence: `${says[0].toUpperCase()}${says.slice(1)}.`, mend: asked(mend) } : withHidden(of(record?.state ?? "searching"));
@@ -48,9 +50,9 @@ function withHidden({ state, sentence, mend }) {
   return { state, sentence: state === "tracking" && hidden.value ? `${sentence} ${hidden.value}` : sentence, mend };
 }
 
-/** @param {string} state */
+/** @param {Account["state"]} state */
 function of(state) {
-  return { state, sentence: SENTENCES[/** @type {keyof typeof SENTENCES} */ (state)], mend: MENDS[/** @type {keyof typeof MENDS} */ (state)] ?? null };
+  return { state, sentence: SENTENCES[state], mend: MENDS[state] ?? null };
 }
 
 /** A mend as a sentence. @param {string | null | undefined} mend */
@@ -77,20 +79,20 @@ export function State() {
   return html`<${StateMark} state=${said.value.state} />`;
 }
 
-/** Width and height of the pictures; that of a wide picture before the first. */
-const size = computed(() => head.value?.size.join("x") ?? "16x9");
+/** Width over height of the pictures; that of a wide picture before the first. */
+const aspect = computed(() => (head.value === null ? 16 / 9 : head.value.size[0] / head.value.size[1]));
 
 /** What the residuals of the shown frame are drawn to; a frame without a pose has none. */
 const rests = computed(() => (head.value === null || head.value.record.pose ? restsOn.value : "Nothing is measured in this frame."));
 
 function Picture() {
-  const below = useRef(null);
-  const above = useRef(null);
+  const below = useRef(/** @type {HTMLCanvasElement | null} */ (null));
+  const above = useRef(/** @type {HTMLCanvasElement | null} */ (null));
   useEffect(() => {
-    const marks = /** @type {unknown} */ (above.current);
-    drawOn(below.current, /** @type {HTMLCanvasElement} */ (marks));
+    const marks = /** @type {HTMLCanvasElement} */ (above.current);
+    drawOn(below.current, marks);
     const sized = new ResizeObserver(drawAgain);
-    sized.observe(/** @type {HTMLCanvasElement} */ (marks));
+    sized.observe(marks);
     painters.add(drawFrame);
     let isGone = false;
     let end = () => {};
@@ -119,8 +121,7 @@ function Picture() {
   }, [rested.value]);
   // Marks have the theme's colours; which are drawn is chosen.
   useEffect(drawAgain, [theme.value, outlined.value, floored.value, parted.value]);
-  const [width, height] = size.value.split("x").map(Number);
-  return html`<figure class="picture" style=${{ aspectRatio: width / height, maxWidth: `calc((100vh - 9rem) * ${width / height})` }}>
+  return html`<figure class="picture" style=${{ aspectRatio: aspect.value, maxWidth: `calc((100vh - 9rem) * ${aspect.value})` }}>
     <canvas ref=${below} role="img" aria-label="What the camera sees" />
     <canvas ref=${above} class="marks ${outlined.value || floored.value || parted.value || rested.value ? "" : "off"}" aria-hidden="true" />
     ${rested.value ? html`<p class="scale">${rests}</p>` : null}
@@ -148,15 +149,23 @@ function Facts() {
   </dl>`;
 }
 
-/** Names and states of the tracked objects, as text that changes seldom. */
-const objects = computed(() => JSON.stringify(record.value?.objects.map(({ name, state }) => [name, state]) ?? []));
+/** @typedef {{name: string, state: Word}} Listed an object in the list */
+
+/** Names and states of the tracked objects: the same list while they are the same, so that its view is made anew seldom. */
+const objects = computed(() => {
+  const now = record.value?.objects ?? [];
+  const isSame = now.length === listed.length && now.every(({ name, state }, k) => name === listed[k].name && state === listed[k].state);
+  if (!isSame) listed = now.map(({ name, state }) => ({ name, state }));
+  return listed;
+});
+/** @type {Listed[]} */
+let listed = [];
 
 function Objects() {
-  /** @type {[string, string][]} */
-  const all = JSON.parse(objects.value);
+  const all = objects.value;
   if (all.length === 0) return null;
   return html`<ul class="objects">
-    ${all.map(([name, state]) => html`<li key=${name}><span>${name}</span> <${StateMark} state=${state} /></li>`)}
+    ${all.map(({ name, state }) => html`<li key=${name}><span>${name}</span> <${StateMark} state=${state} /></li>`)}
   </ul>`;
 }
 
