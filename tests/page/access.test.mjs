@@ -94,7 +94,7 @@ test("a lock that another page puts on is known here, and what is tried before t
   await close();
 });
 
-test("a browser on another machine looks on, and changes nothing until it is paired", { skip: own ? false : "NOT RUN: this machine has no address but loopback" }, async () => {
+test("a browser on another machine looks on, and changes nothing until it is paired", { skip: own ? false : "this machine has no address but loopback" }, async () => {
   const address = on.place.address.replace("127.0.0.1", own);
   const { page, complaints, close } = await pageOf(on.browser, address, { view: "recordings", bypassCSP: true });
   await page.getByText("This browser is not paired: it can look, and change nothing.").waitFor();

@@ -93,7 +93,7 @@ for (const [name, least, most] of [
 ]) {
   // Whole, or the part that .ci/run renders.
   const found = [name, `${name}-60-every-1`].map((folder) => join(clips, folder)).find((folder) => existsSync(join(folder, "stagepose/stage.toml")));
-  test(`the set lies in the pictures of ${name}`, { skip: found ? false : `NOT RUN: no ${join(clips, name)}` }, async () => {
+  test(`the set lies in the pictures of ${name}`, { skip: found ? false : `no ${join(clips, name)}, which benches/clips.py renders with ../shared/bench` }, async () => {
     const clip = await prepareClip(join(out, `run-${name}`), found);
     const daemon = start(clip.folder, "clip");
     try {
@@ -271,7 +271,7 @@ test("the Set view is accessible in every theme and width", async () => {
   await close();
 });
 
-test("the first view is small, and the set not large", { skip: files ? "the program's own files are what is sent" : false }, async () => {
+test("the first view is small, and the set not large", { skip: files ? "the program's own files are what is measured, and PAGE_DIR stands for them" : false }, async () => {
   const sent = async (view, until) => {
     const context = await on.browser.newContext();
     const page = await context.newPage();
