@@ -1,5 +1,6 @@
-// The page's modules have types in their comments; the TypeScript compiler holds them to these, as src/web/page/tsconfig.json says. It sees the libraries' own
-// declarations (vendor/*.d.ts) in place of the packed modules. The packages are in target/page.
+// The page's modules have types in their comments; the TypeScript compiler holds them to these, as
+// src/web/page/tsconfig.json says. It sees the libraries' own declarations (vendor/*.d.ts) in place
+// of the packed modules. The packages are in target/page.
 //   node --test tests/page/types.test.mjs
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";

@@ -1,7 +1,8 @@
 // Which parts of the stage's artwork the picture shows, tile by tile: once a second the artwork is looked up where the pose and the lens put it, and compared with
 // the camera's picture by correlation, which light and contrast do not change. It says what hides the stage.
-// The tracker decides the same for itself, tile by tile, but the daemon tells only the pixels that count (used.js). Those that were asked, and left out because
-// something else is seen there, it does not tell; without them a hidden part of the stage and a plain one are alike.
+// The tracker decides the same for itself, tile by tile, but the daemon tells only the pixels that
+// count (used.js). Those that were asked, and left out because something else is seen there, it does
+// not tell; without them a hidden part of the stage and a plain one are alike.
 import { computed, effect, signal } from "./vendor/signals.js";
 import { painters, scene } from "./daemon.js";
 import { direction, turn, within } from "./lens.js";

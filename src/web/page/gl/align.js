@@ -1,7 +1,8 @@
 // How far the drawn artwork lies from the camera's picture: a number in pixels. Both are cut into tiles; each tile's shift is the one, with a gain and
 // a bias of its own, that leaves the least squares. What stands before the artwork leaves tiles that do not fit; they are counted, not measured.
-// It is a measurement of what this page draws - the frame whose pose it took, its lens, its motion while the rows are read -, and no second opinion of the pose:
-// the tracker's own tiles (used.js) lie right also where the page draws wrong.
+// It measures what this page draws: the frame whose pose it took, its lens, its motion while the rows
+// are read. It is no second opinion of the pose: the tracker's own tiles (used.js) lie right also
+// where the page draws wrong.
 
 /** Pixels along a tile's side. */
 export const TILE = 32;
