@@ -1,0 +1,61 @@
+//! A scene with its frames, and how a tracker does on it.
+
+use std::time::Instant;
+
+use stagepose::{Frame, PoseSample, Renderer, State, Timestamp, Tracker, TrackerSetup, VirtualStage};
+
+use crate::score::{Figures, Found, figures};
+
+/// A stage, and the clip that is made of it.
+pub struct Film {
+    pub stage: VirtualStage,
+    pub fps: f64,
+    pub frames: u64,
+}
+
+impl Film {
+    fn stamp(&self, sequence: u64) -> Timestamp {
+        Timestamp::from_seconds(sequence as f64 / self.fps)
+    }
+
+    /// All frames, the first one at time 0.
+    pub fn render(&self) -> Result<Vec<Frame>, String> {
+        let renderer = Renderer::new(self.stage.clone());
+        let frame = |k: u64| {
+            // The stamp's own seconds: picture, truth and stamp agree to the nanosecond.
+            let picture = renderer.render(self.stamp(k).seconds(), k);
+            Ok(Frame::new(picture, self.stamp(k), k))
+        };
+        (0..self.frames).map(frame).collect()
+    }
+
+    /// The samples of a tracker that is told what is true of the stage, and the mean milliseconds a frame.
+    pub fn track(&self, frames: &[Frame]) -> Result<(Vec<PoseSample>, f64), String> {
+        let mut tracker = Tracker::new(TrackerSetup::from(&self.stage)).map_err(|e| e.to_string())?;
+        let start = Instant::now();
+        let samples: Result<Vec<_>, _> = frames.iter().map(|frame| tracker.track(frame)).collect();
+        let ms = 1e3 * start.elapsed().as_secs_f64() / frames.len() as f64;
+        Ok((samples.map_err(|e| e.to_string())?, ms))
+    }
+
+    pub fn score_camera(&self, samples: &[PoseSample]) -> Figures {
+        let found = samples.iter().filter(|sample| sample.state == State::Tracking).filter_map(|sample| {
+            let measured = sample.measurement.as_ref()?;
+            let truth = self.stage.truth(sample.timestamp.seconds());
+            Some(Found::new(&truth, &measured.pose, Some(&measured.covariance), truth.translation.norm()))
+        });
+        figures(samples.len(), found.collect())
+    }
+
+    /// As the camera, but a pose is wrong by the object's distance from the camera.
+    pub fn score_object(&self, object: usize, samples: &[PoseSample]) -> Figures {
+        let found = samples.iter().filter_map(|sample| {
+            let ours = sample.objects.get(object).filter(|ours| ours.state == State::Tracking)?;
+            let time_s = sample.timestamp.seconds();
+            let truth = self.stage.object_truth(object, time_s)?;
+            let distance_m = (truth.translation - self.stage.truth(time_s).translation).norm();
+            Some(Found::new(&truth, ours.pose.as_ref()?, ours.covariance.as_ref(), distance_m))
+        });
+        figures(samples.len(), found.collect())
+    }
+}

@@ -1,0 +1,204 @@
+//! The scenes: short cuts of the kinds that `../shared/bench` has, on painted pictures. Metres and seconds, in the stage frame.
+
+mod cloth;
+
+use nalgebra::Vector3;
+use stagepose::diagnostics::simulate::{artwork_surface, grey, paint, upright};
+use stagepose::{
+    BodySpec, CameraModel, CameraPath, Intrinsics, MovingObject, ObjectPath, SensorNoise, Shake, Spline, SurfaceSpec, VirtualStage,
+};
+
+use crate::film::Film;
+
+/// What makes a scene.
+type Scene = fn() -> Film;
+
+/// All scenes in the order of the table.
+pub const SCENES: [(&str, Scene); 8] = [
+    ("dolly", dolly),
+    ("still", still),
+    ("handheld", handheld),
+    ("whip", whip),
+    ("blackout", blackout),
+    ("relief", relief),
+    ("props", props),
+    ("cloth", cloth::cloth),
+];
+
+/// Frame width and height, pixels. Larger frames cost more time to render than they add.
+const SIZE: (u32, u32) = (960, 540);
+/// Texels a metre of the pictures on the cloth: about as many as pixels from the nearest place. Raised, painting takes longer.
+const TEXELS_A_METRE: f64 = 400.0;
+
+pub fn names() -> String {
+    SCENES.map(|(name, _)| name).join(", ")
+}
+
+/// A key of a camera's path: when, where, and what it looks at.
+type Key = (f64, [f64; 3], [f64; 3]);
+
+fn spline(keys: impl Iterator<Item = (f64, [f64; 3])>) -> Spline {
+    let keys: Vec<_> = keys.map(|(time_s, point)| (time_s, Vector3::from(point))).collect();
+    Spline::new(&keys).expect("keys in order of time")
+}
+
+fn path(keys: &[Key]) -> CameraPath {
+    let position = spline(keys.iter().map(|(time_s, at, _)| (*time_s, *at)));
+    let target = spline(keys.iter().map(|(time_s, _, target)| (*time_s, *target)));
+    CameraPath { position, target, roll_rad: 0.0, shake: None }
+}
+
+/// A webcam of 70 degrees across, with its barrel distortion.
+fn wide() -> CameraModel {
+    camera(0.707, [-0.19, 0.07, -0.0008, 0.0011, 0.0])
+}
+
+/// One of 65 degrees across.
+fn normal() -> CameraModel {
+    camera(0.79, [-0.11, 0.13, 0.0006, -0.0004, -0.02])
+}
+
+fn camera(focal_of_width: f64, distortion: [f64; 5]) -> CameraModel {
+    let (width, height) = SIZE;
+    let focal = focal_of_width * f64::from(width);
+    let (cx, cy) = (0.508 * f64::from(width), 0.49 * f64::from(height));
+    let intrinsics = Intrinsics { width, height, fx: focal, fy: 0.998 * focal, cx, cy, skew: 0.0, distortion };
+    CameraModel::new(intrinsics).expect("a camera")
+}
+
+/// A painted surface that stands at a place, turned about the vertical.
+fn painted(name: &str, seed: u64, size_m: [f64; 2], at: [f64; 3], turn_rad: f64) -> SurfaceSpec {
+    let [width, height] = size_m.map(|side| (side * TEXELS_A_METRE) as u32);
+    artwork_surface(name, grey(&paint(width, height, seed)), size_m, upright(Vector3::from(at), turn_rad))
+}
+
+fn backdrop(seed: u64, size_m: [f64; 2]) -> BodySpec {
+    BodySpec::new("stage", vec![painted("backdrop", seed, size_m, [0.0; 3], 0.0)])
+}
+
+/// A noisy sensor with nothing else that is hard.
+fn staged(camera: CameraModel, path: CameraPath, stage: BodySpec) -> VirtualStage {
+    let mut scene = VirtualStage::new(camera, path, stage);
+    scene.noise = SensorNoise::webcam();
+    scene.background = 25.0;
+    scene.samples = 8;
+    scene.shutter.exposure_s = 0.004;
+    scene
+}
+
+/// Accuracy: past the backdrop and nearer.
+fn dolly() -> Film {
+    let path = path(&[
+        (0.0, [1.6, -4.4, 0.2], [0.2, 0.0, 0.0]),
+        (0.5, [1.1, -4.1, 0.35], [0.1, 0.0, 0.1]),
+        (1.0, [0.5, -3.8, 0.3], [0.0, 0.0, 0.1]),
+        (1.7, [-0.4, -3.4, 0.1], [-0.1, 0.0, 0.0]),
+    ]);
+    Film { stage: staged(wide(), path, backdrop(10, [4.2, 3.15])), fps: 30.0, frames: 50 }
+}
+
+/// Scatter and bias: nothing moves but the noise.
+fn still() -> Film {
+    let path = CameraPath { roll_rad: 0.05, ..path(&[(0.0, [-0.7, -2.9, 0.25], [0.1, 0.0, 0.0])]) };
+    let mut stage = staged(wide(), path, backdrop(11, [3.2, 2.2]));
+    stage.shutter.exposure_s = 0.0;
+    stage.samples = 16;
+    Film { stage, fps: 60.0, frames: 40 }
+}
+
+/// A shaking hand, a rolling shutter, blur.
+fn handheld() -> Film {
+    let mut path = path(&[
+        (0.0, [-0.6, -2.6, 0.1], [0.0, 0.0, 0.0]),
+        (0.8, [-0.1, -2.1, 0.3], [-0.2, 0.0, 0.1]),
+        (1.7, [0.7, -2.4, 0.0], [0.1, 0.0, 0.0]),
+    ]);
+    path.shake = Some(Shake::new(0.01, 0.012, 7.0, 12));
+    let mut stage = staged(normal(), path, backdrop(12, [3.0, 2.2]));
+    (stage.shutter.exposure_s, stage.shutter.readout_s, stage.samples) = (0.012, 0.012, 16);
+    Film { stage, fps: 30.0, frames: 50 }
+}
+
+/// Pans so fast that the blur is a dozen pixels, with rests between them.
+fn whip() -> Film {
+    let (at, to) = ([0.0, -3.2, 0.0], |x: f64, z: f64| [x, 0.0, z]);
+    let path = path(&[
+        (0.0, at, to(1.0, 0.0)),
+        (0.4, at, to(1.0, 0.0)),
+        (0.7, [0.02, -3.2, 0.0], to(-0.9, 0.1)),
+        (0.95, at, to(-0.9, 0.1)),
+        (1.2, [0.0, -3.2, 0.02], to(0.6, -0.3)),
+        (1.5, at, to(0.6, -0.3)),
+        (1.75, [0.05, -3.2, 0.0], to(-0.7, 0.2)),
+        (2.0, at, to(-0.7, 0.2)),
+    ]);
+    let mut stage = staged(wide(), path, backdrop(16, [5.0, 3.4]));
+    (stage.shutter.exposure_s, stage.shutter.readout_s, stage.samples) = (0.006, 0.008, 24);
+    Film { stage, fps: 30.0, frames: 60 }
+}
+
+/// Covered twice, and back elsewhere.
+fn blackout() -> Film {
+    let path = path(&[
+        (0.0, [1.5, -3.5, 0.0], [0.0, 0.0, 0.0]),
+        (0.5, [1.3, -3.5, 0.0], [0.0, 0.0, 0.0]),
+        (0.8, [-1.4, -2.8, 0.4], [-0.2, 0.0, 0.1]),
+        (1.3, [-1.2, -2.8, 0.4], [-0.2, 0.0, 0.1]),
+        (1.6, [0.3, -4.6, -0.3], [0.0, 0.0, 0.0]),
+        (2.0, [0.4, -4.4, -0.3], [0.0, 0.0, 0.0]),
+    ]);
+    let mut stage = staged(wide(), path, backdrop(15, [4.0, 3.0]));
+    stage.blackouts = vec![0.5..0.8, 1.3..1.6];
+    Film { stage, fps: 30.0, frames: 60 }
+}
+
+/// Flats before the backdrop, all of them known.
+fn relief() -> Film {
+    let surfaces = vec![
+        painted("backdrop", 17, [4.4, 3.0], [0.0; 3], 0.0),
+        painted("left", 171, [0.9, 1.6], [-1.3, -1.1, -0.5], 0.44),
+        painted("right", 172, [1.0, 1.4], [1.2, -0.8, -0.6], -0.52),
+        painted("front", 173, [0.8, 0.8], [0.2, -1.6, -0.9], 0.09),
+    ];
+    let path = path(&[
+        (0.0, [1.2, -4.2, 0.2], [0.0, -0.4, 0.0]),
+        (0.8, [-0.1, -3.6, 0.4], [0.0, -0.5, -0.1]),
+        (1.6, [-1.3, -4.0, 0.1], [0.0, -0.4, 0.0]),
+    ]);
+    Film { stage: staged(wide(), path, BodySpec::new("stage", surfaces)), fps: 30.0, frames: 48 }
+}
+
+/// Objects that move before a moving camera: one passes another, one leaves and comes back.
+fn props() -> Film {
+    let object = |name: &str, seed: u64, size_m: [f64; 2], turn_rad: f64, turn_rate_rad_s: f64, keys: &[(f64, [f64; 3])]| {
+        let body = BodySpec::new(name, vec![painted(name, seed, size_m, [0.0; 3], 0.0)]);
+        MovingObject { body, path: ObjectPath { position: spline(keys.iter().copied()), turn_rad, turn_rate_rad_s } }
+    };
+    let mut path = path(&[
+        (0.0, [0.8, -4.0, 0.2], [0.0, -0.3, 0.0]),
+        (1.0, [-0.1, -3.5, 0.3], [0.0, -0.4, -0.1]),
+        (2.0, [-0.9, -3.8, 0.1], [0.0, -0.3, 0.0]),
+    ]);
+    path.shake = Some(Shake::new(0.002, 0.002, 6.0, 308));
+    let mut stage = staged(wide(), path, backdrop(308, [4.2, 3.2]));
+    stage.objects = vec![
+        object("cart", 309, [0.9, 0.7], -0.26, 0.4, &[(0.0, [1.3, -0.9, -0.6]), (1.0, [0.2, -1.2, -0.55]), (2.0, [-0.9, -0.9, -0.6])]),
+        object("tray", 310, [0.5, 0.5], 0.0, 0.3, &[(0.0, [-0.6, -1.0, 0.2]), (1.0, [-0.2, -1.3, 0.5]), (2.0, [0.5, -1.1, 0.3])]),
+        object(
+            "flag",
+            311,
+            [0.45, 0.6],
+            0.17,
+            -0.2,
+            &[
+                (0.0, [-1.0, -1.2, 0.3]),
+                (0.5, [-3.4, -1.0, 0.3]),
+                (1.0, [-3.4, -1.0, 0.3]),
+                (1.5, [-0.9, -1.3, 0.35]),
+                (2.0, [-0.8, -1.2, 0.1]),
+            ],
+        ),
+    ];
+    stage.shutter.exposure_s = 0.006;
+    Film { stage, fps: 30.0, frames: 60 }
+}
