@@ -27,6 +27,8 @@ pub mod track {
 /// The virtual stage: pictures on the cloth and camera paths through the hall.
 #[cfg(feature = "simulate")]
 pub mod simulate {
+    #[cfg(feature = "capture")]
+    pub use crate::simulate::through_jpeg;
     pub use crate::simulate::{artwork_surface, grey, look_at, paint, upright};
 }
 

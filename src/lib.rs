@@ -168,8 +168,8 @@ pub use config::{ConfigError, Problem as ConfigProblem, Settings, read_calibrati
 pub use daemon::{Daemon, DaemonError, Delivery, RunningDaemon, thread_clock, track_entry};
 #[cfg(feature = "simulate")]
 pub use simulate::{
-    CameraPath, Dolly, DollyError, Draught, LightKey, MovingObject, ObjectPath, Occluder, PathError, Renderer, SensorNoise, Shake, Spline,
-    VirtualStage, Wave, dolly,
+    CameraPath, Dolly, DollyError, Draught, LightKey, LightModel, MovingObject, ObjectPath, Occluder, PathError, Person, Renderer, Roll,
+    SensorNoise, Shake, Spline, Spot, ToneCurve, VirtualStage, Wave, dolly,
 };
 #[cfg(feature = "survey")]
 pub use survey::shutter::{ShutterEstimate, ShutterTime, estimate_shutter};

@@ -1,12 +1,13 @@
 //! The virtual stage: a painted stage and a camera in front of it, with exact truth.
 //!
-//! The demo, the fixtures and the tests need pictures of a stage whose camera pose is known exactly, which no
-//! real clip has. [`VirtualStage`] describes what there is (surfaces flat or bent, draughts, moving objects, people in the way, light,
-//! the camera and its path), [`Renderer`] takes its picture at any instant as a real camera would: lens
-//! distortion, motion blur, rolling shutter, sensor noise. [`paint`] makes the pictures on the cloth.
+//! The demo, the fixtures and the tests need pictures of a stage whose camera pose is known
+//! exactly, which no real clip has. [`VirtualStage`] describes what there is (surfaces flat or
+//! bent, draughts, moving objects, people in the way, light and spots, the camera and its path),
+//! [`Renderer`] takes its picture at any instant as a real camera would: lens distortion, motion
+//! blur, rolling shutter, sensor noise. [`paint`] makes the pictures on the cloth.
 //!
-//! Everything is a pure function of its description, its seed and the time: frames can be rendered in any order
-//! and on any number of threads, and have the same bytes on every run.
+//! Everything is a pure function of its description, its seed and the time: frames can be rendered
+//! in any order and on any number of threads, and have the same bytes on every run.
 
 mod backdrop;
 mod canvas;
@@ -14,15 +15,28 @@ mod cloth;
 mod dolly;
 #[cfg(test)]
 mod gloh_basis_tests;
+#[cfg(feature = "capture")]
+mod jpeg;
+mod light;
 mod path;
+mod person;
 mod render;
+mod samples;
 mod sensor;
+mod spot;
 mod stage;
 mod texture;
+mod upright;
 
 pub use backdrop::{grey, paint};
 pub use dolly::{Dolly, DollyError, dolly};
-pub use path::{CameraPath, ObjectPath, PathError, Shake, Spline, look_at};
+#[cfg(feature = "capture")]
+pub use jpeg::through_jpeg;
+pub use light::{LightModel, ToneCurve};
+pub use path::{CameraPath, ObjectPath, PathError, Roll, Shake, Spline, look_at};
+pub use person::Person;
 pub use render::Renderer;
 pub use sensor::SensorNoise;
-pub use stage::{Draught, LightKey, MovingObject, Occluder, VirtualStage, Wave, artwork_surface, upright};
+pub use spot::Spot;
+pub use stage::{Draught, LightKey, MovingObject, Occluder, VirtualStage, Wave, artwork_surface};
+pub use upright::upright;

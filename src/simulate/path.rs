@@ -1,8 +1,9 @@
 //! Smooth paths: where the virtual camera and the virtual objects are at any time.
 //!
-//! A path is a handful of keys (a time and a place) joined by a natural cubic spline, so that speed and
-//! acceleration have no jumps, as on a dolly. The camera has two of them, one for where it stands and one
-//! for the point it looks at. A hand-held camera adds a shake: a sum of sines on every axis.
+//! A path is a handful of keys (a time and a place) joined by a natural cubic spline, so that speed
+//! and acceleration have no jumps, as on a dolly. The camera has two of them, one for where it
+//! stands and one for the point it looks at. A hand-held camera adds a shake: a sum of sines on
+//! every axis.
 
 use std::f64::consts::TAU;
 
@@ -30,8 +31,8 @@ pub enum PathError {
     },
 }
 
-/// A natural cubic spline through points in the stage (metres) over time (seconds); it rests before the first
-/// key and after the last.
+/// A natural cubic spline through points in the stage (metres) over time (seconds); it rests before
+/// the first key and after the last.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spline {
     times: Vec<f64>,
@@ -56,7 +57,8 @@ impl Spline {
         Ok(Self { times, points, bends })
     }
 
-    /// Straight from key to key: the speed jumps at each of them, as when a dolly runs into its end.
+    /// Straight from key to key: the speed jumps at each of them, as when a dolly runs into its
+    /// end.
     pub fn straight(keys: &[(f64, Vector3<f64>)]) -> Result<Self, PathError> {
         let mut path = Self::new(keys)?;
         path.bends.fill(Vector3::zeros());
@@ -84,7 +86,8 @@ impl Spline {
     }
 }
 
-/// The second derivatives of the natural spline: a tridiagonal system, solved by one sweep down and one up.
+/// The second derivatives of the natural spline: a tridiagonal system, solved by one sweep down and
+/// one up.
 fn second_derivatives(times: &[f64], points: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     let n = times.len();
     let mut bends = vec![Vector3::zeros(); n];
@@ -107,13 +110,15 @@ fn second_derivatives(times: &[f64], points: &[Vector3<f64>]) -> Vec<Vector3<f64
 /// A hand's tremor or a shaking rig: sines of random frequency and phase on all six axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shake {
-    /// Amplitude, frequency in Hz and phase in radians of every sine; axes x, y, z in metres, then about x, y, z in radians.
+    /// Amplitude, frequency in Hz and phase in radians of every sine; axes x, y, z in metres, then
+    /// about x, y, z in radians.
     sines: [Vec<[f64; 3]>; 6],
 }
 
 impl Shake {
-    /// A shake whose position scatters by about `amplitude_m` and its direction by about `amplitude_rad` (one sigma
-    /// on each axis), with frequencies from 0.5 Hz to `highest_hz`; the faster, the smaller.
+    /// A shake whose position scatters by about `amplitude_m` and its direction by about
+    /// `amplitude_rad` (one sigma on each axis), with frequencies from 0.5 Hz to `highest_hz`; the
+    /// faster, the smaller.
     pub fn new(amplitude_m: f64, amplitude_rad: f64, highest_hz: f64, seed: u64) -> Self {
         // Sines on each axis: enough that their sum does not seem to repeat and is nearly normal.
         // Raised, rendering takes longer; changed, every seed shakes otherwise.
@@ -142,10 +147,11 @@ impl Shake {
     }
 }
 
-/// `T_stage_camera` of a camera at `position` that looks at `target`, level but for `roll_rad` about its own
-/// forward axis (positive turns the camera clockwise as seen by itself).
+/// `T_stage_camera` of a camera at `position` that looks at `target`, level but for `roll_rad`
+/// about its own forward axis (positive turns the camera clockwise as seen by itself).
 ///
-/// Straight up or down there is no level; stage x is then to the right. A target at the camera looks upstage.
+/// Straight up or down there is no level; stage x is then to the right. A target at the camera
+/// looks upstage.
 pub fn look_at(position: Point3<f64>, target: Point3<f64>, roll_rad: f64) -> Pose<Stage, Camera> {
     let forward = (target - position).try_normalize(1e-12).unwrap_or_else(Vector3::y);
     let right = forward.cross(&Vector3::z()).try_normalize(1e-9).unwrap_or_else(Vector3::x);
@@ -179,6 +185,27 @@ impl CameraPath {
         let Some(shake) = &self.shake else { return steady };
         let (offset, turn) = shake.at(time_s);
         steady * Pose::<Camera, Camera>::new(UnitQuaternion::from_scaled_axis(turn), offset)
+    }
+}
+
+/// A turn about the camera's own forward axis over time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Roll {
+    /// Radians, along x.
+    angle: Spline,
+}
+
+impl Roll {
+    /// Through the keys `(time_s, roll_rad)`; positive turns the camera clockwise as seen by
+    /// itself.
+    pub fn new(keys: &[(f64, f64)]) -> Result<Self, PathError> {
+        let keys: Vec<_> = keys.iter().map(|(time_s, roll_rad)| (*time_s, Vector3::new(*roll_rad, 0.0, 0.0))).collect();
+        Ok(Self { angle: Spline::new(&keys)? })
+    }
+
+    /// The rotation at a time, in camera axes.
+    pub(super) fn at(&self, time_s: f64) -> UnitQuaternion<f64> {
+        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.angle.at(time_s).x)
     }
 }
 
@@ -224,6 +251,19 @@ mod tests {
         // Turned clockwise by 90 degrees, its right hand points down.
         let rolled = look_at(Point3::new(0.0, -4.0, 0.0), Point3::origin(), std::f64::consts::FRAC_PI_2).rotation * Vector3::x();
         assert!((rolled + Vector3::z()).norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_roll_runs_through_its_keys() {
+        let roll = Roll::new(&[(0.0, 0.1), (1.0, 0.7), (2.0, 2.4)]).unwrap();
+        assert!(
+            [(0.0, 0.1), (1.0, 0.7), (2.0, 2.4)]
+                .iter()
+                .all(|(t, angle)| (roll.at(*t).scaled_axis() - Vector3::z() * *angle).norm() < 1e-12)
+        );
+        let level = look_at(Point3::new(0.0, -4.0, 0.0), Point3::origin(), 0.0);
+        let rolled = level.rotation * roll.at(1.0);
+        assert!(rolled.angle_to(&look_at(Point3::new(0.0, -4.0, 0.0), Point3::origin(), 0.7).rotation) < 1e-12);
     }
 
     #[test]

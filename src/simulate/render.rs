@@ -1,32 +1,38 @@
 //! Takes the picture of a [`VirtualStage`].
 //!
-//! Every pixel sends out a few rays, each through another part of the pixel and at another part of the exposure,
-//! and averages what they hit. A row has its own instant (rolling shutter), so the camera's pose is taken anew for
-//! every row and ray. A plane seen by a camera is a homography from rays to artwork pixels: finding the hit costs
-//! one division, and the determinant of its derivative says how many texels a ray stands for. Bent surfaces are a list of their own
-//! (`cloth`), so that flat stages pay nothing for them.
+//! Every pixel sends out a few rays, each through another part of the pixel and at another part of
+//! the exposure, and averages what they hit. A row has its own instant (rolling shutter), so the
+//! camera's pose is taken anew for every row and ray (`samples`). A plane seen by a camera is a
+//! homography from rays to artwork pixels: finding the hit costs one division, and the determinant
+//! of its derivative says how many texels a ray stands for. Bent surfaces are a list of their own
+//! (`cloth`), so that flat stages pay nothing for them. What is averaged is light, as the stage's
+//! light model has it (`light`).
 
 use image::GrayImage;
-use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Point3, Vector2, Vector3};
 use rayon::prelude::*;
 
 use super::cloth::Cloth;
+use super::light::LightModel;
+use super::person::is_within_outline;
+use super::samples::{Sample, sample_pattern};
 use super::sensor::develop_row;
+use super::spot::Beam;
 use super::stage::{VirtualStage, Wave};
 use super::texture::Texture;
 use crate::camera::{CameraModel, Pixel};
 use crate::geometry::{Camera, Pose, Stage, SurfaceFrame};
 use crate::track::SurfaceSpec;
 
-/// Nothing nearer than this is seen, metres: a lens' own front. Raised, things held before the camera vanish.
+/// Nothing nearer than this is seen, metres: a lens' own front. Raised, things held before the
+/// camera vanish.
 const NEAREST_M: f64 = 0.02;
-/// Grey level of the unpainted back of a surface: dim wood, unlike black and white of the artwork. Any grey would do.
+/// Grey level of the unpainted back of a surface: dim wood, unlike black and white of the artwork.
+/// Any grey would do.
 const BACK_GREY: f32 = 45.0;
-/// Grey level of the sensor in a blackout: a dark frame's offset, before noise. Raised, a blackout counts as dim light.
+/// Grey level of the sensor in a blackout: a dark frame's offset, before noise. Raised, a blackout
+/// counts as dim light.
 const BLACKOUT_GREY: f32 = 4.0;
-/// A swap of two rays must bring their correlations nearer to zero by this, squared pixels squared: rounding alone must not keep it swapping.
-/// Raised, correlations stay; lowered to zero, it may not end.
-const LEAST_GAIN: f64 = 1e-12;
 
 /// The ray through a pixel's centre and how it turns across the pixel.
 #[derive(Debug, Clone, Copy)]
@@ -39,20 +45,21 @@ struct Ray {
     area: f64,
 }
 
-/// One ray's place in its pixel and in the exposure.
-#[derive(Debug, Clone, Copy)]
-struct Sample {
-    /// Pixels from the centre, within ±0.5.
-    offset_px: Vector2<f64>,
-    /// Share of the exposure from its middle, within ±0.5.
-    moment: f64,
-}
-
 /// What a plane shows.
 #[derive(Debug)]
 enum Face {
-    Picture { texture: Texture, size_px: [f64; 2] },
-    Ellipse { grey: f32 },
+    Picture {
+        texture: Texture,
+        size_px: [f64; 2],
+    },
+    Ellipse {
+        light: f32,
+    },
+    /// In half sizes to the right and up; the clothes fill the box around the outline.
+    Person {
+        clothes: Texture,
+        size_px: [f64; 2],
+    },
 }
 
 /// Whose frame a plane stands in.
@@ -61,6 +68,7 @@ enum Carrier {
     Stage,
     Object(usize),
     Occluder(usize),
+    Person(usize),
 }
 
 /// A plane that can be hit.
@@ -70,7 +78,7 @@ struct Plane {
     carrier: Carrier,
     /// `T_carrier_surface`.
     pose: Pose<Stage, SurfaceFrame>,
-    /// Metres on the surface to face coordinates: artwork pixels, or the unit circle of an ellipse.
+    /// Metres on the surface to face coordinates: artwork pixels, or half sizes.
     h_face_metres: Matrix3<f64>,
 }
 
@@ -92,6 +100,10 @@ pub struct Renderer {
     samples: Vec<Sample>,
     planes: Vec<Plane>,
     bent: Vec<(Plane, Cloth)>,
+    /// Where no surface is.
+    background: f32,
+    /// Of the back of a surface.
+    back: f32,
 }
 
 /// A bent surface as one ray of one row sees it: the camera in the surface's frame.
@@ -107,15 +119,19 @@ struct BentView {
 struct Views {
     planes: Vec<View>,
     bent: Vec<BentView>,
+    beams: Vec<Beam>,
+    camera: Pose<Stage, Camera>,
 }
 
 impl Renderer {
-    /// Inverts the lens for every pixel and prepares every picture; takes about a second for large ones.
+    /// Inverts the lens for every pixel and prepares every picture; takes about a second for large
+    /// ones.
     pub fn new(stage: VirtualStage) -> Self {
         let rays = ray_table(&stage.camera);
         let samples = sample_pattern(stage.samples.max(1) as usize);
         let (planes, bent) = faces_of(&stage);
-        Self { stage, rays, samples, planes, bent }
+        let [background, back] = [stage.background, BACK_GREY].map(|grey| stage.light_model.light_of(grey));
+        Self { stage, rays, samples, planes, bent, background, back }
     }
 
     /// What is rendered.
@@ -129,16 +145,16 @@ impl Renderer {
         let mut image = GrayImage::new(width, height);
         image.par_chunks_mut(width as usize).enumerate().for_each(|(y, out)| {
             let light = self.light_of_row(time_s, y);
-            develop_row(&light, self.stage.noise, self.stage.seed, frame, y as u64, out);
+            develop_row(&light, self.stage.noise, self.stage.light_model, self.stage.seed, frame, y as u64, out);
         });
         image
     }
 
-    /// The light on one row before the sensor, grey levels, of the frame stamped `time_s`.
+    /// The light on one row before the sensor, of the frame stamped `time_s`.
     fn light_of_row(&self, time_s: f64, row: usize) -> Vec<f32> {
         let width = self.stage.camera.width() as usize;
         if self.stage.is_blackout(time_s) {
-            return vec![BLACKOUT_GREY; width];
+            return vec![self.stage.light_model.light_of(BLACKOUT_GREY); width];
         }
         let row_time_s = time_s + self.row_delay_s(row);
         let mut light = vec![0.0; width];
@@ -161,21 +177,22 @@ impl Renderer {
 
     /// Every surface as the camera sees it at an instant.
     fn views(&self, time_s: f64) -> Views {
-        let camera = self.stage.camera_path.pose(time_s);
+        let camera = self.stage.truth(time_s);
         let planes = self.planes.iter().map(|plane| plane.view(&plane.pose_at(&self.stage, time_s), &camera)).collect();
         let bent = self.bent.iter().map(|(plane, _)| {
             let t_surface_camera = plane.pose_at(&self.stage, time_s).inverse() * camera;
             BentView { eye: t_surface_camera.translation, turn: t_surface_camera.rotation_matrix(), time_s }
         });
-        Views { planes, bent: bent.collect() }
+        let beams = self.stage.spots.iter().map(|spot| spot.beam(time_s)).collect();
+        Views { planes, bent: bent.collect(), beams, camera }
     }
 
-    /// The grey level that one ray of a pixel brings home.
+    /// The light that one ray of a pixel brings home.
     fn trace(&self, ray: &Ray, sample: &Sample, views: &Views) -> f32 {
         let offset = ray.per_px * sample.offset_px;
         let direction = Vector3::new(ray.centre.x + offset.x, ray.centre.y + offset.y, 1.0);
         let mut nearest = f64::INFINITY;
-        let mut grey = self.stage.background;
+        let mut light = self.background;
         let mut hit = None;
         for (plane, view) in self.planes.iter().zip(&views.planes) {
             let h = &view.h_face_ray;
@@ -196,7 +213,7 @@ impl Renderer {
         if let Some((face, view, inverse, u, v)) = hit {
             // Texels under one ray: the area of a pixel on the face, shared by its rays.
             let texels = (view.determinant * inverse * inverse * inverse).abs() * ray.area / self.samples.len() as f64;
-            grey = if view.height > 0.0 { face.grey(u, v, 0.5 * (texels as f32).log2()) } else { BACK_GREY };
+            light = if view.height > 0.0 { face.light(u, v, 0.5 * (texels as f32).log2()) } else { self.back };
         }
         for ((plane, cloth), view) in self.bent.iter().zip(&views.bent) {
             let toward = view.turn * direction;
@@ -208,36 +225,49 @@ impl Renderer {
             // A pixel's area at that depth, laid along the ray onto the cloth, in texels.
             let square_m = met.depth * met.depth * ray.area / against.abs();
             let texels = square_m * plane.texels_per_square_m() / self.samples.len() as f64;
-            grey = if against > 0.0 { plane.face.grey(face.x, face.y, 0.5 * (texels as f32).log2()) } else { BACK_GREY };
+            let level = 0.5 * (texels as f32).log2();
+            light = if against > 0.0 { plane.face.light(face.x, face.y, level) } else { self.back };
         }
-        grey
+        if views.beams.is_empty() || nearest.is_infinite() {
+            return light;
+        }
+        let place = views.camera.transform(&Point3::from(direction * nearest));
+        light * (1.0 + views.beams.iter().map(|beam| beam.light_at(&place)).sum::<f32>())
     }
 }
 
 impl Face {
     fn covers(&self, u: f64, v: f64) -> bool {
         match self {
-            // Pixel centres at integers: the picture spans half a pixel beyond the outermost centres.
+            // Pixel centres at integers: the picture spans half a pixel beyond the outermost
+            // centres.
             Face::Picture { size_px: [w, h], .. } => u >= -0.5 && v >= -0.5 && u < w - 0.5 && v < h - 0.5,
             Face::Ellipse { .. } => u * u + v * v < 1.0,
+            Face::Person { .. } => is_within_outline(u, v),
         }
     }
 
-    fn grey(&self, u: f64, v: f64, level: f32) -> f32 {
+    /// `level` is of an area in face coordinates.
+    fn light(&self, u: f64, v: f64, level: f32) -> f32 {
         match self {
-            Face::Picture { texture, .. } => texture.grey(u, v, level),
-            Face::Ellipse { grey } => *grey,
+            Face::Picture { texture, .. } => texture.light(u, v, level),
+            Face::Ellipse { light } => *light,
+            Face::Person { clothes, size_px } => {
+                let [half_width, half_height] = size_px.map(|side| 0.5 * side);
+                let level = level + 0.5 * ((half_width * half_height) as f32).log2();
+                clothes.light((1.0 + u) * half_width - 0.5, (1.0 - v) * half_height - 0.5, level)
+            }
         }
     }
 }
 
 impl Plane {
-    fn of_surface(surface: &SurfaceSpec, carrier: Carrier) -> Self {
+    fn of_surface(surface: &SurfaceSpec, carrier: Carrier, model: LightModel) -> Self {
         let size_px = [f64::from(surface.artwork.width()), f64::from(surface.artwork.height())];
         let [per_x, per_y] = [size_px[0] / surface.size_m[0], size_px[1] / surface.size_m[1]];
         let middle = surface.to_artwork(Vector2::zeros());
         Self {
-            face: Face::Picture { texture: Texture::new(&surface.artwork), size_px },
+            face: Face::Picture { texture: Texture::new(&surface.artwork, model), size_px },
             carrier,
             // A surface's pose is in its body; `pose_at` puts the body into the stage.
             pose: surface.pose.renamed(),
@@ -254,13 +284,15 @@ impl Plane {
             Carrier::Stage => self.pose,
             Carrier::Object(k) => stage.objects[k].path.pose(time_s) * self.pose.renamed(),
             Carrier::Occluder(k) => stage.occluders[k].pose(time_s),
+            Carrier::Person(k) => stage.people[k].pose(time_s),
         }
     }
 
     fn view(&self, pose: &Pose<Stage, SurfaceFrame>, camera: &Pose<Stage, Camera>) -> View {
         let t_surface_camera = pose.inverse() * *camera;
         let (turn, eye) = (t_surface_camera.rotation_matrix(), t_surface_camera.translation);
-        // The ray eye + s turn d meets z = 0 at s = -eye.z / (turn d).z; its x there is (eye.x (turn d).z - eye.z (turn d).x) / (turn d).z.
+        // The ray eye + s turn d meets z = 0 at s = -eye.z / (turn d).z; its x there is (eye.x
+        // (turn d).z - eye.z (turn d).x) / (turn d).z.
         let down = turn.row(2);
         let metres = Matrix3::from_rows(&[down * eye.x - turn.row(0) * eye.z, down * eye.y - turn.row(1) * eye.z, down.into_owned()]);
         let h_face_ray = self.h_face_metres * metres;
@@ -278,23 +310,31 @@ fn faces_of(stage: &VirtualStage) -> (Vec<Plane>, Vec<(Plane, Cloth)>) {
     let moving = moving.flat_map(|(k, object)| object.body.surfaces.iter().map(move |s| (s, Carrier::Object(k), Vec::new())));
     let (mut planes, mut bent) = (Vec::new(), Vec::new());
     for (surface, carrier, waves) in still.chain(scenery).chain(moving) {
-        let plane = Plane::of_surface(surface, carrier);
+        let plane = Plane::of_surface(surface, carrier, stage.light_model);
         match Cloth::of(surface, &waves) {
             Some(cloth) => bent.push((plane, cloth)),
             None => planes.push(plane),
         }
     }
-    let people = stage.occluders.iter().enumerate().map(|(k, occluder)| {
-        let [half_width, half_height] = occluder.half_size_m;
-        Plane {
-            face: Face::Ellipse { grey: occluder.grey },
-            carrier: Carrier::Occluder(k),
-            pose: Pose::identity(),
-            h_face_metres: Matrix3::from_diagonal(&Vector3::new(1.0 / half_width, 1.0 / half_height, 1.0)),
-        }
-    });
-    planes.extend(people);
+    planes.extend(people_of(stage));
     (planes, bent)
+}
+
+/// All that walks or sways in front.
+fn people_of(stage: &VirtualStage) -> impl Iterator<Item = Plane> {
+    let upright = |face: Face, carrier: Carrier, [half_width, half_height]: [f64; 2]| {
+        let h_face_metres = Matrix3::from_diagonal(&Vector3::new(1.0 / half_width, 1.0 / half_height, 1.0));
+        Plane { face, carrier, pose: Pose::identity(), h_face_metres }
+    };
+    let occluders = stage.occluders.iter().enumerate().map(move |(k, occluder)| {
+        upright(Face::Ellipse { light: stage.light_model.light_of(occluder.grey) }, Carrier::Occluder(k), occluder.half_size_m)
+    });
+    let people = stage.people.iter().enumerate().map(move |(k, person)| {
+        let size_px = [f64::from(person.clothes.width()), f64::from(person.clothes.height())];
+        let clothes = Texture::new(&person.clothes, stage.light_model);
+        upright(Face::Person { clothes, size_px }, Carrier::Person(k), person.half_size_m)
+    });
+    occluders.chain(people)
 }
 
 /// The exact inverse of the lens at every pixel centre, row-major.
@@ -309,61 +349,6 @@ fn ray_table(camera: &CameraModel) -> Vec<Ray> {
             per_ray.try_inverse().map_or(nowhere, |per_px| Ray { centre: ray.0, per_px, area: per_px.determinant().abs() })
         })
         .collect()
-}
-
-/// Rays that fill the pixel and the exposure evenly: every column, row and time slice of n has one ray (n rooks), so that the mean offset is
-/// exactly zero and nothing is shifted.
-///
-/// Each ray has one opposite to it in place and time, so that all odd moments are zero: with a mean of x² t other than zero, say, a picture
-/// that moves is seen ahead of itself, in proportion to the exposure. Columns, rows and times are uncorrelated as nearly as n slices allow, so
-/// that neither the pixel nor the blur is slanted.
-fn sample_pattern(count: usize) -> Vec<Sample> {
-    let slice = |k: usize| (k as f64 + 0.5) / count as f64 - 0.5;
-    // Signed offsets of the first half in an order of the plane's best-spread additive sequence, whose steps are irrational; the others mirror them.
-    let axis = |step: f64| {
-        let half = count / 2;
-        let value = |k: usize| ((k as f64 + 0.5) * step).fract() - 0.5;
-        let mut by_size: Vec<usize> = (0..half).collect();
-        by_size.sort_by(|a, b| value(*a).abs().total_cmp(&value(*b).abs()));
-        let mut offsets = vec![0.0; count];
-        for (rank, k) in by_size.into_iter().enumerate() {
-            offsets[k] = slice(count - half + rank).copysign(value(k));
-            offsets[count - 1 - k] = -offsets[k];
-        }
-        offsets
-    };
-    let mut axes = [axis(0.754_877_666_246_692_7), axis(0.569_840_290_998_053_2), (0..count).map(slice).collect()];
-    decorrelate(&mut axes);
-    let [columns, rows, moments] = axes;
-    (0..count).map(|k| Sample { offset_px: Vector2::new(columns[k], rows[k]), moment: moments[k] }).collect()
-}
-
-/// Swaps columns or rows of two rays, and of their opposites, as long as that brings the axes' correlations nearer to zero; always the best swap.
-fn decorrelate(axes: &mut [Vec<f64>; 3]) {
-    let count = axes[0].len();
-    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    loop {
-        let between = [product(&axes[0], &axes[1]), product(&axes[0], &axes[2]), product(&axes[1], &axes[2])];
-        let misfit = |change: [f64; 3]| between.iter().zip(change).map(|(b, c)| (b + c).powi(2)).sum::<f64>();
-        let mut best = (misfit([0.0; 3]), None);
-        // The ray in the middle is its own opposite and stays.
-        let pairs = || (0..count / 2).flat_map(|i| (i + 1..count).filter(move |j| 2 * j + 1 != count).map(move |j| (i, j)));
-        for (axis, (i, j)) in (0..2).flat_map(|axis| pairs().map(move |pair| (axis, pair))) {
-            let [own, other, moment] = [axis, 1 - axis, 2].map(|a| axes[a][j] - axes[a][i]);
-            // Their opposites change the products alike, unless the two are opposite to each other.
-            let both = if i + j + 1 == count { -own } else { -2.0 * own };
-            let with_moment = both * moment;
-            let change = if axis == 0 { [both * other, with_moment, 0.0] } else { [both * other, 0.0, with_moment] };
-            if misfit(change) < best.0 - LEAST_GAIN {
-                best = (misfit(change), Some((axis, i, j)));
-            }
-        }
-        let Some((axis, i, j)) = best.1 else { return };
-        axes[axis].swap(i, j);
-        if i + j + 1 != count {
-            axes[axis].swap(count - 1 - i, count - 1 - j);
-        }
-    }
 }
 
 #[cfg(test)]

@@ -1,15 +1,19 @@
 //! The sensor: light becomes grey levels with shot and read noise.
 //!
 //! Shot noise grows with the light, read noise is always there: the variance at grey level g is
-//! `read² + shot · g`. Every row of every frame has a random generator of its own, seeded with nothing but the
-//! seed, the frame's number and the row's, so that neither order nor threads change a picture.
+//! `read² + shot · g`. Every row of every frame has a random generator of its own, seeded with
+//! nothing but the seed, the frame's number and the row's, so that neither order nor threads change
+//! a picture.
 
 use std::f32::consts::TAU;
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-/// How noisy the sensor is.
+use super::light::LightModel;
+
+/// How noisy the sensor is. Where light is linear, so is the noise: a level is then a 255th of full
+/// light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SensorNoise {
     /// Standard deviation in the dark, grey levels.
@@ -28,13 +32,19 @@ impl SensorNoise {
     pub const fn webcam() -> Self {
         Self { read: 1.7, shot: 0.03 }
     }
+
+    /// A decent webcam where light is linear: 2.6 grey levels in the dark, 1.6 at level 128.
+    pub const fn linear_webcam() -> Self {
+        Self { read: 0.2, shot: 0.04 }
+    }
 }
 
-/// Writes one row of a frame: light (grey levels, unbounded) plus noise, rounded and clipped to 0..=255.
-pub(super) fn develop_row(light: &[f32], noise: SensorNoise, seed: u64, frame: u64, row: u64, out: &mut [u8]) {
+/// Writes one row of a frame: light (up to 255 and beyond) plus noise, made grey levels, rounded
+/// and clipped to 0..=255.
+pub(super) fn develop_row(light: &[f32], noise: SensorNoise, model: LightModel, seed: u64, frame: u64, row: u64, out: &mut [u8]) {
     if noise == SensorNoise::none() {
         for (grey, &light) in out.iter_mut().zip(light) {
-            *grey = quantise(light);
+            *grey = quantise(model.grey_of(light));
         }
         return;
     }
@@ -43,14 +53,14 @@ pub(super) fn develop_row(light: &[f32], noise: SensorNoise, seed: u64, frame: u
     for (greys, lights) in out.chunks_mut(2).zip(light.chunks(2)) {
         let normal = normal_pair(&mut random);
         for ((grey, &light), n) in greys.iter_mut().zip(lights).zip(normal) {
-            *grey = quantise(light + sigma(light) * n);
+            *grey = quantise(model.grey_of(light + sigma(light) * n));
         }
     }
 }
 
-fn quantise(light: f32) -> u8 {
+fn quantise(grey: f32) -> u8 {
     // `as` saturates, so it clips to 0..=255; adding a half rounds.
-    (light + 0.5) as u8
+    (grey + 0.5) as u8
 }
 
 /// Two independent normal numbers (Box and Muller's transform).
@@ -75,7 +85,7 @@ mod tests {
 
     fn develop(level: f32, noise: SensorNoise, frame: u64, row: u64) -> Vec<u8> {
         let mut out = vec![0; 40_001];
-        develop_row(&vec![level; out.len()], noise, 5, frame, row, &mut out);
+        develop_row(&vec![level; out.len()], noise, LightModel::GreyAverages, 5, frame, row, &mut out);
         out
     }
 
@@ -110,7 +120,7 @@ mod tests {
     #[test]
     fn without_noise_light_is_rounded_and_clipped() {
         let mut out = [0; 4];
-        develop_row(&[-3.0, 12.4, 12.6, 300.0], SensorNoise::none(), 1, 1, 1, &mut out);
+        develop_row(&[-3.0, 12.4, 12.6, 300.0], SensorNoise::none(), LightModel::GreyAverages, 1, 1, 1, &mut out);
         assert_eq!(out, [0, 12, 13, 255]);
     }
 }

@@ -3,10 +3,14 @@
 use std::ops::Range;
 
 use image::GrayImage;
-use nalgebra::{Point3, UnitQuaternion, Vector3};
+use nalgebra::{Point3, Vector3};
 
-use super::path::{CameraPath, ObjectPath};
+use super::light::LightModel;
+use super::path::{CameraPath, ObjectPath, Roll};
+use super::person::Person;
 use super::sensor::SensorNoise;
+use super::spot::Spot;
+use super::upright::upright;
 use crate::camera::{CameraModel, Shutter};
 use crate::geometry::{Body, Camera, Pose, Stage, SurfaceFrame};
 use crate::track::{BodySpec, ReferenceKind, SurfaceDoubt, SurfaceShape, SurfaceSpec};
@@ -20,9 +24,12 @@ pub struct VirtualStage {
     pub camera: CameraModel,
     /// Where the camera is.
     pub camera_path: CameraPath,
+    /// How the camera rolls on top of that.
+    pub roll: Option<Roll>,
     /// The surfaces of the stage; its body frame is the stage frame.
     pub stage: BodySpec,
-    /// Waves over surfaces of the stage, beside the shape that a surface has. A tracker made of this is told the shapes, but no waves.
+    /// Waves over surfaces of the stage, beside the shape that a surface has. A tracker made of
+    /// this is told the shapes, but no waves.
     pub draughts: Vec<Draught>,
     /// Tracked objects.
     pub objects: Vec<MovingObject>,
@@ -30,6 +37,12 @@ pub struct VirtualStage {
     pub scenery: Vec<SurfaceSpec>,
     /// People and things that pass in front.
     pub occluders: Vec<Occluder>,
+    /// People in patterned clothes who walk in front.
+    pub people: Vec<Person>,
+    /// In what light is added up.
+    pub light_model: LightModel,
+    /// Lamps whose light adds to the wash; what no surface is, they do not reach.
+    pub spots: Vec<Spot>,
     /// Brightness over time, in order of time; empty means 1 throughout.
     pub light: Vec<LightKey>,
     /// Times in seconds during which there is no light at all.
@@ -40,13 +53,15 @@ pub struct VirtualStage {
     pub noise: SensorNoise,
     /// Grey level where no surface is.
     pub background: f32,
-    /// Rays a pixel, spread over its area and over the exposure; 4 suits a steady camera, 16 a fast one.
+    /// Rays a pixel, spread over its area and over the exposure; 4 suits a steady camera, 16 a fast
+    /// one.
     pub samples: u32,
     /// Seed of the sensor noise.
     pub seed: u64,
 }
 
-/// Waves that stand or run over a surface of the stage: folds of a cloth, and a draught that moves it.
+/// Waves that stand or run over a surface of the stage: folds of a cloth, and a draught that moves
+/// it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Draught {
     /// The surface's index in the stage; beyond the last one nothing moves.
@@ -55,7 +70,8 @@ pub struct Draught {
     pub waves: Vec<Wave>,
 }
 
-/// A wave: out of the face by `height_m` · sin(`wave_vector` · (x, y) + 2π `rate_hz` t + `phase_rad`), with x and y along the picture from its centre.
+/// A wave: out of the face by `height_m` · sin(`wave_vector` · (x, y) + 2π `rate_hz` t +
+/// `phase_rad`), with x and y along the picture from its centre.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wave {
     /// Metres, from the middle to the top.
@@ -97,21 +113,26 @@ pub struct Occluder {
 pub struct LightKey {
     /// Seconds.
     pub time_s: f64,
-    /// Factor on the artwork's grey levels.
+    /// Factor on the artwork's light: on its grey levels, where these are averaged.
     pub gain: f32,
 }
 
 impl VirtualStage {
-    /// A still camera in front of a body: global shutter, no blur, no noise, black around it, 4 rays a pixel.
+    /// A still camera in front of a body: global shutter, no blur, no noise, black around it, 4
+    /// rays a pixel.
     pub fn new(camera: CameraModel, camera_path: CameraPath, stage: BodySpec) -> Self {
         Self {
             camera,
             camera_path,
+            roll: None,
             stage,
             draughts: Vec::new(),
             objects: Vec::new(),
             scenery: Vec::new(),
             occluders: Vec::new(),
+            people: Vec::new(),
+            light_model: LightModel::default(),
+            spots: Vec::new(),
             light: Vec::new(),
             blackouts: Vec::new(),
             shutter: Shutter::default(),
@@ -124,7 +145,11 @@ impl VirtualStage {
 
     /// The exact `T_stage_camera` at a time: of the middle row at mid-exposure.
     pub fn truth(&self, time_s: f64) -> Pose<Stage, Camera> {
-        self.camera_path.pose(time_s)
+        let steady = self.camera_path.pose(time_s);
+        match &self.roll {
+            Some(roll) => steady * Pose::<Camera, Camera>::new(roll.at(time_s), Vector3::zeros()),
+            None => steady,
+        }
     }
 
     /// The exact `T_stage_object` of an object at a time, or `None` when there is no such object.
@@ -132,7 +157,7 @@ impl VirtualStage {
         Some(self.objects.get(object)?.path.pose(time_s))
     }
 
-    /// The factor on all grey levels at a time.
+    /// The factor on all light at a time.
     pub fn light_gain(&self, time_s: f64) -> f32 {
         let next = self.light.partition_point(|key| key.time_s <= time_s);
         match (next.checked_sub(1).and_then(|i| self.light.get(i)), self.light.get(next)) {
@@ -168,13 +193,6 @@ impl Occluder {
     }
 }
 
-/// `T_body_surface` of a surface that stands upright with its centre at `position` (metres) and faces the audience,
-/// turned by `turn_rad` about the vertical (positive: the face turns towards stage x).
-pub fn upright(position: Vector3<f64>, turn_rad: f64) -> Pose<Body, SurfaceFrame> {
-    let stand = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2);
-    Pose::new(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_rad) * stand, position)
-}
-
 /// A surface of flat artwork; the virtual stage asks nothing of the picture.
 pub fn artwork_surface(name: &str, artwork: GrayImage, size_m: [f64; 2], pose: Pose<Body, SurfaceFrame>) -> SurfaceSpec {
     SurfaceSpec {
@@ -201,15 +219,5 @@ mod tests {
         assert_eq!(stage.light_gain(3.0), 1.0);
         stage.light = vec![LightKey { time_s: 1.0, gain: 0.5 }, LightKey { time_s: 3.0, gain: 1.0 }];
         assert_eq!([0.0, 1.0, 2.0, 3.0, 9.0].map(|t| stage.light_gain(t)), [0.5, 0.5, 0.75, 1.0, 1.0]);
-    }
-
-    #[test]
-    fn an_upright_surface_faces_the_audience() {
-        let pose = upright(Vector3::new(0.0, 0.0, 1.0), 0.0);
-        assert!((pose.rotation * Vector3::z() + Vector3::y()).norm() < 1e-12);
-        assert!((pose.transform(&Point3::new(0.0, 2.0, 0.0)) - Point3::new(0.0, 0.0, 3.0)).norm() < 1e-12);
-        let s = std::f64::consts::FRAC_1_SQRT_2;
-        assert!(pose.orientation_xyzw().iter().zip([s, 0.0, 0.0, s]).all(|(a, b)| (a - b).abs() < 1e-12));
-        assert!((upright(Vector3::zeros(), 0.3).rotation * Vector3::z()).x > 0.0);
     }
 }

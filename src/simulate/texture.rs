@@ -1,18 +1,21 @@
 //! Pictures on surfaces, ready to be looked up at any magnification.
 //!
-//! A far surface shows many picture elements ("texels") in one pixel; taking just one of them would make it
-//! glitter. A [`Texture`] therefore keeps the picture at every halved size and reads between the two sizes that
-//! fit. Every size has the mean grey of the first, and edges stay where they are to a fraction of a texel.
+//! A far surface shows many picture elements ("texels") in one pixel; taking just one of them would
+//! make it glitter. A [`Texture`] therefore keeps the picture at every halved size and reads
+//! between the two sizes that fit. Every size has the mean light of the first, and edges stay where
+//! they are to a fraction of a texel.
 
 use image::GrayImage;
+
+use super::light::LightModel;
 
 /// One size of the picture.
 #[derive(Debug, Clone)]
 struct Level {
     width: usize,
     height: usize,
-    /// Grey levels, row-major.
-    grey: Vec<f32>,
+    /// Light, row-major.
+    light: Vec<f32>,
     /// Texels of this level per texel of the first, across and down.
     scale: [f64; 2],
 }
@@ -24,11 +27,12 @@ pub(super) struct Texture {
 }
 
 impl Texture {
-    /// Halves the picture until its smaller side has one texel.
-    pub(super) fn new(picture: &GrayImage) -> Self {
+    /// Halves the picture until its smaller side has one texel; what is averaged is the light of
+    /// its grey levels.
+    pub(super) fn new(picture: &GrayImage, model: LightModel) -> Self {
         let (width, height) = (picture.width() as usize, picture.height() as usize);
-        let grey = picture.as_raw().iter().map(|&g| f32::from(g)).collect();
-        let mut levels = vec![Level { width, height, grey, scale: [1.0; 2] }];
+        let light = picture.as_raw().iter().map(|&g| model.light_of(f32::from(g))).collect();
+        let mut levels = vec![Level { width, height, light, scale: [1.0; 2] }];
         while let Some(last) = levels.last().filter(|l| l.width.min(l.height) > 1) {
             let next = last.halved(width, height);
             levels.push(next);
@@ -36,9 +40,9 @@ impl Texture {
         Self { levels }
     }
 
-    /// The grey level at `(u, v)` in pixels of the full picture (centres at integers), averaged over about
-    /// `2^level` of them; outside of the picture its rim goes on.
-    pub(super) fn grey(&self, u: f64, v: f64, level: f32) -> f32 {
+    /// The light at `(u, v)` in pixels of the full picture (centres at integers), averaged over
+    /// about `2^level` of them; outside of the picture its rim goes on.
+    pub(super) fn light(&self, u: f64, v: f64, level: f32) -> f32 {
         let top = (self.levels.len() - 1) as f32;
         let level = level.clamp(0.0, top);
         let fine = level as usize;
@@ -53,18 +57,19 @@ impl Texture {
 }
 
 impl Level {
-    /// The next smaller picture; every texel of this one enters with the same total weight, so the mean is kept.
+    /// The next smaller picture; every texel of this one enters with the same total weight, so the
+    /// mean is kept.
     fn halved(&self, full_width: usize, full_height: usize) -> Self {
         let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
-        let rows: Vec<f32> = self.grey.chunks_exact(self.width).flat_map(|row| shrink(row, width)).collect();
-        let mut grey = vec![0.0; width * height];
+        let rows: Vec<f32> = self.light.chunks_exact(self.width).flat_map(|row| shrink(row, width)).collect();
+        let mut light = vec![0.0; width * height];
         for x in 0..width {
             let column: Vec<f32> = rows.iter().skip(x).step_by(width).copied().collect();
             for (y, value) in shrink(&column, height).into_iter().enumerate() {
-                grey[y * width + x] = value;
+                light[y * width + x] = value;
             }
         }
-        Self { width, height, grey, scale: [width as f64 / full_width as f64, height as f64 / full_height as f64] }
+        Self { width, height, light, scale: [width as f64 / full_width as f64, height as f64 / full_height as f64] }
     }
 
     fn bilinear(&self, u: f64, v: f64) -> f32 {
@@ -74,14 +79,15 @@ impl Level {
         let (i, j) = (x as usize, y as usize);
         let (a, b) = ((x - i as f64) as f32, (y - j as f64) as f32);
         let (i2, j2) = ((i + 1).min(self.width - 1), (j + 1).min(self.height - 1));
-        let (above, below) = (&self.grey[j * self.width..][..self.width], &self.grey[j2 * self.width..][..self.width]);
+        let (above, below) = (&self.light[j * self.width..][..self.width], &self.light[j2 * self.width..][..self.width]);
         let top = above[i] + (above[i2] - above[i]) * a;
         let bottom = below[i] + (below[i2] - below[i]) * a;
         top + (bottom - top) * b
     }
 }
 
-/// Averages a line down to `count` equal windows, with shares of the values that straddle two of them.
+/// Averages a line down to `count` equal windows, with shares of the values that straddle two of
+/// them.
 fn shrink(line: &[f32], count: usize) -> Vec<f32> {
     let window = line.len() as f64 / count as f64;
     (0..count)
@@ -106,8 +112,8 @@ mod tests {
     #[test]
     fn every_level_keeps_the_mean_grey() {
         // Odd sides: windows straddle texels.
-        let texture = Texture::new(&picture(231, 117));
-        let mean = |l: &Level| l.grey.iter().map(|&g| f64::from(g)).sum::<f64>() / l.grey.len() as f64;
+        let texture = Texture::new(&picture(231, 117), LightModel::GreyAverages);
+        let mean = |l: &Level| l.light.iter().map(|&g| f64::from(g)).sum::<f64>() / l.light.len() as f64;
         let first = mean(&texture.levels[0]);
         assert!(texture.levels.len() >= 7);
         for level in &texture.levels {
@@ -118,19 +124,26 @@ mod tests {
     #[test]
     fn the_first_level_reads_the_picture_itself() {
         let picture = picture(20, 10);
-        let texture = Texture::new(&picture);
-        assert_eq!(texture.grey(7.0, 3.0, 0.0), f32::from(picture.get_pixel(7, 3)[0]));
+        let texture = Texture::new(&picture, LightModel::GreyAverages);
+        assert_eq!(texture.light(7.0, 3.0, 0.0), f32::from(picture.get_pixel(7, 3)[0]));
         let between = 0.5 * (f32::from(picture.get_pixel(7, 3)[0]) + f32::from(picture.get_pixel(8, 3)[0]));
-        assert!((texture.grey(7.5, 3.0, 0.0) - between).abs() < 1e-4);
-        assert_eq!(texture.grey(-5.0, -5.0, 0.0), f32::from(picture.get_pixel(0, 0)[0]));
+        assert!((texture.light(7.5, 3.0, 0.0) - between).abs() < 1e-4);
+        assert_eq!(texture.light(-5.0, -5.0, 0.0), f32::from(picture.get_pixel(0, 0)[0]));
     }
 
     #[test]
     fn coarse_levels_do_not_shift_a_ramp() {
         let ramp = GrayImage::from_fn(256, 64, |x, _| image::Luma([x as u8]));
-        let texture = Texture::new(&ramp);
+        let texture = Texture::new(&ramp, LightModel::GreyAverages);
         for level in [0.0, 0.5, 1.0, 2.3, 3.0] {
-            assert!((texture.grey(100.25, 31.0, level) - 100.25).abs() < 1e-3, "level {level}");
+            assert!((texture.light(100.25, 31.0, level) - 100.25).abs() < 1e-3, "level {level}");
         }
+    }
+    #[test]
+    fn linear_light_is_averaged_as_light() {
+        let stripes = GrayImage::from_fn(64, 64, |x, _| image::Luma([if x % 2 == 0 { 0 } else { 255 }]));
+        let linear = LightModel::Linear(Default::default());
+        let mean = Texture::new(&stripes, linear).light(31.5, 31.5, 6.0);
+        assert!((mean - 127.5).abs() < 0.01 && linear.grey_of(mean).round() == 188.0, "{mean}");
     }
 }
