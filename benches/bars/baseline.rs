@@ -1,7 +1,7 @@
 //! The committed figures, and how much worse a run may be.
 //!
-//! A build gives the same bytes on every run, on any number of threads. Another processor has other vector registers, and so sums in
-//! another order: that is what the tolerances are for.
+//! A build gives the same bytes on every run, on any number of threads. Another processor has other
+//! vector registers, and so sums in another order: that is what the tolerances are for.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -17,7 +17,8 @@ const MAX_LOST_PERCENT: f64 = 2.0;
 const MAX_MORE_WRONG: usize = 0;
 /// How many times larger an error may be. Raised, a loss of accuracy passes.
 const MAX_ERROR_RATIO: f64 = 1.05;
-/// How many times larger or smaller NEES/6 may be: it is a mean of squares, so it moves twice as much as errors do.
+/// How many times larger or smaller NEES/6 may be: it is a mean of squares, so it moves twice as
+/// much as errors do.
 const MAX_NEES_RATIO: f64 = 1.10;
 
 /// Figures by the name of the scene.

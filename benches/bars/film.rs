@@ -2,7 +2,8 @@
 
 use std::time::Instant;
 
-use stagepose::{Frame, PoseSample, Renderer, State, Timestamp, Tracker, TrackerSetup, VirtualStage};
+use stagepose::diagnostics::simulate::through_jpeg;
+use stagepose::{Frame, LightModel, PoseSample, Renderer, SensorNoise, State, Timestamp, Tracker, TrackerSetup, VirtualStage};
 
 use crate::score::{Figures, Found, figures};
 
@@ -11,6 +12,8 @@ pub struct Film {
     pub stage: VirtualStage,
     pub fps: f64,
     pub frames: u64,
+    /// Quality of the JPEGs that the camera sends, if it does.
+    pub jpeg: Option<u8>,
 }
 
 impl Film {
@@ -18,18 +21,31 @@ impl Film {
         Timestamp::from_seconds(sequence as f64 / self.fps)
     }
 
+    /// The same scene with grey levels added up as if they were light, for figures beside those of
+    /// old.
+    pub fn in_grey_averages(mut self) -> Self {
+        self.stage.light_model = LightModel::GreyAverages;
+        self.stage.noise = SensorNoise::webcam();
+        self
+    }
+
     /// All frames, the first one at time 0.
     pub fn render(&self) -> Result<Vec<Frame>, String> {
         let renderer = Renderer::new(self.stage.clone());
         let frame = |k: u64| {
             // The stamp's own seconds: picture, truth and stamp agree to the nanosecond.
-            let picture = renderer.render(self.stamp(k).seconds(), k);
+            let taken = renderer.render(self.stamp(k).seconds(), k);
+            let picture = match self.jpeg {
+                Some(quality) => through_jpeg(&taken, quality).map_err(|e| e.to_string())?,
+                None => taken,
+            };
             Ok(Frame::new(picture, self.stamp(k), k))
         };
         (0..self.frames).map(frame).collect()
     }
 
-    /// The samples of a tracker that is told what is true of the stage, and the mean milliseconds a frame.
+    /// The samples of a tracker that is told what is true of the stage, and the mean milliseconds a
+    /// frame.
     pub fn track(&self, frames: &[Frame]) -> Result<(Vec<PoseSample>, f64), String> {
         let mut tracker = Tracker::new(TrackerSetup::from(&self.stage)).map_err(|e| e.to_string())?;
         let start = Instant::now();

@@ -1,11 +1,13 @@
-//! The scenes: short cuts of the kinds that `../shared/bench` has, on painted pictures. Metres and seconds, in the stage frame.
+//! The scenes: short cuts of the kinds that `../shared/bench` has, on painted pictures. Metres and
+//! seconds, in the stage frame. All of them are in linear light.
 
 mod cloth;
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use stagepose::diagnostics::simulate::{artwork_surface, grey, paint, upright};
 use stagepose::{
-    BodySpec, CameraModel, CameraPath, Intrinsics, MovingObject, ObjectPath, SensorNoise, Shake, Spline, SurfaceSpec, VirtualStage,
+    BodySpec, CameraModel, CameraPath, Intrinsics, LightKey, LightModel, MovingObject, ObjectPath, Person, Roll, SensorNoise, Shake,
+    Spline, Spot, SurfaceSpec, ToneCurve, VirtualStage,
 };
 
 use crate::film::Film;
@@ -14,11 +16,13 @@ use crate::film::Film;
 type Scene = fn() -> Film;
 
 /// All scenes in the order of the table.
-pub const SCENES: [(&str, Scene); 8] = [
+pub const SCENES: [(&str, Scene); 10] = [
     ("dolly", dolly),
     ("still", still),
     ("handheld", handheld),
     ("whip", whip),
+    ("steep", steep),
+    ("actors", actors),
     ("blackout", blackout),
     ("relief", relief),
     ("props", props),
@@ -27,7 +31,8 @@ pub const SCENES: [(&str, Scene); 8] = [
 
 /// Frame width and height, pixels. Larger frames cost more time to render than they add.
 const SIZE: (u32, u32) = (960, 540);
-/// Texels a metre of the pictures on the cloth: about as many as pixels from the nearest place. Raised, painting takes longer.
+/// Texels a metre of the pictures on the cloth: about as many as pixels from the nearest place.
+/// Raised, painting takes longer.
 const TEXELS_A_METRE: f64 = 400.0;
 
 pub fn names() -> String {
@@ -76,10 +81,11 @@ fn backdrop(seed: u64, size_m: [f64; 2]) -> BodySpec {
     BodySpec::new("stage", vec![painted("backdrop", seed, size_m, [0.0; 3], 0.0)])
 }
 
-/// A noisy sensor with nothing else that is hard.
+/// Linear light and a noisy sensor, with nothing else that is hard.
 fn staged(camera: CameraModel, path: CameraPath, stage: BodySpec) -> VirtualStage {
     let mut scene = VirtualStage::new(camera, path, stage);
-    scene.noise = SensorNoise::webcam();
+    scene.light_model = LightModel::Linear(ToneCurve::default());
+    scene.noise = SensorNoise::linear_webcam();
     scene.background = 25.0;
     scene.samples = 8;
     scene.shutter.exposure_s = 0.004;
@@ -94,7 +100,7 @@ fn dolly() -> Film {
         (1.0, [0.5, -3.8, 0.3], [0.0, 0.0, 0.1]),
         (1.7, [-0.4, -3.4, 0.1], [-0.1, 0.0, 0.0]),
     ]);
-    Film { stage: staged(wide(), path, backdrop(10, [4.2, 3.15])), fps: 30.0, frames: 50 }
+    Film { stage: staged(wide(), path, backdrop(10, [4.2, 3.15])), fps: 30.0, frames: 50, jpeg: None }
 }
 
 /// Scatter and bias: nothing moves but the noise.
@@ -103,7 +109,7 @@ fn still() -> Film {
     let mut stage = staged(wide(), path, backdrop(11, [3.2, 2.2]));
     stage.shutter.exposure_s = 0.0;
     stage.samples = 16;
-    Film { stage, fps: 60.0, frames: 40 }
+    Film { stage, fps: 60.0, frames: 40, jpeg: None }
 }
 
 /// A shaking hand, a rolling shutter, blur.
@@ -116,7 +122,7 @@ fn handheld() -> Film {
     path.shake = Some(Shake::new(0.01, 0.012, 7.0, 12));
     let mut stage = staged(normal(), path, backdrop(12, [3.0, 2.2]));
     (stage.shutter.exposure_s, stage.shutter.readout_s, stage.samples) = (0.012, 0.012, 16);
-    Film { stage, fps: 30.0, frames: 50 }
+    Film { stage, fps: 30.0, frames: 50, jpeg: Some(85) }
 }
 
 /// Pans so fast that the blur is a dozen pixels, with rests between them.
@@ -134,7 +140,56 @@ fn whip() -> Film {
     ]);
     let mut stage = staged(wide(), path, backdrop(16, [5.0, 3.4]));
     (stage.shutter.exposure_s, stage.shutter.readout_s, stage.samples) = (0.006, 0.008, 24);
-    Film { stage, fps: 30.0, frames: 60 }
+    Film { stage, fps: 30.0, frames: 60, jpeg: None }
+}
+
+/// Round to the side until the backdrop is seen at 76 degrees, while the camera rolls by 140.
+fn steep() -> Film {
+    let centre = [0.0; 3];
+    let path = path(&[
+        (0.0, [0.0, -2.6, 0.0], centre),
+        (0.75, [-1.5, -2.2, 0.2], centre),
+        (1.5, [-2.2, -1.2, 0.3], centre),
+        (2.25, [-2.5, -0.75, 0.2], centre),
+        (3.0, [-2.45, -0.62, 0.1], centre),
+    ]);
+    let mut stage = staged(wide(), path, backdrop(13, [2.4, 2.4]));
+    let roll = [0.0, 20.0, 60.0, 100.0, 140.0_f64].iter().enumerate().map(|(k, degrees)| (0.75 * k as f64, degrees.to_radians()));
+    stage.roll = Some(Roll::new(&roll.collect::<Vec<_>>()).expect("keys in order of time"));
+    Film { stage, fps: 20.0, frames: 60, jpeg: None }
+}
+
+/// Someone who walks along x from a place, in clothes as full of detail as the backdrop.
+fn person(seed: u64, at: [f64; 3], swing_m: f64, period_s: f64, phase: f64) -> Person {
+    let (centre, half_size_m) = (Point3::from(at), [0.32, 0.95]);
+    let [width, height] = half_size_m.map(|half| (2.0 * half * TEXELS_A_METRE) as u32);
+    let swing = Vector3::new(swing_m, 0.0, 0.0);
+    Person { centre, swing, period_s, phase, half_size_m, clothes: grey(&paint(width, height, seed)) }
+}
+
+/// Three people in front, two spots that swing, the light down to 30 % and back.
+fn actors() -> Film {
+    let mut path = path(&[
+        (0.0, [0.8, -3.6, 0.1], [0.0, 0.0, 0.0]),
+        (1.25, [0.2, -3.1, 0.2], [-0.1, 0.0, 0.0]),
+        (2.5, [-0.5, -3.5, 0.0], [0.0, 0.0, 0.1]),
+    ]);
+    path.shake = Some(Shake::new(0.002, 0.0015, 6.0, 14));
+    let mut stage = staged(normal(), path, backdrop(14, [4.2, 2.8]));
+    stage.people = vec![
+        person(41, [-0.4, -1.4, -0.2], 1.1, 3.1, 0.0),
+        person(42, [0.5, -1.9, -0.2], 0.9, 2.3, 0.4),
+        person(43, [0.0, -0.8, -0.2], 1.4, 4.3, 0.2),
+    ];
+    let spot = |lamp: [f64; 3], aim: [f64; 3], swing_m: f64, period_s: f64, gain: f32| {
+        let (lamp, aim, swing) = (Point3::from(lamp), Point3::from(aim), Vector3::new(swing_m, 0.0, 0.0));
+        Spot { lamp, aim, swing, period_s, width_rad: 0.09, gain }
+    };
+    stage.spots = vec![spot([-2.0, -4.5, 3.0], [-0.5, 0.0, 0.0], 0.9, 3.0, 1.2), spot([2.0, -4.5, 3.0], [0.8, 0.0, 0.3], -0.7, 2.2, 0.8)];
+    let keys = [(0.0, 1.0), (0.7, 1.0), (1.0, 0.3), (1.6, 0.3), (1.8, 1.1), (2.5, 0.8)];
+    stage.light = keys.map(|(time_s, gain)| LightKey { time_s, gain }).to_vec();
+    stage.shutter.exposure_s = 0.01;
+    Film { stage, fps: 20.0, frames: 50, jpeg: Some(88) }
 }
 
 /// Covered twice, and back elsewhere.
@@ -149,7 +204,7 @@ fn blackout() -> Film {
     ]);
     let mut stage = staged(wide(), path, backdrop(15, [4.0, 3.0]));
     stage.blackouts = vec![0.5..0.8, 1.3..1.6];
-    Film { stage, fps: 30.0, frames: 60 }
+    Film { stage, fps: 30.0, frames: 60, jpeg: None }
 }
 
 /// Flats before the backdrop, all of them known.
@@ -165,10 +220,11 @@ fn relief() -> Film {
         (0.8, [-0.1, -3.6, 0.4], [0.0, -0.5, -0.1]),
         (1.6, [-1.3, -4.0, 0.1], [0.0, -0.4, 0.0]),
     ]);
-    Film { stage: staged(wide(), path, BodySpec::new("stage", surfaces)), fps: 30.0, frames: 48 }
+    Film { stage: staged(wide(), path, BodySpec::new("stage", surfaces)), fps: 30.0, frames: 48, jpeg: None }
 }
 
-/// Objects that move before a moving camera: one passes another, one leaves and comes back.
+/// Objects that move before a moving camera, and a person before them: one object leaves and comes
+/// back.
 fn props() -> Film {
     let object = |name: &str, seed: u64, size_m: [f64; 2], turn_rad: f64, turn_rate_rad_s: f64, keys: &[(f64, [f64; 3])]| {
         let body = BodySpec::new(name, vec![painted(name, seed, size_m, [0.0; 3], 0.0)]);
@@ -199,6 +255,7 @@ fn props() -> Film {
             ],
         ),
     ];
+    stage.people = vec![person(40, [0.0, -1.9, -0.5], 1.3, 3.7, 0.3)];
     stage.shutter.exposure_s = 0.006;
-    Film { stage, fps: 30.0, frames: 60 }
+    Film { stage, fps: 30.0, frames: 60, jpeg: Some(90) }
 }

@@ -1,4 +1,5 @@
-//! The figures of a clip. What is wrong, and what is good, is as `../shared/bench/evaluate.py --tight` has it.
+//! The figures of a clip. What is wrong, and what is good, is as
+//! `../shared/bench/evaluate.py --tight` has it.
 
 use std::fmt;
 
@@ -6,12 +7,14 @@ use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 use stagepose::Pose;
 
-/// A pose is wrong that is further off than this share of the distance. Raised, fewer poses are wrong.
+/// A pose is wrong that is further off than this share of the distance. Raised, fewer poses are
+/// wrong.
 const WRONG_SHIFT: f64 = 0.01;
 /// A pose is wrong that is turned by more than this, degrees. Raised, fewer poses are wrong.
 const WRONG_TURN_DEG: f64 = 0.3;
 
-/// What is compared with the baseline. Errors are of the poses that are not wrong; `None` where there are none.
+/// What is compared with the baseline. Errors are of the poses that are not wrong; `None` where
+/// there are none.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
     pub frames: usize,
@@ -23,7 +26,8 @@ pub struct Figures {
     pub p95_mm: Option<f64>,
     pub median_mdeg: Option<f64>,
     pub p95_mdeg: Option<f64>,
-    /// Mean squared error over the covariance that was told, over 6, of all given poses: 1 is honest.
+    /// Mean squared error over the covariance that was told, over 6, of all given poses: 1 is
+    /// honest.
     pub nees6: Option<f64>,
 }
 
@@ -36,7 +40,8 @@ pub struct Found {
 }
 
 impl Found {
-    /// The distance is that of the camera from what is seen: of the stage's origin, or of an object.
+    /// The distance is that of the camera from what is seen: of the stage's origin, or of an
+    /// object.
     pub fn new<To, From>(truth: &Pose<To, From>, pose: &Pose<To, From>, covariance: Option<&Matrix6<f64>>, distance_m: f64) -> Self {
         let shift = truth.translation - pose.translation;
         let turn = (truth.rotation * pose.rotation.inverse()).scaled_axis();

@@ -1,4 +1,5 @@
-//! The scene whose backdrop is cloth in folds, which the tracker is told as a survey would find them.
+//! The scene whose backdrop is cloth in folds, which the tracker is told as a survey would find
+//! them.
 
 use std::sync::Arc;
 
@@ -26,7 +27,7 @@ pub fn cloth() -> Film {
         surface.shape = folds(surface.size_m);
     }
     stage.shutter.exposure_s = 0.006;
-    Film { stage, fps: 30.0, frames: FRAMES }
+    Film { stage, fps: 30.0, frames: FRAMES, jpeg: Some(90) }
 }
 
 fn folds(size_m: [f64; 2]) -> SurfaceShape {
