@@ -105,7 +105,7 @@ fn of_surface(surface: &SurfaceSpec) -> Option<Finding> {
     let ratio = surface.size_m[1] / surface.size_m[0];
     let name = &surface.name;
     let told = format!(
-        "{name}: by its corners and the lens it is {:.3} +- {:.3} times as high as wide",
+        "{name}: from its corners and the lens, it is {:.3} +- {:.3} times as high as wide",
         found.ratio,
         3.0 * log_sigma * found.ratio
     );
@@ -127,16 +127,17 @@ fn of_surface(surface: &SurfaceSpec) -> Option<Finding> {
     if (found.ratio * ratio).ln().abs() < 3.0 * log_sigma {
         let first = top_left(&corners);
         let mend = match first % 2 {
-            1 => format!("the corners start at another one than the top left: write {}", begun_at(&corners, first)),
+            1 => format!("the corners do not start at the top left: write {}", begun_at(&corners, first)),
             _ => format!("width and height are swapped: write size_m = {}", list(&[h, w])),
         };
         return Some(Finding::doubt(format!("{told}; size_m says {ratio:.3}: {mend}")));
     }
     Some(Finding::doubt(
         format!(
-            "{told}; size_m says {ratio:.3}: measure it again, or write size_m = {} if its width is right (a wrong photo_calibration does the same)",
+            "{told}; size_m says {ratio:.3}: measure it again, or write size_m = {} if its width is right (a wrong photo_calibration has \
+             the same effect)",
             list(&[w, w * found.ratio])
-        ) + &format!("; corner 1 is taken at {}", written_corner(&corners[0])),
+        ) + &format!("; corner 1 is configured at {}", written_corner(&corners[0])),
     ))
 }
 
@@ -187,7 +188,7 @@ mod tests {
         let mut turned = corners();
         turned.rotate_left(1);
         let text = said([2.0, 1.5], turned);
-        assert!(text.contains("start at another one than the top left: write corners_px = [["), "{text}");
+        assert!(text.contains("do not start at the top left: write corners_px = [["), "{text}");
         let wrong = said([2.0, 1.0], corners());
         assert!(wrong.contains("size_m = [2.0, 1.5]"), "{wrong}");
     }

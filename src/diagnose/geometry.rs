@@ -85,7 +85,7 @@ pub fn of_views(shown: &Shown<'_>, views: &[Vec<SurfaceView>]) -> Vec<Finding> {
     let others = (0..setup.stage.surfaces.len()).filter(|s| *s != main);
     findings.extend(others.filter_map(|other| case.place_of(views, other)));
     if !is_followed && findings.is_empty() && case.is_on_its_side() {
-        findings.push(Finding::doubt(format!("{}: it is seen lying on its side: turn the picture's file by a quarter", case.spec.name)));
+        findings.push(Finding::doubt(format!("{}: it appears on its side: turn the picture's file by 90 degrees", case.spec.name)));
     }
     findings
 }
@@ -157,12 +157,13 @@ impl Case<'_> {
             let told = ratio_words(h / w * ratio.shape.ratio, &ratio, h / w);
             let or_stretched = if is_stretched { format!("; where size_m is right, {}", self.pixel_words(&pixel)) } else { String::new() };
             return Some(Finding::fault(format!(
-                "{name}: {told}, so that no pose fits: measure it again, and write size_m = {size} if its width is right, {} if its height is{tried}{or_stretched}",
+                "{name}: {told}, so no pose fits: measure it again, and write size_m = {size} if its width is right, {} if its height \
+                 is{tried}{or_stretched}",
                 list(&[known(w / ratio.shape.ratio), h])
             )));
         }
         if self.fits(focal.left) && !is_pixel {
-            return Some(Finding::fault(self.focal_words(&focal, "so that no pose fits")));
+            return Some(Finding::fault(self.focal_words(&focal, "so no pose fits")));
         }
         if is_stretched {
             return Some(Finding::fault(format!("{}{}", self.pixel_words(&pixel), self.tried(pixel.shape))));
@@ -175,8 +176,8 @@ impl Case<'_> {
         if self.fits(both.left) {
             let tried = self.tried(both.shape);
             return Some(Finding::fault(format!(
-                "{name}: neither size_m nor the lens fit what is seen; a size_m of {} with a focal length of {} pixels (the config's \
-                 has {}) would: check both, size_m first, and calibrate this camera at this picture size{tried}",
+                "{name}: neither size_m nor the lens fits the clip; a size_m of {} with a focal length of {} pixels (the config has {}) \
+                 would fit: check both, size_m first, and calibrate this camera at this picture size{tried}",
                 list(&[w, h * both.shape.ratio]),
                 written(self.setup.camera.intrinsics().fx * both.shape.focal),
                 written(self.setup.camera.intrinsics().fx)
@@ -205,8 +206,8 @@ impl Case<'_> {
         let [width, height] = [f64::from(i.width), f64::from(i.height)];
         let [width, height] = if pixel < 1.0 { [width * pixel, height] } else { [width, height / pixel] };
         format!(
-            "the clip's pixels are not square: it fits where they are {pixel:.3} times as wide as high, as of a picture that was stretched; \
-             switch that off in the camera or the recording program, or undo it: ffmpeg -i CLIP -vf scale={}:{},setsar=1 out.mp4",
+            "the clip's pixels are not square: it fits if they are {pixel:.3} times as wide as high, as in a stretched picture; switch \
+             stretching off in the camera or the recording program, or undo it: ffmpeg -i CLIP -vf scale={}:{},setsar=1 out.mp4",
             even(width),
             even(height)
         )
@@ -217,7 +218,8 @@ impl Case<'_> {
         let name = &self.spec.name;
         let mend = match corners_of(self.spec) {
             Some((corners, _)) => format!(
-                "check that corners_px are the four outer corners of one flat rectangle, now {}, and that the calibration is this camera's",
+                "check that corners_px are the four outer corners of one flat rectangle (now {}), and that the calibration is this \
+                 camera's",
                 begun_at(&corners, 0)
             ),
             None => {
@@ -227,7 +229,7 @@ impl Case<'_> {
             }
         };
         Finding::fault(format!(
-            "{name}: it is recognised, but no flat picture of any shape, through a lens of any focal length, looks as it does: {mend}"
+            "{name}: it is recognised, but no flat picture fits, whatever its shape and the lens's focal length: {mend}"
         ))
     }
 
@@ -247,8 +249,8 @@ impl Case<'_> {
         }
         if self.is_on_its_side() {
             return Finding::fault(format!(
-                "{name}: the picture's file lies on its side (a camera's EXIF orientation, or turned by a quarter): turn it upright, so that \
-                 its width belongs to size_m's first number{tried}"
+                "{name}: the picture's file lies on its side (EXIF orientation, or turned by 90 degrees): turn it upright, so that its \
+                 width matches the first number of size_m{tried}"
             ));
         }
         Finding::fault(format!("{name}: width and height are swapped: write size_m = {}{tried}", list(&[h, w])))
@@ -261,7 +263,7 @@ impl Case<'_> {
         let spread = (3.0 * found.sigma * focal_px).max(0.01 * focal_px);
         let (whose, mend) = match self.guess {
             None => (
-                "the calibration is not this camera's, or not of this picture size or zoom: it has".to_owned(),
+                "the calibration is for another camera, picture size or zoom: it has".to_owned(),
                 format!(
                     "calibrate this camera as it is used, or write fx = {} and fy = {} for a first try",
                     written(focal_px),
@@ -276,13 +278,13 @@ impl Case<'_> {
                 // Only significant digits.
                 let better = written(known_to(better, better * found.sigma.max(0.003)));
                 (
-                    format!("{key} = {} is not this camera's, or not of this zoom: it makes", written(typed)),
+                    format!("{key} = {} does not match this camera or zoom: it gives", written(typed)),
                     format!("write {key} = {better} for a first try, and calibrate this camera as it is used"),
                 )
             }
         };
         format!(
-            "{whose} a focal length of {} pixels, the clip speaks for {} +- {} ({fov:.0} degrees across), {consequence}: {mend}{}",
+            "{whose} a focal length of {} pixels, the clip indicates {} +- {} ({fov:.0} degrees across), {consequence}: {mend}{}",
             written(i.fx),
             written(focal_px),
             written(spread),
@@ -295,9 +297,9 @@ impl Case<'_> {
         let i = *self.setup.camera.intrinsics();
         let [k1, k2, a, b, c] = i.distortion;
         let orders = [
-            ([k1, k2, b, c, a], "in the order of a program that gives k1, k2, k3, p1, p2"),
-            ([-k1, -k2, -a, -b, -c], "with the opposite signs, for a program that undistorts by it"),
-            ([0.0; 5], "as of a lens without distortion, such as a picture that was straightened already"),
+            ([k1, k2, b, c, a], "if its numbers are in the order k1, k2, k3, p1, p2"),
+            ([-k1, -k2, -a, -b, -c], "with the opposite signs, as some programs define them"),
+            ([0.0; 5], "with zeros, as for pictures that are already undistorted"),
         ];
         orders.into_iter().filter(|(d, _)| *d != i.distortion).find_map(|(distortion, why)| {
             let camera = CameraModel::new(Intrinsics { distortion, ..i }).ok()?;
@@ -305,7 +307,7 @@ impl Case<'_> {
             tracing::debug!(left, ?distortion, "another distortion");
             self.fits(left).then(|| {
                 Finding::fault(format!(
-                    "the calibration's distortion does not fit what is seen; {why}, it does: write distortion = {} ([k1, k2, p1, p2, k3])",
+                    "the calibration's distortion does not fit the clip; it fits {why}: write distortion = {} ([k1, k2, p1, p2, k3])",
                     list(&distortion)
                 ))
             })
@@ -329,7 +331,7 @@ impl Case<'_> {
             return vec![graded(ratio.shape.ratio, says)];
         }
         if focal_off {
-            return vec![graded(focal.shape.focal, self.focal_words(&focal, "and poses are off by as much"))];
+            return vec![graded(focal.shape.focal, self.focal_words(&focal, "and poses are off by the same factor"))];
         }
         if ratio.sigma > 0.1 {
             return Vec::new();
@@ -372,7 +374,8 @@ impl Case<'_> {
         if turn_deg > 150.0 {
             let (turned, upright) = if top_deg(&other_views).abs() > 90.0 { (spec, self.spec) } else { (self.spec, spec) };
             return Some(Finding::fault(format!(
-                "{}: it is upside down against {} (turned by {turn_deg:.0} degrees): turn the picture's file, or give its orientation so",
+                "{}: it is upside down relative to {} (turned by {turn_deg:.0} degrees): turn the picture's file, or set its orientation \
+                 accordingly",
                 turned.name, upright.name
             )));
         }
@@ -385,8 +388,8 @@ impl Case<'_> {
         };
         let turned = if is_turned { format!(", turned by {turn_deg:.0} degrees from its orientation") } else { String::new() };
         Some(Finding::fault(format!(
-            "{}: it is not seen where the config has it, at {}, but {shift:.1} m from there{turned}: write position_m = {}{unit}, and check its \
-             orientation and size_m",
+            "{}: it is not where the config puts it, at {}, but {shift:.1} m from there{turned}: write position_m = {}{unit}, and check \
+             its orientation and size_m",
             spec.name,
             list(&[p.x, p.y, p.z]),
             list(&place)
@@ -429,7 +432,7 @@ fn top_deg(views: &Views<'_>) -> f64 {
 
 fn ratio_words(seen: f64, found: &Found, configured: f64) -> String {
     let sigma = (3.0 * found.sigma * seen).max(0.002);
-    format!("in the clip it is {seen:.3} +- {sigma:.3} times as high as wide, by size_m {configured:.3}")
+    format!("in the clip it is {seen:.3} +- {sigma:.3} times as high as wide, size_m says {configured:.3}")
 }
 
 #[cfg(test)]

@@ -44,8 +44,8 @@ pub fn of_frames(frames: &[Frame], is_followed: bool) -> Vec<Finding> {
     let combed = pictures.iter().filter(|p| is_combed(p)).count();
     if 4 * combed >= pictures.len().max(1) {
         findings.push(Finding::doubt(format!(
-            "the clip is interlaced: {combed} of {} frames weave two moments together; switch the camera to a progressive mode, or \
-             deinterlace the clip (ffmpeg -i CLIP -vf bwdif out.y4m)",
+            "the clip is interlaced: {combed} of {} frames combine two moments; switch the camera to a progressive mode, or deinterlace \
+             the clip (ffmpeg -i CLIP -vf bwdif out.y4m)",
             pictures.len()
         )));
     }
@@ -63,8 +63,8 @@ pub fn of_frames(frames: &[Frame], is_followed: bool) -> Vec<Finding> {
 
 fn barred(before: u32, after: u32, where_: &str) -> Finding {
     Finding::fault(format!(
-        "the clip has black bars of {before} and {after} pixels {where_}: it was fitted into another format, so that the calibration is not \
-         its own; record without bars, at the size that was calibrated"
+        "the clip has black bars of {before} and {after} pixels {where_}: it was fitted into another format, so the calibration does not \
+         apply; record without bars at the calibrated size"
     ))
 }
 
@@ -162,8 +162,8 @@ pub fn of_pictures(setup: &TrackerSetup, frames: &[Frame], seen: usize) -> Vec<F
         let unmasked = frames.iter().filter(|f| !trial.views(&f.image).is_empty()).count();
         if is_clear(unmasked) {
             return vec![Finding::fault(format!(
-                "the mask hides the stage (without it the picture is recognised in {unmasked} of {all} frames): paint white what is to be \
-                 seen and black what is not, or take `mask` out of the config"
+                "the mask hides the stage (without it the picture is recognised in {unmasked} of {all} frames): paint white what to use \
+                 and black what to ignore, or remove `mask` from the config"
             ))];
         }
     }

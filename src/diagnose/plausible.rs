@@ -85,8 +85,8 @@ pub fn of_lens(camera: &CameraModel) -> Vec<Finding> {
     let [k1, k2, p1, p2, k3] = camera.intrinsics().distortion;
     if p1.abs().max(p2.abs()) > MAX_TANGENTIAL {
         findings.push(Finding::doubt(format!(
-            "the calibration's tangential distortion p1 = {}, p2 = {} is larger than any lens'; distortion is [k1, k2, p1, p2, k3]: if the \
-             numbers came as k1, k2, k3, p1, p2, write distortion = {}",
+            "the calibration's tangential distortion p1 = {}, p2 = {} is larger than that of any lens; distortion is [k1, k2, p1, p2, \
+             k3]: if your numbers are in the order k1, k2, k3, p1, p2, write distortion = {}",
             written(p1),
             written(p2),
             list(&[k1, k2, p2, k3, p1])
@@ -199,13 +199,13 @@ impl Travel {
             words += &format!(" and moves at up to {} m/s", in_words(speed));
             if speed > MAX_SPEED {
                 findings.push(Finding::doubt(format!(
-                    "the camera moves at {speed:.0} m/s, as no stage camera does; check that size_m is in metres (size_m = {}), and the \
-                     clip's stamps or --fps",
+                    "the camera moves at {speed:.0} m/s, too fast for a stage camera; check that size_m is in metres (size_m = {}), and \
+                     the clip's stamps or --fps",
                     in_other_units(&[w, h])
                 )));
             }
         }
-        words += ": if that is not so, size_m is not in metres or not this picture's";
+        words += ": if that is wrong, size_m is not in metres or belongs to another picture";
         findings.push(Finding::note(words));
         findings
     }

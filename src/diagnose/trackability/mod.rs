@@ -148,21 +148,22 @@ impl fmt::Display for Weakness {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         match self {
             Self::Small(px) => {
-                write!(f, "it is {px} pixels in the frame where the whole stage fills it: print it larger, or bring the camera nearer")
+                write!(f, "it is only {px} pixels large when the whole stage fills the frame: print it larger, or move the camera closer")
             }
-            Self::FewCorners(n) => write!(f, "{n} of its corners are recognised from the side: add detail"),
+            Self::FewCorners(n) => write!(f, "only {n} of its corners are recognised at an angle: add detail"),
             Self::Repetitive(share) => {
-                write!(f, "{:.0} % of its corners look like others of its own: break the pattern, each part should differ", 100.0 * share)
+                write!(
+                    f,
+                    "{:.0} % of its corners look like other corners of it: break up the pattern so that every part differs",
+                    100.0 * share
+                )
             }
             Self::Repeats(apart_m) => {
                 let apart = if *apart_m < 1.0 { format!("{:.0} cm", 100.0 * apart_m) } else { format!("{apart_m:.1} m") };
-                write!(
-                    f,
-                    "it repeats itself every {apart}, so that nothing tells which of its copies is seen: give it parts that are there once"
-                )
+                write!(f, "it repeats every {apart}, so its copies cannot be told apart: add parts that occur only once")
             }
             Self::Plain(share) => write!(f, "{:.0} % of it is plain: spread the detail", 100.0 * share),
-            Self::Soft(px) => write!(f, "its edges are soft or faint (its place is known to {px:.3} pixels): give it more contrast"),
+            Self::Soft(px) => write!(f, "its edges are soft or faint (its position is known to {px:.3} pixels): give it more contrast"),
             Self::Like { other: [body, surface], share } => {
                 write!(f, "{:.0} % of its corners are also on {surface} of {body}: give each its own picture", 100.0 * share)
             }

@@ -79,7 +79,7 @@ const LAYOUT: [Mistake; 9] = [
         done: "the height was guessed",
         spoil: |s| s.config("[4.0, 3.0]", "[4.0, 2.25]"),
         code: 1,
-        says: &["times as high as wide, by size_m 0.56", "write size_m = [4.0, 3.0]"],
+        says: &["times as high as wide, size_m says 0.56", "write size_m = [4.0, 3.0]"],
     },
     Mistake {
         done: "one surface's place in millimetres",
@@ -91,7 +91,7 @@ const LAYOUT: [Mistake; 9] = [
         done: "one surface's place on the wrong side",
         spoil: |s| s.config("[0.95, -0.8, -0.65]", "[-0.95, -0.8, -0.65]"),
         code: 1,
-        says: &["flat.png: it is not seen where the config has it", "write position_m = [0.9"],
+        says: &["flat.png: it is not where the config puts it", "write position_m = [0.9"],
     },
     Mistake {
         done: "a plain surface among others",
@@ -241,13 +241,13 @@ const CAMERA: [Mistake; 9] = [
         done: "the calibration of another camera",
         spoil: |s| s.lens((480, 360), 760.0, [0.0; 5]),
         code: 1,
-        says: &["the calibration is not this camera's", "focal length of 760.0 pixels", "write fx = 4"],
+        says: &["the calibration is for another camera", "focal length of 760.0 pixels", "write fx = 4"],
     },
     Mistake {
         done: "the calibration of a wider lens",
         spoil: |s| s.lens((480, 360), 260.0, [0.0; 5]),
         code: 1,
-        says: &["the calibration is not this camera's", "write fx = 4"],
+        says: &["the calibration is for another camera", "write fx = 4"],
     },
     Mistake {
         done: "the calibration of a picture of another shape",
