@@ -139,8 +139,8 @@ impl ConstraintCheck {
                 self.sigmas
             ),
             Measured::Place { .. } => format!(
-                "{name} is {:.1} mm beside where the walk, size_m and the other measurements have that point ({:.0} sigmas): measure it again, and check \
-                 position_m of the first surface, or lay the stage's origin by [stage] origin",
+                "{name} is {:.1} mm from where the walk, size_m and the other measurements put that point ({:.0} sigmas): measure it \
+                 again, and check position_m of the first surface, or set the stage's origin with [stage] origin",
                 1e3 * self.off_from_others_m,
                 self.sigmas
             ),

@@ -49,18 +49,18 @@ impl Verdict {
 /// Describes a surface whose pose has too little support.
 fn little(name: &str, support: Support, sigma_mm: f64) -> String {
     let (tiles, keyframes) = (support.tiles, support.keyframes);
-    let mend = "film it from nearer and from two sides, or measure where it stands";
+    let mend = "film it from closer and from two sides, or measure its position";
     if keyframes == 0 {
-        return format!("no keyframe shows {name} well enough to say where it stands ({sigma_mm:.0} mm, one sigma): {mend}");
+        return format!("no keyframe shows {name} well enough to locate it ({sigma_mm:.0} mm, one sigma): {mend}");
     }
     let within = if keyframes == 1 { "1 keyframe" } else { &format!("{keyframes} keyframes") };
     if !support.is_little() {
         let scatter = support.scatter;
         return format!(
-            "the residuals of {tiles} tiles of {name} scatter {scatter:.1} times as far as the others': it may stand elsewhere; {mend}"
+            "the residuals of {tiles} tiles of {name} scatter {scatter:.1} times as much as the others': its position may be wrong; {mend}"
         );
     }
-    format!("only {tiles} tiles in {within} show {name}, so that nothing would contradict a wrong place: {mend}")
+    format!("only {tiles} tiles in {within} show {name}, too few to detect a wrong position: {mend}")
 }
 
 /// Grades a value: good up to the first limit, usable up to the second.
@@ -145,13 +145,21 @@ impl Survey {
         let mut findings: Vec<(Verdict, String)> = Vec::new();
         let mut below = |value, limits, good, bad: &dyn Fn() -> String| findings.push(graded(value, limits, good, bad));
         let used = self.used as f64 / self.keyframes.max(1) as f64;
-        below(-used, MIN_USED.map(|share| -share), format!("{} of {} keyframes bear it out", self.used, self.keyframes), &|| {
-            format!("only {} of {} keyframes bear it out: is it this stage, and does its config fit?", self.used, self.keyframes)
-        });
-        below(self.scale, MAX_SCALE, format!("what is left is noise ({:.3} px)", self.rms_px), &|| {
+        below(
+            -used,
+            LEAST_USED.map(|share| -share),
+            format!("{} of {} keyframes agree with the result", self.used, self.keyframes),
+            &|| {
+                format!(
+                    "only {} of {} keyframes agree with the result; check that the clip shows this stage and the config matches",
+                    self.used, self.keyframes
+                )
+            },
+        );
+        below(self.scale, LARGEST_SCALE, format!("the residual is noise ({:.3} px)", self.rms_px), &|| {
             format!(
-                "what is left ({:.3} px) is {:.1} times what noise leaves: the lens or the shutter is off, or the stage moved; try --lens refine, and \
-                 check the shutter with `stagepose check --clip`",
+                "the residual ({:.3} px) is {:.1} times the noise: the lens or the shutter is wrong, or the stage moved; try --lens \
+                 refine, and check the shutter with `stagepose check --clip`",
                 self.rms_px, self.scale
             )
         });
@@ -163,7 +171,7 @@ impl Survey {
             findings.push((Verdict::DoNotUse, worst.contradiction()));
         }
         if !self.has_settled {
-            findings.push((Verdict::Usable, format!("it did not come to rest in {} rounds", self.rounds)));
+            findings.push((Verdict::Usable, format!("it did not converge in {} rounds", self.rounds)));
         }
         findings.sort_by_key(|(verdict, _)| std::cmp::Reverse(*verdict));
         let verdict = findings.first().map_or(Verdict::DoNotUse, |(verdict, _)| *verdict);
@@ -184,8 +192,8 @@ impl Survey {
             if self.places.poses[k].is_some() && (support.is_little() || support.is_stray()) {
                 findings.push((Verdict::Usable, little(&surface.name, support, place_mm)));
             } else {
-                findings.push(graded(place_mm / side_mm, MAX_PLACE_SIGMA, String::new(), &|| {
-                    format!("where {} stands is known to {place_mm:.0} mm only: film it from nearer and from two sides", surface.name)
+                findings.push(graded(place_mm / side_mm, LARGEST_PLACE_SIGMA, String::new(), &|| {
+                    format!("the position of {} is known to {place_mm:.0} mm only: film it from closer and from two sides", surface.name)
                 }));
             }
             let [good, usable] = MAX_HEIGHT_SIGMA.map(|share| share * side_mm);
@@ -194,11 +202,14 @@ impl Survey {
             let unknown_mm = if description.height_sigma_mm > usable { f64::INFINITY } else { worst_mm.min(usable) };
             findings.push(graded(unknown_mm, [good, usable], String::new(), &|| {
                 let parts = parts.beyond(1e-3 * good);
-                format!("{} is known to {worst_mm:.1} mm only ({parts}): film it from two sides, 20 degrees or more apart", surface.name)
+                format!(
+                    "the shape of {} is known to {worst_mm:.1} mm only ({parts}): film it from two sides, 20 degrees or more apart",
+                    surface.name
+                )
             }));
         }
         findings.retain(|(verdict, _)| *verdict != Verdict::Good);
-        findings.push((Verdict::Good, format!("shapes are known to {shapes_mm:.2} mm and places to {places_mm:.2} mm at worst")));
+        findings.push((Verdict::Good, format!("shapes are known to {shapes_mm:.2} mm and positions to {places_mm:.2} mm at worst")));
         findings
     }
 
@@ -208,15 +219,17 @@ impl Survey {
         let share = doubt.uncertainty.focal_px[0] / self.camera.intrinsics().fx;
         let focal = graded(share, MAX_FOCAL, format!("the focal length is known to {:.3} %", 100.0 * share), &|| {
             format!(
-                "the focal length is known to {:.1} % only: film the stage aslant, from near and far, and with the camera turned on its side",
+                "the focal length is known to {:.1} % only: film the stage at an angle, from near and far, and with the camera turned on \
+                 its side",
                 100.0 * share
             )
         });
         let (px, part) = (weakest.three_sigma_px, weakest.part);
         let of_640ths = px * 640.0 / f64::from(self.camera.width());
-        let picture = graded(of_640ths, MAX_PIXEL, format!("the lens is known to {px:.2} px all over its picture"), &|| {
+        let picture = graded(of_640ths, LARGEST_PIXEL, format!("the lens is known to {px:.2} px over the whole picture"), &|| {
             format!(
-                "the lens is known to {px:.1} px only in the {part} of its picture: film so that the stage fills that part, and turn the camera on its side"
+                "in the {part} of the picture the lens is known to {px:.1} px only: film so that the stage fills that part, and turn the \
+                 camera on its side"
             )
         });
         vec![focal, picture]

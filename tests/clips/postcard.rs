@@ -80,7 +80,7 @@ fn a_postcard_in_the_hand_does_not_tell_the_lens_and_the_survey_says_which_view_
     let done = command.output().unwrap();
     let said = String::from_utf8_lossy(&done.stderr);
     assert_eq!(done.status.code(), Some(1), "{said}");
-    // Full steps would lead to a lens that fits no frame.
-    assert!(said.contains("do not use: the focal length is known to") && said.contains("film the stage aslant"), "{said}");
+    // Whole steps lead to a lens with which no frame fits.
+    assert!(said.contains("do not use: the focal length is known to") && said.contains("film the stage at an angle"), "{said}");
     assert!(!surveyed.exists());
 }

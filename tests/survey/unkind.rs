@@ -52,7 +52,7 @@ fn a_flat_that_few_frames_show_is_where_its_sigma_says_or_that_is_said() {
         run.assert_success();
         let json = walk.json("out.json");
         let ((mm, degrees), sigma) = (errors(&json, 1), |key: &str| json["surfaces"][1][key].as_f64().expect("a number"));
-        let is_said = json["reasons"].to_string().contains("nothing would contradict a wrong place");
+        let is_said = json["reasons"].to_string().contains("too few to detect a wrong position");
         println!(
             "{shown:?}: {mm:.2} mm, {degrees:.3} degrees, sigma {:.2} {:.3}; {}",
             sigma("sigma_mm"),
@@ -91,6 +91,6 @@ fn a_walk_that_cannot_tell_its_lens_is_refused_with_the_view_that_is_missing() {
     walk.save("square", &square);
     walk.write("wall.toml", "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"backdrop.png\"\nsize_m = [4.0, 3.0]\n");
     walk.run(&["survey", "square", "--config", "wall.toml", "--output", "surveyed", "--lens", "refine"])
-        .assert_refused(1, &["the focal length is known to", "film the stage aslant, from near and far", "nothing is written"]);
+        .assert_refused(1, &["the focal length is known to", "film the stage at an angle, from near and far", "nothing is written"]);
     assert!(!walk.path("surveyed").exists());
 }
