@@ -161,7 +161,7 @@ impl Spared {
         let recording = there.ancestors().take(3).find(|part| part.join("timestamps.csv").is_file());
         match there.ancestors().find(|part| is_clip(part)).or(recording) {
             Some(clip) => Err(Failure::Usage(format!(
-                "{flag} {}: it is within the clip {}, to which nothing is added; give another folder",
+                "{flag} {}: it is inside the clip {}, to which nothing is added; give another folder",
                 folder.display(),
                 clip.display()
             ))),
@@ -231,8 +231,8 @@ fn is_input(file: &Path, folder: &Path) -> bool {
 fn refusal(flag: &str, file: &Path, taken: &Taken) -> Failure {
     let file = file.display();
     Failure::Usage(match taken {
-        Taken::Input(what) => format!("{flag} {file}: it is {what}, which would be written over; give another name"),
-        Taken::Output(other) => format!("{flag} {file}: {other} goes to the same file; give each output a file of its own"),
+        Taken::Input(what) => format!("{flag} {file}: it is {what}, which would be overwritten; give another name"),
+        Taken::Output(other) => format!("{flag} {file}: {other} writes to the same file; give each output its own file"),
     })
 }
 
@@ -258,7 +258,7 @@ mod tests {
         for name in ["camera.toml", "hard", "soft", "./camera.toml"] {
             let mut spared = Spared::default().with_files(&[at("camera.toml")], "a file of the config");
             let message = refused(&mut spared, &at(name));
-            assert!(message.contains("it is a file of the config, which would be written over; give another name"), "{message}");
+            assert!(message.contains("it is a file of the config, which would be overwritten; give another name"), "{message}");
         }
         assert_eq!(fs::read_to_string(at("camera.toml")).unwrap(), "kept");
     }
@@ -287,7 +287,7 @@ mod tests {
         let mut spared = Spared::default();
         spared.open("--poses", Some(&new)).unwrap();
         let message = spared.open("--tum", Some(&folder.path().join("./new"))).map(|_| ()).unwrap_err().to_string();
-        assert!(message.contains("--poses goes to the same file; give each output a file of its own"), "{message}");
+        assert!(message.contains("--poses writes to the same file; give each output its own file"), "{message}");
         let mut spared = Spared::default();
         spared.claim("--json", &folder.path().join("later")).unwrap();
         assert!(spared.open("--poses", Some(&folder.path().join("./later"))).is_err());

@@ -127,8 +127,8 @@ fn cloth_that_moves() {
         let wave = |height_m, wave_vector, rate_hz| Wave { height_m, wave_vector, rate_hz, phase_rad: 0.4 };
         real.draughts = vec![Draught { surface: 0, waves: vec![wave(0.015, [4.0, 0.5], 1.1), wave(0.01, [-1.0, 5.0], 0.7)] }];
     });
-    assert_names(&text, "", &["no part that stays as it is explains that; cloth that moves would", "may be"]);
-    let mm = number_before(&text, " mm off, and no part");
+    assert_names(&text, "", &["no constant error of the stage or lens explains that; moving cloth would", "may be"]);
+    let mm = number_before(&text, " mm off, and no constant");
     assert!((2.0..60.0).contains(&mm), "{text}");
 }
 

@@ -80,8 +80,8 @@ fn a_signal_ends_it_while_its_reader_sleeps_and_while_its_writer_sleeps() {
     let (_reader, mut filler) = (open(false), open(true));
     while filler.write(&[0; 4096]).is_ok() {}
     let run = ends(replay(&scene, &["--poses", "full"]), Some(Signal::SIGTERM));
-    run.assert_refused(1, &["full: cannot be written (interrupted while its reader took nothing)"]);
-    // The writer has sent only the stream header, and now sleeps.
+    run.assert_refused(1, &["full: cannot be written (interrupted while waiting for its reader)"]);
+    // The writer has sent a header and a half of a frame, and sleeps.
     let mut silent = scene.command(&["replay", "-", "--config", "stage.toml", "--poses", "poses.jsonl"]);
     let (from, to) = std::io::pipe().unwrap();
     silent.stdin(from);
@@ -102,10 +102,10 @@ fn what_is_read_is_not_written_over() {
     let contents: Vec<_> = names.iter().map(|name| before(name)).collect();
     for (flag, name) in ["--poses", "--tum", "--summary"].iter().flat_map(|flag| names.map(|name| (*flag, name))) {
         let what = if name.starts_with("clip") { "it is a file of the clip" } else { "it is a file of the config" };
-        scene.replay(&[flag, name]).assert_refused(2, &[name, what, "would be written over; give another name"]);
+        scene.replay(&[flag, name]).assert_refused(2, &[name, what, "would be overwritten; give another name"]);
     }
     for folder in ["clip", "clip/frames", "clip/../clip/frames"] {
-        scene.replay(&["--overlay", folder]).assert_refused(2, &["--overlay", "would be written over"]);
+        scene.replay(&["--overlay", folder]).assert_refused(2, &["--overlay", "would be overwritten"]);
     }
     // An earlier good file survives a refusal.
     scene.write("good.jsonl", "kept");
@@ -204,7 +204,7 @@ fn pictures_that_are_to_be_shown_turned_are_turned_or_refused_or_told_of() {
         replayed.stderr
     );
     let run = scene.run(&["calibrate", "clip/frames", "--board", "9x6", "--square-mm", "25"]);
-    assert!(run.stderr.contains("1 of the pictures are to be shown turned (EXIF)"), "{}", run.stderr);
+    assert!(run.stderr.contains("EXIF says to show 1 of the pictures turned"), "{}", run.stderr);
 }
 
 #[test]

@@ -53,7 +53,7 @@ fn a_sign_with_one_picture_on_both_sides_is_refused() {
     let back =
         "[[object.surface]]\nimage = \"other.png\"\nsize_m = [1.2, 0.9]\nposition_m = [0, 0, -0.02]\norientation_xyzw = [0, 1, 0, 0]\n";
     scene.write("stage.toml", &(std::fs::read_to_string(scene.path("stage.toml")).unwrap() + back));
-    let parts = ["all surfaces of sign show the picture of another one", "other.png", "give each its own"];
+    let parts = ["every surface of sign shows the picture of another one", "other.png", "give each its own"];
     scene.run(&["check", "--config", "stage.toml"]).assert_refused(1, &parts);
     // With a second surface that is unambiguous, the object can be found.
     image::imageops::flip_horizontal(&image::open(scene.path("other.png")).unwrap()).save(scene.path("edge.png")).unwrap();
@@ -83,11 +83,11 @@ fn maps_are_never_written_into_a_clip() {
     std::fs::copy(scene.path("art.png"), scene.path("pictures/0.png")).unwrap();
     let check = |folder: &str, more: &[&str]| scene.run(&[&["check", "--config", "stage.toml", "--ratings", folder][..], more].concat());
     for folder in ["clip", "clip/frames", "./clip/maps", "clip/frames/0000"] {
-        check(folder, &[]).assert_refused(2, &["--ratings", folder, "within the clip", "give another folder"]);
+        check(folder, &[]).assert_refused(2, &["--ratings", folder, "inside the clip", "give another folder"]);
     }
     // A folder of pictures counts as a clip once it is named as one.
     for folder in ["pictures", "pictures/more", "pictures/maps"] {
-        check(folder, &["--clip", "pictures", "--fps", "30"]).assert_refused(2, &["within the clip", "give another folder"]);
+        check(folder, &["--clip", "pictures", "--fps", "30"]).assert_refused(2, &["inside the clip", "give another folder"]);
     }
     assert!(!scene.path("clip/maps").exists() && !scene.path("pictures/maps").exists());
     // A folder next to a clip is not inside it.

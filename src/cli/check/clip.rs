@@ -101,7 +101,7 @@ fn of_pass(pass: &Pass, settings: &Settings) -> Vec<Finding> {
 /// Returns the warning for a clip without any pose, however short: it confirms nothing.
 fn of_no_pose(frames: u64) -> Finding {
     Finding::warning(match frames {
-        1 => "the clip is one picture, which has no frame after it that confirms its pose: check a clip of two seconds or more".to_owned(),
+        1 => "the clip is one picture, and no later frame confirms its pose: check a clip of two seconds or more".to_owned(),
         n => format!("none of the clip's {n} frames has a pose: check a clip of two seconds or more that shows the stage"),
     })
 }
@@ -118,13 +118,13 @@ fn of_model(model: &ModelReport, findings: &[Finding]) -> Vec<Finding> {
         return Vec::new();
     }
     let ModelReport { parts, left_px, doubt_mm, doubt_share, views } = model;
-    if parts.is_empty() && *doubt_share >= MIN_DOUBT {
-        let seen =
-            format!("the stage is seen {left_px:.2} px (rms) from where its poses have it, so that they may be {doubt_mm:.1} mm off");
-        let walk = "walk past it, to both sides and near and far, and check that clip, or survey the stage by it";
-        return vec![match *views >= MIN_VIEWS {
+    if parts.is_empty() && *doubt_share >= LEAST_DOUBT {
+        let seen = format!("the stage appears {left_px:.2} px (rms) from where its poses put it, so they may be {doubt_mm:.1} mm off");
+        let walk = "film it while walking past, from both sides, near and far; check that clip, or survey the stage with it";
+        return vec![match *views >= LEAST_VIEWS {
             true => Finding::warning(format!(
-                "{seen}, and no part that stays as it is explains that; cloth that moves would: keep draughts from it or weigh it down. If nothing moves: {walk}"
+                "{seen}, and no constant error of the stage or lens explains that; moving cloth would: keep draughts off it or weigh it \
+                 down. If nothing moves: {walk}"
             )),
             false => Finding::note(format!("{seen}; the clip's views are too alike to tell why: {walk}")),
         }];
@@ -171,8 +171,8 @@ fn mend(reason: Reason, setup: &TrackerSetup) -> String {
     let photograph = setup.stage.surfaces.iter().find(|surface| matches!(surface.kind, ReferenceKind::Photograph { .. }));
     match (reason, photograph) {
         (Reason::LensMoved, Some(surface)) => format!(
-            "its corners may be off by a pixel or two, which looks the same: read corners_px of {} again, to half a pixel, in the enlarged \
-             photograph; only where they are right, {}",
+            "its corners may be off by a pixel or two, which looks the same: read corners_px of {} again, to half a pixel, in the \
+             enlarged photograph; only if they are right, {}",
             surface.name,
             reason.mend()
         ),
@@ -205,8 +205,9 @@ fn of_roll(travel: &Travel, setup: &TrackerSetup) -> Option<Finding> {
         _ => return None,
     };
     Some(Finding::doubt(format!(
-        "by its poses the camera hangs {turned} (rolled by {roll:.0} degrees): that is right if it is mounted so, and nothing is to be mended; if it \
-         is not, {name} is {turned}: turn the picture's file, or begin corners_px at the corner that is the top left one on the stage{line}"
+        "according to its poses the camera is {turned} (rolled by {roll:.0} degrees): that is right if it is mounted so, and nothing \
+         needs fixing; otherwise {name} is {turned}: turn the picture's file, or begin corners_px at the corner that is the top left one \
+         on the stage{line}"
     )))
 }
 
@@ -216,8 +217,8 @@ fn of_rate(clip: &Path, fps: Option<f64>) -> Option<Finding> {
     let has_none = if clip.is_dir() { !clip.join("timestamps.csv").is_file() } else { is_stream };
     (has_none && fps.is_none()).then(|| {
         Finding::warning(
-            "the clip has no stamps, so that 30 frames a second are assumed: give its rate with --fps, to check and to replay, or speeds, blur and \
-             the shutter come out wrong",
+            "the clip has no stamps, so 30 frames a second are assumed: give its rate with --fps, to check and to replay, or speeds, blur \
+             and shutter will be wrong",
         )
     })
 }

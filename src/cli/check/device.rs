@@ -80,16 +80,16 @@ fn text(mode: &CameraMode, seen: &Seen, shutter: &Shutter, calibrated: Option<(u
     }
     match seen.unstamped {
         0 => line(format!("the driver stamps its pictures; they arrive {:.0} ms after that", seen.age_ms / n)),
-        _ => line("the driver gives no time stamps: poses are late by an unknown time".to_owned()),
+        _ => line("the driver gives no time stamps: the age of poses is unknown".to_owned()),
     }
     if rate < 0.8 * mode.fps {
-        line("it is slower than agreed: lock the exposure, give it more light, or another USB port".to_owned());
+        line("it is slower than the agreed rate: lock the exposure, give it more light, or another USB port".to_owned());
     }
     safety.note_on_rate(rate).into_iter().for_each(&mut line);
     match contradiction(shutter, mode, mode) {
         Some(contradiction) => line(contradiction),
         None if shutter.exposure_s == 0.0 && exposure_of(shutter, mode) > 0.0 => {
-            line(format!("its exposure is locked at {:.1} ms, which the tracker will be given", exposure_of(shutter, mode) * 1e3));
+            line(format!("its exposure is locked at {:.1} ms, which the tracker will use", exposure_of(shutter, mode) * 1e3));
         }
         None => {}
     }
@@ -123,7 +123,7 @@ mod tests {
             "focus is automatic",
             "2 of 16",
             "arrive 10 ms",
-            "slower than agreed",
+            "slower than the agreed rate",
             "stale_after_s in [safety] is 0.09 s",
             "20.0 ms, exposure_s in [camera] says 10.0 ms",
             "1280 x 960",
@@ -131,6 +131,6 @@ mod tests {
             assert!(text.contains(part), "`{part}` is not in\n{text}");
         }
         let unset = super::text(&mode, &seen, &Shutter::default(), None, &SafetySettings::default());
-        assert!(unset.contains("locked at 20.0 ms, which the tracker will be given"), "{unset}");
+        assert!(unset.contains("locked at 20.0 ms, which the tracker will use"), "{unset}");
     }
 }

@@ -24,7 +24,8 @@ pub(super) fn doubt(lens: &LensSource, camera: &CameraModel) -> Vec<String> {
     let share = (u.focal_px[0] / i.fx).max(u.focal_px[1] / i.fy) / 3.0;
     let (across, down) = (u.centre_px[0] / 3.0, u.centre_px[1] / 3.0);
     let uncertain = format!(
-        "one sigma: focal length {:.2} %, principal point {across:.1} x {down:.1} px; distances are uncertain by {:.2} % ({:.1} cm at 4 m), which covariances tell",
+        "one sigma: focal length {:.2} %, principal point {across:.1} x {down:.1} px; distances are uncertain by {:.2} % ({:.1} cm at 4 \
+         m), which covariances include",
         100.0 * share,
         100.0 * share,
         400.0 * share

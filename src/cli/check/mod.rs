@@ -78,10 +78,7 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
             }
             None if seen.is_as_modelled => shutter::lines(&settings, file, arguments.fps)?,
             None => {
-                vec![
-                    "not estimated: the stage or the lens is not as configured, which displaces rows as a shutter does; see above"
-                        .to_owned(),
-                ]
+                vec!["not estimated: stage or lens differs from the config, which mimics rolling shutter; see above".to_owned()]
             }
         };
     }
@@ -278,7 +275,7 @@ fn field_of_view(camera: &CameraModel) -> String {
     };
     match (angle([-0.5, i.cy], [right, i.cy]), angle([i.cx, -0.5], [i.cx, bottom])) {
         (Some(across), Some(down)) => format!("field of view {across:.1} x {down:.1} degrees"),
-        _ => "the distortion cannot be inverted out to the picture's edges: what is there is not used".to_owned(),
+        _ => "the distortion cannot be inverted at the picture's edges, which are not used".to_owned(),
     }
 }
 

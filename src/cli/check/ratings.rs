@@ -44,8 +44,8 @@ impl Ratings {
                 // Report each pair once.
                 findings.extend(twins.filter(|[other, _]| *other > rating.body).map(|[other, surface]| {
                     Finding::doubt(format!(
-                        "{} of {} and {surface} of {other} show the same picture: nothing can tell the two apart, and neither is found; give each \
-                         its own",
+                        "{} of {} and {surface} of {other} show the same picture: they cannot be told apart, and neither is found; give \
+                         each its own",
                         rating.surface, rating.body
                     ))
                 }));
@@ -65,12 +65,12 @@ impl Ratings {
         let Some(rating) = self.all.get(number) else { return Vec::new() };
         let [across, down] = rating.seen_px;
         let mut lines = vec![format!(
-            "rated {} of {BEST} for tracking, at {across} x {down} pixels in the frame, as where the whole stage fills it",
+            "rated {} of {BEST} for tracking, at {across} x {down} pixels in the frame when the whole stage fills it",
             rating.stars
         )];
         lines.extend(rating.weaknesses.iter().map(|weakness| format!("  {weakness}")));
         if self.has_maps {
-            lines.push("  where there is something to hold on to (# plenty, . nothing):".to_owned());
+            lines.push("  where there is detail to track (# plenty, . none):".to_owned());
             lines.extend(rating.map.lines().into_iter().map(|line| format!("  {line}")));
         }
         lines
@@ -83,7 +83,8 @@ fn alike(body: &[Rating]) -> Option<Finding> {
     let is_alike = |rating: &Rating| rating.weaknesses.iter().filter_map(|w| w.same_as()).any(|[other, _]| *other == rating.body);
     let first = body.first().filter(|_| body.iter().all(is_alike))?;
     Some(Finding::doubt(format!(
-        "all surfaces of {} show the picture of another one of them ({}): nothing tells which is seen, and it is not found; give each its own",
+        "every surface of {} shows the picture of another one of them ({}): they cannot be told apart, and it is not found; give each its \
+         own",
         first.body, first.surface
     )))
 }

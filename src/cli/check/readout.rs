@@ -47,8 +47,8 @@ impl Readout {
             lines.push(format!("exposure_s = {}", written(shutter.exposure_s)));
         }
         let why = match configured.or_zero().readout_s {
-            0.0 => "the camera reads its rows one after another, which the config does not tell".to_owned(),
-            had_s => format!("the camera reads its rows in another time than readout_s = {}", written(had_s)),
+            0.0 => "the camera has a rolling shutter, which the config does not state".to_owned(),
+            had_s => format!("the camera's readout time differs from readout_s = {}", written(had_s)),
         };
         let says = format!(
             "{why}: write {} below [camera] (tried: a pose is then given in {} of {} frames, without it in {})",

@@ -31,7 +31,7 @@ pub(super) fn estimate(settings: &Settings, clip: &Path, fps: Option<f64>) -> Re
     let open = || open_clip(clip, ClipOptions { fps, calibrated, ..ClipOptions::default() }).map_err(Failure::from);
     let source = open()?;
     if source.doubt_of_stamps().is_some() {
-        return Ok(Err("not estimated: the clip's stamps are not to be believed; see above"));
+        return Ok(Err("not estimated: the clip's stamps are implausible; see above"));
     }
     let setup = tracker_setup(settings, source.size(), None)?;
     let tracker = Tracker::new(TrackerSetup { shutter: Default::default(), objects: Vec::new(), ..setup }.as_trial())?;
@@ -73,7 +73,7 @@ pub(super) fn told(estimate: &ShutterEstimate, settings: &Settings) -> Vec<Strin
     let ShutterEstimate { frames, aligned, .. } = estimate;
     let mut lines = vec![format!("from the clip's first {frames} frames (of {MAX_FRAMES} at most), the stage was followed in {aligned}")];
     if !estimate.has_settled && [estimate.readout, estimate.exposure].iter().flatten().any(is_known) {
-        lines.push("the estimate did not settle: take the times below for a hint".to_owned());
+        lines.push("the estimate did not converge: treat the times below as a hint".to_owned());
     }
     lines.push(readout(estimate.readout, settings.shutter.or_zero().readout_s));
     lines.push(exposure(estimate.exposure, settings.shutter.or_zero().exposure_s));
@@ -87,7 +87,8 @@ fn is_known(time: &ShutterTime) -> bool {
 
 fn readout(found: Option<ShutterTime>, configured_s: f64) -> String {
     let Some(time) = found.filter(is_known) else {
-        return "readout: the clip does not tell; shake the camera by hand for five seconds, a few times a second, and calibrate it well"
+        return "readout: this clip does not determine it; shake the camera by hand for five seconds, a few times a second, and calibrate \
+                it well"
             .to_owned();
     };
     let ShutterTime { seconds, sigma_s, frames } = time;
@@ -96,7 +97,7 @@ fn readout(found: Option<ShutterTime>, configured_s: f64) -> String {
         return format!("{measured}: rows are read from the bottom up; turn the camera's picture upright in its driver, not after");
     }
     if seconds < (3.0 * sigma_s).max(FASTEST_READOUT_S) {
-        return format!("{measured}, as of a global shutter: readout_s = 0.0{}", kept(configured_s, 0.0, sigma_s));
+        return format!("{measured}, which means a global shutter: readout_s = 0.0{}", kept(configured_s, 0.0, sigma_s));
     }
     format!("{measured}: readout_s = {seconds:.5}{}", kept(configured_s, seconds, sigma_s))
 }
