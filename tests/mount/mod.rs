@@ -86,8 +86,8 @@ fn six_pairs_of_views_tell_the_mount_and_judge_the_typed_one() {
     // In one trial with six degrees of freedom, NEES/6 exceeds 3.7 once in a thousand.
     assert!(nees < 3.7, "{nees}: {said}");
     assert!(said.contains("6 pairs of views, 6 measured by both cameras, 6 used") && said.contains("verdict   good"), "{said}");
-    assert!(said.contains("its [mount] agrees with what was measured"), "{said}");
-    // The printed section works in the config it is printed for, and is the same mount.
+    assert!(said.contains("its [mount] agrees with the measurement"), "{said}");
+    // The printed section works where it is printed for, and is the same mount.
     let section = &said[said.find("[mount]\nname").unwrap()..];
     std::fs::write(folder.join("c.toml"), format!("{config}{section}")).unwrap();
     let check = Command::new(env!("CARGO_BIN_EXE_stagepose")).args(["check", "--config", "c.toml"]).current_dir(folder).output().unwrap();
@@ -104,7 +104,7 @@ fn six_pairs_of_views_tell_the_mount_and_judge_the_typed_one() {
         std::fs::remove_file(folder.join(clip).join("005.png")).unwrap();
     }
     let said = text(&run(folder, &[]).stdout);
-    assert!(said.contains("off what was measured (right ") && said.contains("up +2"), "{said}");
+    assert!(said.contains("differs from the measurement by ") && said.contains(" (right ") && said.contains("up +2"), "{said}");
 }
 
 #[test]
@@ -213,7 +213,7 @@ fn boards_of_their_own_need_turns_about_two_axes() {
     let refused = run(panned.path(), &["--own-boards"]);
     let said = text(&refused.stderr);
     assert_eq!(refused.status.code(), Some(1), "{said}");
-    for part in ["the rig turned about one axis only (it was panned)", "tilted or rolled", "leave --own-boards away"] {
+    for part in ["the rig turned about one axis only (it was panned)", "tilted or rolled", "omit --own-boards"] {
         assert!(said.contains(part), "{said}");
     }
     let turns = [[0.0, 0.0, 0.0], [-14.0, 3.0, 0.0], [13.0, -4.0, 15.0], [0.0, 12.0, -15.0], [-3.0, -12.0, 20.0], [8.0, 8.0, -25.0]];
@@ -246,7 +246,7 @@ fn what_does_not_go_together_is_refused_with_the_mend() {
     for name in ["a", "b"] {
         Board::new(99).art.save(folder.join(format!("{name}-board.png"))).unwrap();
     }
-    let parts = ["of 2 pairs of views 0 show both cameras their stage, 1 are needed", "picture 1: neither camera finds its stage"];
+    let parts = ["both cameras see their stage in 0 of 2 pairs of views, 1 are needed", "picture 1: neither camera finds its stage"];
     assert_eq!(refused(&[], &parts), Some(1));
 }
 

@@ -39,7 +39,7 @@ fn an_earlier_survey_is_replaced_whole_and_its_shapes_belong_to_their_pictures()
     let walk = Walk::new();
     std::fs::create_dir(walk.path("surveyed")).expect("it can be made");
     walk.write("surveyed/mine.txt", "keep");
-    walk.run(&survey("walk", &[])).assert_refused(2, &["surveyed", "not of an earlier survey"]);
+    walk.run(&survey("walk", &[])).assert_refused(2, &["surveyed", "no earlier survey wrote"]);
     assert_eq!(walk.read("surveyed/mine.txt"), "keep");
     std::fs::remove_file(walk.path("surveyed/mine.txt")).expect("it is there");
     walk.run(&survey("walk", &[])).assert_success();
@@ -90,11 +90,14 @@ fn an_interrupted_survey_says_so_leaves_the_earlier_one_as_it_was_and_goes_on_wh
     kill(Pid::from_raw(child.id() as i32), Signal::SIGINT).expect("it runs");
     let rest: Vec<String> = lines.collect();
     assert_eq!(child.wait().expect("it ends").code(), Some(1));
-    assert!(rest.iter().any(|line| line.contains("interrupted; nothing was written") && line.contains("goes on from there")), "{rest:?}");
+    assert!(
+        rest.iter().any(|line| line.contains("interrupted; nothing was written") && line.contains("to continue from there")),
+        "{rest:?}"
+    );
     assert!(!walk.path("out.json").exists());
     assert_eq!(walk.files("surveyed"), first);
     let kept = std::fs::read(walk.path(".surveyed.walk")).expect("the walk is kept");
-    let words = "going on from there";
+    let words = "continuing from there";
     let again = walk.run(&survey("walk", &["--log", "info"]));
     again.assert_success();
     assert!(again.stderr.contains(words), "{}", again.stderr);

@@ -27,12 +27,13 @@ use report::MountReport;
 /// Measure where the filming camera sits next to the tracking camera, from still views that both
 /// took.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  stagepose mount --config tracking.toml --clip a --with filming.toml --clip b\n\n\
-    Bolt both cameras to the rig, put it in five or six places, and let each camera take a picture or a few seconds of film in every place, the \
-    rig standing still. The first --clip is the tracking camera's, the second the filming camera's: folders of pictures in the same order, or \
-    films. Both configs describe the same stage, each with its own camera's calibration. Where the cameras cannot see one stage, hang a board of \
-    its own before each (a poster, say), describe it in that camera's config, and add --own-boards; the rig must then pan, tilt and roll \
-    between the views.\nPrints the [mount] section for the tracking camera's config, and judges the one that is there.")]
+#[command(after_help = "Example:\n  stagepose mount --config tracking.toml --clip a --with filming.toml --clip b\n\nBolt both cameras to \
+                        the rig, put it in five or six places, and let each camera take a picture or a few seconds of film in every \
+                        place, the rig standing still. The first --clip is the tracking camera's, the second the filming camera's: \
+                        folders of pictures in the same order, or films. Both configs describe the same stage, each with its own camera's \
+                        calibration. Where the cameras cannot see one stage, hang a separate board (a poster, say) in front of each, \
+                        describe it in that camera's config, and add --own-boards; the rig must then pan, tilt and roll between the \
+                        views.\nPrints the [mount] section for the tracking camera's config, and judges the one that is there.")]
 pub(super) struct MountArguments {
     /// The tracking camera's config
     #[arg(long, value_name = "FILE")]
@@ -101,11 +102,11 @@ pub(super) fn run(arguments: &MountArguments) -> Result<(), Failure> {
     print(printable_lines(&(report.text() + "\n")).as_bytes())?;
     match verdict {
         Verdict::DoNotUse if is_doubt_of_lenses => Err(Failure::Mount(
-            "the mount is not known well enough to be used, for the lenses are not; calibrate both cameras with `stagepose calibrate`"
+            "the mount is not known well enough to be used, because the lenses are not; calibrate both cameras with `stagepose calibrate`"
                 .to_owned(),
         )),
         Verdict::DoNotUse => {
-            Err(Failure::Mount("the mount is not known well enough to be used; take the views that are asked for".to_owned()))
+            Err(Failure::Mount("the mount is not known well enough to be used; take the views listed under next".to_owned()))
         }
         Verdict::Good | Verdict::Usable => Ok(()),
     }
@@ -116,8 +117,8 @@ fn paired(tracking: &Measured, filming: &Measured, clips: [&PathBuf; 2]) -> Resu
     still_pairs(&tracking.rows, &filming.rows).map_err(|Unpaired([a, b])| {
         let [clip, other] = clips.map(|clip| clip.display().to_string());
         Failure::Mount(format!(
-            "{clip} has {} pictures and {a} times that the rig stood still, {other} has {} and {b}; give clips with one picture for each view \
-             in the same order, or films of the same standstills of a second or more",
+            "{clip} has {} pictures and {a} standstills of the rig, {other} has {} and {b}; give clips with one picture for each view in \
+             the same order, or films of the same standstills, each a second or longer",
             tracking.rows.len(),
             filming.rows.len(),
         ))
@@ -144,23 +145,24 @@ fn lens_doubt(models: [ObservationModel<'_>; 2], pairs: &[ViewPair], solution: &
 fn unsolvable(why: Unsolvable, pairs: &[StillPair], arguments: &MountArguments) -> Failure {
     let missing = report::missing(pairs);
     let missing = if missing.is_empty() { String::new() } else { format!(" ({})", missing.join("; ")) };
-    let both_see = "or let both cameras see one stage, and leave --own-boards away";
+    let both_see = "or let both cameras see one stage, and omit --own-boards";
     Failure::Mount(match why {
         Unsolvable::TooFew { found, wanted } => format!(
-            "of {} pairs of views {found} show both cameras their stage, {wanted} are needed{missing}; check with `stagepose replay CLIP --config \
-             FILE --overlay DIR` what each camera sees",
+            "both cameras see their stage in {found} of {} pairs of views, {wanted} are needed{missing}; check with `stagepose replay \
+             CLIP --config FILE --overlay DIR` what each camera sees",
             pairs.len()
         ),
         Unsolvable::NotTurned { .. } => {
             format!(
-                "{why}, which with boards of their own tells nothing of the offset; pan, tilt and roll the rig by 20 degrees or more, {both_see}"
+                "{why}, which with separate boards does not determine the offset; pan, tilt and roll the rig by 20 degrees or more, \
+                 {both_see}"
             )
         }
         Unsolvable::OneAxis { axis, .. } => {
             let (word, others) = report::axis_words(&axis);
             format!(
-                "{why} ({word}), which with boards of their own leaves the offset along that axis open; add views with the rig {others} by 20 \
-                 degrees or more, {both_see}"
+                "{why} ({word}), which with separate boards does not determine the offset along that axis; add views with the rig \
+                 {others} by 20 degrees or more, {both_see}"
             )
         }
         Unsolvable::NoSolution if arguments.own_boards => format!("{why}; check the configs, and that both cameras were bolted to the rig"),

@@ -101,7 +101,7 @@ impl MountReport<'_> {
         let line = |(pair, view): (&StillPair, &crate::mount::Used)| {
             let off = (view.squared_distance / 6.0).sqrt();
             format!(
-                "{}: left out, it is {off:.0} times as far off as its noise explains; was the rig moved between the two pictures?",
+                "{}: left out, its residual is {off:.0} times what noise explains; was the rig moved between the two pictures?",
                 named(pair)
             )
         };
@@ -124,13 +124,16 @@ impl MountReport<'_> {
         let distance = both.map_or(f64::INFINITY, |both| difference.dot(&both.solve(&difference)));
         let apart = format!("{:.1} mm and {:.2} degrees", shift.norm() * 1e3, turn.norm().to_degrees());
         if distance <= SAME {
-            return format!("its [mount] agrees with what was measured: {apart} apart");
+            return format!("its [mount] agrees with the measurement: {apart} apart");
         }
         let worst: Vec<String> = [("right", shift.x), ("forward", shift.y), ("up", shift.z)]
             .iter()
             .map(|(word, metres)| format!("{word} {:+.1} mm", metres * 1e3))
             .collect();
-        format!("its [mount] is {apart} off what was measured ({}); replace it by the lines below, or measure again", worst.join(", "))
+        format!(
+            "its [mount] differs from the measurement by {apart} ({}); replace it by the lines below, or measure again",
+            worst.join(", ")
+        )
     }
 
     /// Returns the lines for the config.

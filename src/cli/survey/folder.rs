@@ -21,7 +21,7 @@ pub(super) fn refuse_unusable(folder: &Path) -> Result<(), Failure> {
     match fs::read_dir(folder) {
         Ok(mut entries) => match folder.join(MARK).exists() || entries.next().is_none() {
             true => Ok(()),
-            false => Err(Failure::Usage(format!("{}: holds files that are not of an earlier survey; give a new folder", folder.display()))),
+            false => Err(Failure::Usage(format!("{}: holds files that no earlier survey wrote; give a new folder", folder.display()))),
         },
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(()),
         Err(e) => Err(Failure::Output { file: folder.to_owned(), source: e }),

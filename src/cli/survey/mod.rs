@@ -127,7 +127,7 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
     work.progress.finish();
     let made = made.map_err(|e| match e {
         SurveyError::Interrupted if file.is_there() => {
-            Failure::Survey(format!("{e}. The clips are taken in: the same command goes on from there"))
+            Failure::Survey(format!("{e}. The clips have been read: run the same command again to continue from there"))
         }
         e => Failure::Survey(e.to_string()),
     })?;
@@ -158,7 +158,7 @@ impl Work<'_> {
     /// Returns the walk left by an interrupted run, with its clips' pictures.
     fn recalled(&self, file: &WalkFile, sources: Vec<Box<dyn FrameSource>>) -> Result<Option<Walk>, SurveyError> {
         let Some(record) = file.read() else { return Ok(None) };
-        tracing::info!("the clips were taken in by a survey that was interrupted; going on from there");
+        tracing::info!("an interrupted survey has already read the clips; continuing from there");
         let clips = sources.into_iter().map(frames);
         Walk::recall(&record, clips, &self.setup.stage, |step| self.show(step), &goes_on)
     }
@@ -185,7 +185,7 @@ impl Work<'_> {
                 self.frames_read.set(self.frames_read.get() + 1);
                 self.progress.advance();
             }
-            SurveyStep::Again(number) => self.progress.at(self.frames_read.get(), format!("looking again, frame {number}")),
+            SurveyStep::Again(number) => self.progress.at(self.frames_read.get(), format!("second pass, frame {number}")),
             SurveyStep::Round(round) => self.progress.at(self.frames_read.get(), format!("adjusting, round {}", round + 1)),
         }
     }

@@ -22,11 +22,8 @@ const PALE_BELOW_SIGMAS: f64 = 2.0;
 pub(super) fn html(made: &Survey, judgement: &Judgement, date: &str) -> String {
     let mut body = format!("<p><b>{}</b></p>\n", escaped(&judgement.sentence()));
     if let Some(metres) = made.configured_error_m {
-        let _ = writeln!(
-            body,
-            "<p>Without this survey the camera would be {:.2} mm beside where it is: half of the keyframes by less, half by more.</p>",
-            1e3 * metres
-        );
+        let _ =
+            writeln!(body, "<p>Without this survey camera positions would be off by {:.2} mm (median of the keyframes).</p>", 1e3 * metres);
     }
     body += &residuals(made);
     for k in 0..made.surfaces.len() {
@@ -45,11 +42,11 @@ fn residuals(made: &Survey) -> String {
         let _ = write!(rows, "<tr><th>{label}</th><td>{}</td></tr>", escaped(&value));
     };
     row("frames", format!("{}, the stage found in {}", made.frames, made.found));
-    row("keyframes", format!("{}, {} of them bear the result out", made.keyframes, made.used));
+    row("keyframes", format!("{}, {} of them agree with the result", made.keyframes, made.used));
     row("left as configured", made.configured_rms_px.map_or("nothing fits".to_owned(), |px| format!("{px:.3} px")));
     row("left as surveyed", format!("{:.3} px", made.rms_px));
     if let Some(metres) = made.configured_error_m {
-        row("error without the survey", format!("{:.2} mm, one rigid motion of the stage aside", 1e3 * metres));
+        row("error without the survey", format!("{:.2} mm, after the best rigid motion of the stage", 1e3 * metres));
     }
     let i = made.camera.intrinsics();
     row(
@@ -100,10 +97,8 @@ fn heights(made: &Survey, k: usize) -> String {
     }
     let legend = format!("{:+.1} mm (blue, away from the house) to {:+.1} mm (red)", -1e3 * most, 1e3 * most);
     drawing.text([0.0, cell * rows as f64 + 16.0], 13.0, "start", "currentColor", &legend);
-    let caption = format!(
-        "Heights of {} over its plane, as its picture lies. Grey parts are not known well: let the walk go there again.",
-        escaped(&spec.name)
-    );
+    let caption =
+        format!("Heights of {} over its plane, as its picture lies. Grey parts are poorly known: film them again.", escaped(&spec.name));
     figure(&drawing.finish(&format!("heights of {}", spec.name)), &caption)
 }
 

@@ -22,7 +22,7 @@ pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
     if let Some(metres) = made.configured_error_m {
         let _ = writeln!(
             text,
-            "gain        without the survey the camera would be {:.2} mm beside where it is, one rigid motion of the stage aside",
+            "gain        without the survey camera positions would be off by {:.2} mm (after the best rigid motion of the stage)",
             1e3 * metres
         );
     }
@@ -52,12 +52,12 @@ pub(super) fn shutter(made: &Survey) -> Option<String> {
     let milliseconds = |time: &ShutterTime| format!("{:.2} ms (sigma {:.2})", 1e3 * time.seconds, 1e3 * time.sigma_s);
     let say = |name: &str, time: Option<ShutterTime>, told_s: f64| match time {
         Some(time) => format!("{name} {}", milliseconds(&time)),
-        None => format!("{name} {:.2} ms as told: the walk moves too little to say", 1e3 * told_s),
+        None => format!("{name} {:.2} ms as configured: the walk has too little motion to estimate it", 1e3 * told_s),
     };
     made.refines_lens().then(|| {
         let readout = say("readout", found.and_then(|f| f.readout), made.shutter.readout_s);
         format!(
-            "{readout}, taken as {:.2} ms; {}",
+            "{readout}, used as {:.2} ms; {}",
             1e3 * made.shutter.readout_s,
             say("exposure", found.and_then(|f| f.exposure), made.shutter.exposure_s)
         )
@@ -72,10 +72,13 @@ pub(super) fn measured(made: &Survey) -> Vec<String> {
         let (name, sigmas) = (&check.constraint.name, check.sigmas);
         match &check.constraint.measured {
             Measured::Distance { length_m, .. } => {
-                format!("{name}: {length_m:.4} m as measured, {:.4} m as found, {sigmas:.1} sigmas from all else", length_m - check.off_m)
+                format!(
+                    "{name}: {length_m:.4} m as measured, {:.4} m as found, {sigmas:.1} sigmas from everything else",
+                    length_m - check.off_m
+                )
             }
             Measured::Place { .. } => {
-                format!("{name}: found {:.1} mm beside its place, {sigmas:.1} sigmas from all else", 1e3 * check.off_m)
+                format!("{name}: found {:.1} mm from its measured position, {sigmas:.1} sigmas from everything else", 1e3 * check.off_m)
             }
         }
     };
