@@ -158,7 +158,7 @@ def size_change(text):
 
 
 def osc_listen(text):
-    without(text, "no OSC packet", "the sender is blamed")
+    without(text, "not an OSC packet", "the sender is blamed")
     lines = text.splitlines()
     need(len(lines) >= 7 and all(line.strip() for line in lines), "a datagram has no line, or an empty one")
     for what, least in ((r"/a 4", 2), (r"/b\b", 3), (r"/info\b", 1), (r"/go\b", 1), (r"/cue\b", 1)):

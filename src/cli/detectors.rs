@@ -28,11 +28,11 @@ use crate::simulate;
 
 /// Measure every detector and descriptor on pairs of pictures whose homography is known.
 #[derive(Debug, Clone, Args)]
-#[command(after_help = "Examples:\n  stagepose detectors backdrop.png\n  \
-    stagepose detectors 1.png 2.png 3.png --homography H_1_2 --homography H_1_3 --json table.json\n\n\
-    Example:\n  stagepose detectors\n\n\
-    Each picture is seen anew, rolled, zoomed, tilted, out of focus and dimmed, so that where every point went is known. With --homography, one for each \
-    picture after the first, the pictures are photographs instead: nine numbers, row by row, that map the first picture's pixels to the other's.")]
+#[command(after_help = "Examples:\n  stagepose detectors backdrop.png\n  stagepose detectors 1.png 2.png 3.png --homography H_1_2 \
+                        --homography H_1_3 --json table.json\n\nExample:\n  stagepose detectors\n\nEach picture is rendered again rolled, \
+                        zoomed, tilted, out of focus and dimmed, so the true position of every point is known. With --homography, one for \
+                        each picture after the first, the pictures are photographs of the same scene instead: nine numbers, row by row, \
+                        that map the first picture's pixels to the other's.")]
 pub(super) struct DetectorsArguments {
     /// Pictures [default: a painted backdrop]
     images: Vec<PathBuf>,
@@ -105,7 +105,7 @@ pub(super) fn run(arguments: &DetectorsArguments) -> Result<(), Failure> {
 fn chosen_detectors(arguments: &DetectorsArguments) -> Result<Vec<FeatureSettings>, Failure> {
     let kinds = DetectorKind::ALL.map(|(name, _)| name);
     if let Some(unknown) = arguments.only.iter().find(|name| !kinds.contains(&name.as_str())) {
-        return Err(Failure::Usage(format!("--only {unknown}: there is no such detector; there are {}", kinds.join(", "))));
+        return Err(Failure::Usage(format!("--only {unknown}: there is no such detector; give one of {}", kinds.join(", "))));
     }
     let only: Vec<&String> = arguments.only.iter().chain(&arguments.features.detector).collect();
     let wanted = DetectorKind::ALL.into_iter().filter(|(name, _)| only.is_empty() || only.iter().any(|o| o == name));

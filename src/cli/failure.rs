@@ -39,7 +39,7 @@ pub enum Failure {
         first: Option<String>,
     },
     /// An output cannot be created or written.
-    #[error("{}: cannot be written ({source}); give a path with room that may be written", file.display())]
+    #[error("{}: cannot be written ({source}); give a writable path with free space", file.display())]
     Output {
         /// The file.
         file: PathBuf,
@@ -47,10 +47,10 @@ pub enum Failure {
         source: io::Error,
     },
     /// A recording would be mixed with an earlier one; holds the first existing file.
-    #[error("{}: is there already and would be written over; give a new folder", .0.display())]
+    #[error("{}: exists already and would be overwritten; give a new folder", .0.display())]
     ClipIsThere(PathBuf),
     /// Pictures would overwrite others or be mixed with them.
-    #[error("{}: holds pictures that are not of an earlier --overlay; give a new folder", .0.display())]
+    #[error("{}: holds pictures that no earlier --overlay wrote; give a new folder", .0.display())]
     FolderIsUsed(PathBuf),
     /// `check` found something wrong with a config or clip; the report has all findings.
     #[error("{}: {reason}", file.display())]
@@ -67,7 +67,7 @@ pub enum Failure {
     #[error("{0}")]
     Publishing(String),
     /// A signal arrived before the first frame.
-    #[error("interrupted before the first frame of the clip came; nothing was tracked")]
+    #[error("interrupted before the first frame of the clip; nothing was tracked")]
     Interrupted,
     /// A recording ended early.
     #[error("the recording ended early: {0}")]

@@ -21,7 +21,7 @@ pub(super) struct Outcome {
 const TOLD: usize = 2;
 /// The sentence for a clip of one picture.
 const ONE_FRAME: &str =
-    "One picture does not settle a pose, for every pose is held against that of another frame: give two pictures or more, or a clip";
+    "One picture is not enough for a pose, because every pose is checked against another frame's: give two or more pictures, or a clip";
 /// Minimum share of frames for a reason after the first to get a sentence. Chosen: as for `check`'s
 /// notes. Raised, rarer reasons are only counted.
 const MIN_SHARE: f64 = 0.02;
@@ -130,7 +130,7 @@ mod tests {
     #[test]
     fn one_picture_is_not_told_to_wait_for_another() {
         let said = outcome(0, &[(Reason::Unconfirmed, 1)]).sentences();
-        assert!(said.contains("One picture does not settle a pose") && !said.contains("too rarely"), "{said}");
+        assert!(said.contains("One picture is not enough") && !said.contains("too rarely"), "{said}");
         assert!(!outcome(0, &[(Reason::NotRecognised, 1)]).sentences().contains("One picture"));
         assert!(!outcome(0, &[(Reason::Unconfirmed, 2)]).sentences().contains("One picture"));
     }

@@ -102,10 +102,10 @@ impl OutputFile {
                 Err(e) => return Err(e.into()),
             }
             if interrupt::is_interrupted() {
-                return Err(io::Error::other("interrupted while its reader took nothing"));
+                return Err(io::Error::other("interrupted while waiting for its reader"));
             }
             if self.patience.is_some_and(|patience| begun.elapsed() > patience) {
-                return Err(io::Error::other("its reader takes nothing"));
+                return Err(io::Error::other("its reader does not read"));
             }
         }
     }
@@ -157,7 +157,7 @@ mod tests {
         let _reader = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(&pipe).unwrap();
         let mut output = OutputFile::open(&pipe).unwrap().with_patience(Duration::from_millis(50));
         let error = output.write_all(&vec![7; 1 << 20]).unwrap_err();
-        assert_eq!(error.to_string(), "its reader takes nothing");
+        assert_eq!(error.to_string(), "its reader does not read");
     }
 
     #[test]

@@ -94,7 +94,7 @@ fn the_overlays_of_an_earlier_run_are_replaced_whole_and_other_files_are_refused
     scene.write("poses.jsonl", "kept");
     scene
         .replay(&["--overlay", "own", "--poses", "poses.jsonl"])
-        .assert_refused(1, &["own: holds pictures that are not of an earlier --overlay", "give a new folder"]);
+        .assert_refused(1, &["own: holds pictures that no earlier --overlay wrote", "give a new folder"]);
     assert_eq!((scene.read("own/000000.jpg"), scene.read("poses.jsonl")), ("a picture of mine".to_owned(), "kept".to_owned()));
 }
 

@@ -102,12 +102,12 @@ fn nothing_is_written_over() {
     for name in ["camera.toml", "clip/poses.jsonl", "clip"] {
         let before = std::fs::read(scene.path(name)).ok();
         let run = scene.run(&["report", "--config", "stage.toml", "--output", name]);
-        run.assert_refused(2, &[&format!("--output {name}: is there already; give a new file")]);
+        run.assert_refused(2, &[&format!("--output {name}: exists already; give a new file")]);
         assert_eq!(std::fs::read(scene.path(name)).ok(), before);
     }
     scene.run(&["report", "--config", "stage.toml", "--output", "no/report.zip"]).assert_refused(1, &["no/report.zip: cannot be written"]);
     scene.run(&["report", "--config", "none.toml", "--output", "r.zip"]).assert_refused(2, &["none.toml: cannot be read"]);
-    scene.run(&["report", "--config", "stage.toml", "--output", "r.zip", "--clip", "."]).assert_refused(2, &["is no recording"]);
+    scene.run(&["report", "--config", "stage.toml", "--output", "r.zip", "--clip", "."]).assert_refused(2, &["is not a recording"]);
     assert!(!scene.path("r.zip").exists());
 }
 

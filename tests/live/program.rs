@@ -138,7 +138,7 @@ fn a_played_clip_is_recorded_and_replays_byte_for_byte() {
     // An existing take is not overwritten.
     let again = stagepose(folder.path()).args(record).output().unwrap();
     let said = String::from_utf8_lossy(&again.stderr).into_owned();
-    assert!(again.status.code() == Some(1) && said.contains("take/frames: is there already and would be written over"), "{said}");
+    assert!(again.status.code() == Some(1) && said.contains("take/frames: exists already and would be overwritten"), "{said}");
 }
 
 #[test]
@@ -155,7 +155,7 @@ fn what_is_left_of_a_recording_is_not_written_over() {
         std::fs::write(&part, "kept").unwrap();
         let ran = record(&[]);
         let said = String::from_utf8_lossy(&ran.stderr).into_owned();
-        assert!(ran.status.code() == Some(1) && said.contains(&format!("take/{name}: is there already")), "{said}");
+        assert!(ran.status.code() == Some(1) && said.contains(&format!("take/{name}: exists already")), "{said}");
         assert_eq!(std::fs::read_to_string(&part).unwrap(), "kept");
         std::fs::remove_dir_all(folder.path().join("take")).unwrap();
     }

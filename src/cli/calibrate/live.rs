@@ -37,7 +37,7 @@ pub(super) fn taken(arguments: &CalibrateArguments, board: &Board) -> Result<Vec
     })?;
     if pictures.is_empty() {
         return Err(Failure::Calibration(
-            "the camera gave no picture with the board held still; hold it still until it is taken, or see what the camera shows"
+            "the camera gave no picture of the board held still; hold it still until the picture is taken, or check what the camera shows"
                 .to_owned(),
         ));
     }

@@ -134,7 +134,7 @@ pub(super) fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
     let pictures = pictures::inspected(arguments, &board)?;
     let made = calibrate(&pictures, &board, &options).map_err(|e| Failure::Calibration(e.to_string()))?;
     let Some(calibration) = calibration_of(&made) else {
-        return Err(Failure::Calibration("the pictures give no possible camera; take sharper ones with more tilt".to_owned()));
+        return Err(Failure::Calibration("no plausible camera fits the pictures; take sharper ones with more tilt".to_owned()));
     };
     let comparison = other.map(|other| compare::between(&calibration.model, &other)).transpose()?;
     let is_readable = plausible::judge(&calibration.model).is_ok();
@@ -148,7 +148,7 @@ pub(super) fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
     if accepted {
         return Ok(());
     }
-    let way = if is_readable { " (--write-anyway writes it)" } else { ", for no command would read it" };
+    let way = if is_readable { " (--write-anyway writes it)" } else { ", because no command would accept it" };
     let kept = arguments.output.as_ref().map_or(String::new(), |file| format!("; {} is not written{way}", file.display()));
     let next = &made.judgement.next_picture;
     Err(Failure::Calibration(format!("{}{kept}; take next: {next}", made.judgement.sentence())))

@@ -35,7 +35,7 @@ fn fix(solve: &mut SolveOptions, word: &str) -> Result<(), Failure> {
     let value = match value.map(str::parse::<f64>) {
         None => None,
         Some(Ok(value)) if value.is_finite() && (number > 1 || value > 0.0) => Some(value),
-        Some(_) => return Err(Failure::Usage(format!("--fix {word}: what follows = must be a possible number; write --fix {name}=500"))),
+        Some(_) => return Err(Failure::Usage(format!("--fix {word}: the value after = is not valid for it; write --fix {name}=500"))),
     };
     if number < 2 && value.is_none() {
         return Err(Failure::Usage(format!("--fix {word}: a focal length has no default; write --fix {name}=VALUE in pixels")));

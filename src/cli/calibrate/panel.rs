@@ -62,7 +62,7 @@ fn lines(taken: &ViewSet, look: &Look, most: usize) -> String {
         // Writing to a String cannot fail.
         let _ = writeln!(text, "{}   {beside}", parts.collect::<String>());
     }
-    let next = taken.next_picture().unwrap_or_else(|| "more views unlike those before".to_owned());
+    let next = taken.next_picture().unwrap_or_else(|| "more views that differ from the earlier ones".to_owned());
     // Where to hold the board, and below that how: both fit a narrow terminal.
     let (place, tilt) = next.split_once(", with ").unwrap_or((&next, ""));
     let margin = "  ".repeat(PART_COLUMNS);
@@ -81,7 +81,7 @@ fn advice(look: &Look) -> String {
         Look::NoBoard(reason) => reason.to_string(),
         Look::Moving => "hold the board still".to_owned(),
         Look::Blurred => "the board is blurred; more light, or hold it stiller".to_owned(),
-        Look::Known => "such a view is there already; move or tilt the board".to_owned(),
+        Look::Known => "this view was already taken; move or tilt the board".to_owned(),
         Look::Taken => "taken".to_owned(),
     }
 }

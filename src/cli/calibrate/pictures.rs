@@ -92,8 +92,8 @@ impl Looking {
         let turned = self.turned.load(Ordering::Relaxed);
         if turned > 0 {
             note(&format!(
-                "{turned} of the pictures are to be shown turned (EXIF); they are used as their pixels lie in the file, which is how frames of \
-                 the camera are tracked"
+                "EXIF says to show {turned} of the pictures turned; they are used as stored in the file, like frames of the \
+                 camera"
             ));
         }
     }

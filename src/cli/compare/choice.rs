@@ -94,7 +94,7 @@ impl FeatureArguments {
             _ => Ok(value),
         };
         if self.cmin.is_some_and(|c| !c.is_finite()) {
-            return Err(Failure::Usage("--cmin is no number; give the least strength of a keypoint".to_owned()));
+            return Err(Failure::Usage("--cmin is not a number; give the minimum strength of a keypoint".to_owned()));
         }
         Ok(FeatureSettings {
             descriptor: chosen.map_or(kind.usual_descriptor(), |(_, kind)| *kind),

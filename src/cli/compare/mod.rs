@@ -26,11 +26,11 @@ pub(super) use pictures::read_picture;
 
 /// Compare two pictures: relate their points, and find how the camera moved.
 #[derive(Debug, Clone, Args)]
-#[command(after_help = "Examples:\n  stagepose compare before.png after.png --camera camera.toml --report compare.html\n  \
-    stagepose compare backdrop.jpg photo.jpg --detector asift --json relation.json\n\n\
-    Example:\n  stagepose compare a.png b.png\n\n\
-    Without a camera there is a fundamental matrix and a homography between the pixels; with one also the essential matrix and the camera's move, \
-    up to its length, which two pictures cannot tell (--baseline-m gives it).")]
+#[command(after_help = "Examples:\n  stagepose compare before.png after.png --camera camera.toml --report compare.html\n  stagepose \
+                        compare backdrop.jpg photo.jpg --detector asift --json relation.json\n\nExample:\n  stagepose compare a.png \
+                        b.png\n\nWithout --camera the result is a fundamental matrix and a homography between the pixels. With it, it \
+                        also has the essential matrix and the camera's motion; two pictures do not determine its length, which \
+                        --baseline-m gives.")]
 pub(super) struct CompareArguments {
     /// The first picture
     a: PathBuf,

@@ -61,9 +61,9 @@ pub(in crate::cli) fn read_picture(file: &Path) -> Result<NamedPicture, Failure>
     let (picture, orientation, unseen) =
         decode_on_white(&bytes).map_err(|e| Failure::Picture { file: file.to_owned(), reason: e.to_string() })?;
     let turned = orientation_words(orientation)
-        .map(|turned| format!("{} is to be shown {turned} (EXIF); it is compared as its pixels lie in the file", file.display()));
+        .map(|turned| format!("EXIF says to show {} {turned}; it is compared as stored in the file", file.display()));
     let see_through =
-        (unseen > 0.0).then(|| format!("{:.1} % of {} is transparent, which is taken as white paper", 100.0 * unseen, file.display()));
+        (unseen > 0.0).then(|| format!("{:.1} % of {} is transparent, which is treated as white paper", 100.0 * unseen, file.display()));
     let notes: Vec<String> = turned.into_iter().chain(see_through).collect();
     let note = (!notes.is_empty()).then(|| notes.join("; "));
     Ok(NamedPicture { picture, camera: None, note })

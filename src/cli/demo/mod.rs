@@ -83,7 +83,7 @@ pub enum DemoError {
     #[error("the virtual stage cannot be made: {0}")]
     Scene(#[from] DollyError),
     /// A file of the saved clip cannot be written.
-    #[error("{}: cannot be written ({source}); give --save a folder with room that may be written", file.display())]
+    #[error("{}: cannot be written ({source}); give --save a writable folder with free space", file.display())]
     Save {
         /// The file or folder.
         file: PathBuf,
@@ -94,7 +94,7 @@ pub enum DemoError {
     #[error(transparent)]
     Clip(#[from] CaptureError),
     /// The folder already holds part of a saved clip; holds the first such file.
-    #[error("{}: is there already and would be written over; give --save a new folder", .0.display())]
+    #[error("{}: exists already and would be overwritten; give --save a new folder", .0.display())]
     Exists(PathBuf),
     /// The tracker cannot be set up.
     #[error(transparent)]

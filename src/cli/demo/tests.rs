@@ -139,7 +139,7 @@ fn nothing_that_is_in_the_folder_is_written_over() {
         let file = folder.path().join(name);
         std::fs::write(&file, "hours of work").unwrap();
         let said = SavedClip::create(folder.path(), &stage, None).map(|_| ()).unwrap_err().to_string();
-        assert!(said.contains(name) && said.ends_with("would be written over; give --save a new folder"), "{said}");
+        assert!(said.contains(name) && said.ends_with("would be overwritten; give --save a new folder"), "{said}");
         assert_eq!(std::fs::read_to_string(&file).unwrap(), "hours of work");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "{name}");
     }

@@ -50,7 +50,7 @@ enum Spoken {
 pub(super) fn run(arguments: &ListenArguments) -> Result<(), Failure> {
     interrupt::watch();
     let port = arguments.port;
-    let mend = "end the program that has the port, or check --group and --interface";
+    let mend = "end the program that uses the port, or check --group and --interface";
     let socket = open(arguments).map_err(|e| Failure::Publishing(format!("cannot listen on UDP port {port} ({e}); {mend}")))?;
     let mut buffer = vec![0; 65_536];
     let mut heard = 0;

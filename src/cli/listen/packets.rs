@@ -25,19 +25,21 @@ pub(super) fn line(protocol: Spoken, bytes: &[u8]) -> String {
         Spoken::OpenTrackIo => {
             opentrackio::decode(bytes).map(|(sequence, sample)| format!("#{sequence} {sample}")).map_err(|e| e.to_string())
         }
-        Spoken::Osc if nests_too_deep(bytes) => Err(format!("its bundles or arrays nest more than {MAX_LEVELS} deep; check the sender")),
+        Spoken::Osc if nests_too_deep(bytes) => {
+            Err(format!("its bundles or arrays are nested more than {MOST_LEVELS} levels deep; check the sender"))
+        }
         Spoken::Json => json(bytes),
-        Spoken::Osc => osc_packet(bytes).ok_or_else(|| "it is no OSC packet; check the sender's port".to_owned()),
+        Spoken::Osc => osc_packet(bytes).ok_or_else(|| "it is not an OSC packet; check the sender's port".to_owned()),
     };
     decoded.unwrap_or_else(|reason| format!("{} bytes: {reason}", bytes.len()))
 }
 
 /// Returns the line as it came, or the place where it is not a JSON object.
 fn json(bytes: &[u8]) -> Result<String, String> {
-    let text = std::str::from_utf8(bytes).map_err(|_| "it is no UTF-8; check the sender's port".to_owned())?;
+    let text = std::str::from_utf8(bytes).map_err(|_| "it is not UTF-8; check the sender's port".to_owned())?;
     let line = text.trim_end_matches(['\r', '\n']);
     let checked: Result<serde_json::Map<String, serde_json::Value>, _> = serde_json::from_str(line);
-    checked.map(|_| line.to_owned()).map_err(|e| format!("it is no JSON object ({e}); check the sender's port"))
+    checked.map(|_| line.to_owned()).map_err(|e| format!("it is not a JSON object ({e}); check the sender's port"))
 }
 
 fn freed(p: &FreedPacket) -> String {
@@ -86,7 +88,7 @@ fn osc_packet(bytes: &[u8]) -> Option<String> {
         // A truncated bundle is not descended into: its levels have not been counted.
         let line = if is_whole { osc_packet(element) } else { osc_message(element) };
         let cut = if is_whole { String::new() } else { format!(" (cut off, {} of {length} bytes)", element.len()) };
-        elements.push(line.unwrap_or_else(|| format!("({} bytes that are no message)", element.len())) + &cut);
+        elements.push(line.unwrap_or_else(|| format!("({} bytes that are not a message)", element.len())) + &cut);
         rest = &behind[element.len()..];
     }
     Some(if elements.is_empty() { "#bundle (empty)".to_owned() } else { elements.join(" | ") })

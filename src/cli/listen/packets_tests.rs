@@ -22,12 +22,12 @@ fn packets_become_lines() {
     let sample = opentrackio::datagram(opentrackio::Encoding::Json, 4, br#"{"a":1}"#).unwrap();
     assert_eq!(line(Spoken::OpenTrackIo, &sample), r##"#4 {"a":1}"##);
     assert!(line(Spoken::Freed, b"hello").starts_with("5 bytes: 5 bytes are no FreeD"));
-    assert!(line(Spoken::Osc, b"hello").contains("no OSC packet"));
+    assert!(line(Spoken::Osc, b"hello").contains("not an OSC packet"));
     assert_eq!(line(Spoken::Json, b"{\"state\":\"lost\", \"x\": 1.50}\n"), "{\"state\":\"lost\", \"x\": 1.50}");
-    assert_eq!(line(Spoken::Json, b"[1]").split_once(" (").unwrap().0, "3 bytes: it is no JSON object");
-    assert_eq!(line(Spoken::Json, b"\xff"), "1 bytes: it is no UTF-8; check the sender's port");
+    assert_eq!(line(Spoken::Json, b"[1]").split_once(" (").unwrap().0, "3 bytes: it is not a JSON object");
+    assert_eq!(line(Spoken::Json, b"\xff"), "1 bytes: it is not UTF-8; check the sender's port");
     let deep = [b"{\"a\":".as_slice(), &[b'['; 30_000]].concat();
-    assert!(line(Spoken::Json, &deep).starts_with("30005 bytes: it is no JSON object"), "nesting ends, with a sentence");
+    assert!(line(Spoken::Json, &deep).starts_with("30005 bytes: it is not a JSON object"), "nesting ends, with a sentence");
 }
 
 fn message(args: Vec<OscType>) -> Vec<u8> {
@@ -117,10 +117,10 @@ fn nested_arrays(levels: usize) -> Vec<u8> {
 
 #[test]
 fn what_nests_without_end_is_refused() {
-    assert_eq!(line(Spoken::Osc, &nested_bundles(MAX_LEVELS - 1)), "/a 5");
-    assert!(line(Spoken::Osc, &nested_arrays(MAX_LEVELS)).starts_with("/a [[["));
-    for packet in [nested_bundles(MAX_LEVELS), nested_bundles(3000), nested_arrays(MAX_LEVELS + 1), nested_arrays(32_000)] {
-        assert!(line(Spoken::Osc, &packet).contains("nest more than 16 deep"));
+    assert_eq!(line(Spoken::Osc, &nested_bundles(MOST_LEVELS - 1)), "/a 5");
+    assert!(line(Spoken::Osc, &nested_arrays(MOST_LEVELS)).starts_with("/a [[["));
+    for packet in [nested_bundles(MOST_LEVELS), nested_bundles(3000), nested_arrays(MOST_LEVELS + 1), nested_arrays(32_000)] {
+        assert!(line(Spoken::Osc, &packet).contains("nested more than 16 levels deep"));
     }
     // Siblings do not nest.
     let element = OscPacket::Message(OscMessage { addr: "/b".to_owned(), args: vec![OscType::Bool(true)] });

@@ -283,7 +283,7 @@ impl RowTally {
     }
 
     fn count(&mut self, row: &ClipEntry, sample: &PoseSample) {
-        let repeated = "it is the one before, to the last byte".to_owned();
+        let repeated = "it is identical to the one before".to_owned();
         let (reason, what) = match &row.content {
             EntryContent::Frame(_) if sample.reason == Some(Reason::Repeated) => {
                 self.undecodable += 1;

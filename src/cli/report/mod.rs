@@ -45,10 +45,16 @@ fn seconds(text: &str) -> Result<f64, String> {
 
 pub(super) fn run(arguments: &ReportArguments) -> Result<(), Failure> {
     let text = config_text(&arguments.config).map_err(|e| {
-        Failure::Usage(format!("{}: cannot be read ({e}); give the config that the trouble was with", arguments.config.display()))
+        Failure::Usage(format!(
+            "{}: cannot be read ({e}); give the config that was in use when the problem occurred",
+            arguments.config.display()
+        ))
     })?;
     if let Some(clip) = arguments.clip.as_ref().filter(|clip| !clip.join("timestamps.csv").is_file()) {
-        return Err(Failure::Usage(format!("--clip {}: is no recording, it has no timestamps.csv; give its folder", clip.display())));
+        return Err(Failure::Usage(format!(
+            "--clip {}: is not a recording: it has no timestamps.csv; give a recording's folder",
+            clip.display()
+        )));
     }
     let settings = Settings::load(&arguments.config);
     let folder = settings.as_ref().ok().map(|settings| settings.recorder.folder.as_path());
@@ -95,7 +101,7 @@ impl Unfinished {
     /// Creates the file, which must not exist.
     fn create(target: &Path) -> Result<Self, Failure> {
         let file = OpenOptions::new().write(true).create_new(true).open(target).map_err(|e| match e.kind() {
-            ErrorKind::AlreadyExists => Failure::Usage(format!("--output {}: is there already; give a new file", target.display())),
+            ErrorKind::AlreadyExists => Failure::Usage(format!("--output {}: exists already; give a new file", target.display())),
             _ => Failure::output(target)(e),
         })?;
         Ok(Self { path: target.to_owned(), file, is_whole: false })

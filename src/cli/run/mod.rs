@@ -135,11 +135,9 @@ impl LiveArguments {
 /// Moves what is normally stored next to the config to a writable folder, and adds a note about it.
 fn keep_elsewhere(settings: &mut Settings, keeping: &Keeping) {
     let (file, folder) = (settings.file.display().to_string(), keeping.folder());
-    settings
-        .notes
-        .push(format!("{file}: its folder may not be written, so that the set and changes of the config are kept in {}", folder.display()));
+    settings.notes.push(format!("{file}: its folder is not writable, so the set and config changes are kept in {}", folder.display()));
     if keeping.current() != settings.file {
-        settings.notes.push(format!("{file}: the config that is used is {}, which was changed later", keeping.current().display()));
+        settings.notes.push(format!("{file}: {} was changed later and is used instead", keeping.current().display()));
     }
     if settings.recorder.folder == settings.file.with_file_name("recordings") {
         settings.recorder.folder = folder.join("recordings");

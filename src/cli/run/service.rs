@@ -108,7 +108,7 @@ impl Service {
 
     /// Reports that a new config is being applied.
     pub fn reloading(&self) {
-        self.notifier.send("STATUS=taking a new config over");
+        self.notifier.send("STATUS=loading a new config");
     }
 
     /// Reports the end.

@@ -250,7 +250,7 @@ impl Session<'_> {
             let read = move || load().and_then(|settings| supervisor.rehearse(&settings).map(|()| settings));
             match std::thread::Builder::new().name("config".to_owned()).spawn(read) {
                 Ok(thread) => *reading = Some(thread),
-                Err(error) => self.refuse(format!("the system gives no thread ({error}); close other programs")),
+                Err(error) => self.refuse(format!("cannot start a thread ({error}); close other programs")),
             }
         }
         let read = reading.take_if(|thread| thread.is_finished())?.join();
