@@ -231,12 +231,12 @@ impl BodyReader<'_> {
         if let LensSource::Guess(guess, size) = self.lens
             && size.is_none_or(|size| size == (width, height))
         {
-            self.notes.push(format!("{name}: no photo_calibration; the guess of the camera's own lens is used"));
+            self.notes.push(format!("{name}: no photo_calibration; the guess for the camera's own lens is used"));
             return guess.camera(width, height).map_err(|e| section.refuse("photo", &(0..0), Problem::Camera(e)));
         }
         if (self.camera.width(), self.camera.height()) == (width, height) {
             self.notes
-                .push(format!("{name}: no photo_calibration; it has the camera's size, so that the camera's own calibration is used"));
+                .push(format!("{name}: no photo_calibration; the photograph has the camera's size, so the camera's calibration is used"));
             return Ok(self.camera);
         }
         let focal = f64::from(width.max(height));

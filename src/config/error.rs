@@ -126,7 +126,7 @@ pub enum Problem {
     #[error("the name `{0}` is taken; give each object a name of its own (`stage` is the stage itself)")]
     DuplicateName(String),
     /// An object that receivers cannot tell from the camera.
-    #[error("`{0}` is what outputs call the camera itself, and one of them sends both; give the object another name")]
+    #[error("`{0}` is the outputs' name for the camera itself, and one output sends both; give the object another name")]
     NamedAsCamera(String),
     /// An invalid address template.
     #[error("{0}")]
@@ -176,7 +176,8 @@ pub enum Problem {
     },
     /// A picture whose raw pixels are needed has an EXIF rotation.
     #[error(
-        "{}: the file says to show it {words} (EXIF), but {pixels} the pixels as they lie in the file; remove that mark (exiftool -Orientation= FILE) and take them from the picture as it then shows",
+        "{}: the file says to show it {words} (EXIF), but {pixels} the pixels as stored in the file; remove that mark (exiftool \
+         -Orientation= FILE) and read them from the picture as it then appears",
         file.display()
     )]
     PictureTurned {
@@ -188,10 +189,10 @@ pub enum Problem {
         pixels: &'static str,
     },
     /// An output file that is also an input.
-    #[error("{}: the config reads this file, which would be written over; give another name", .0.display())]
+    #[error("{}: the config reads this file, which would be overwritten; give another name", .0.display())]
     OutputIsInput(PathBuf),
     /// A file that cannot be written.
-    #[error("{}: {reason}; give the name of a file in a folder that may be written", file.display())]
+    #[error("{}: {reason}; give the name of a file in a writable folder", file.display())]
     OutputFile {
         /// The file.
         file: PathBuf,
@@ -233,6 +234,6 @@ pub enum Problem {
     #[error("a global shutter exposes all rows together, but `readout_s` is {0}; remove one of the two")]
     GlobalShutterReads(f64),
     /// A mask that hides everything.
-    #[error("the mask {} is black everywhere, so that nothing could be tracked; leave white what is to be seen", .0.display())]
+    #[error("the mask {} is black everywhere, so nothing could be tracked; leave white what to use", .0.display())]
     MaskBlack(PathBuf),
 }

@@ -54,7 +54,7 @@ pub(super) fn mount(
     let carrier = carrier(&section, typed, objects)?;
     let read = typed.calibration.as_ref().map(|file| section.calibration("calibration", file)).transpose()?;
     if read.is_none() {
-        notes.push(format!("[mount]: no calibration; outputs that speak of {name} send no lens"));
+        notes.push(format!("[mount]: no calibration; outputs that send {name} have no lens data"));
     }
     let delay = section.number("delay_s", typed.delay_s.as_ref(), 0.0, |v| (0.0..=0.5).contains(&v), "seconds from 0 to 0.5")?;
     Ok(Some(MountSettings {

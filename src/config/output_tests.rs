@@ -179,7 +179,7 @@ fn frames_that_are_stale_before_the_next_one_comes_are_warned_of() {
     };
     let [slow] = &notes("fps = 1.5", "")[..] else { panic!("one note") };
     assert!(
-        slow.contains("is 0.5 s, but at 1.5000 frames a second one comes every 0.667 s") && slow.ends_with("give at least 2.0"),
+        slow.contains("is 0.5 s, but at 1.5000 frames a second a frame comes every 0.667 s") && slow.ends_with("give at least 2.0"),
         "{slow}"
     );
     assert_eq!(notes("fps = 30", "stale_after_s = 0.02").len(), 1);
@@ -226,7 +226,7 @@ fn what_the_machine_does_not_give_is_told_with_its_line() {
     let object = |name: &str| format!("[[object]]\nname = \"{name}\"\n[[object.surface]]\nimage = \"art.png\"\nsize_m = [1, 1]\n");
     let osc = |more: &str| format!("[[output]]\nkind = \"osc\"\nto = \"127.0.0.1:{}\"\n{more}", free.port());
     let said = rehearse(&format!("{}{}", object("Camera"), osc(""))).unwrap_err();
-    assert!(said.contains("`name` in [[object]], line 7: `Camera` is what outputs call the camera itself"), "{said}");
+    assert!(said.contains("`name` in [[object]], line 7: `Camera` is the outputs' name for the camera itself"), "{said}");
     assert_eq!(rehearse(&format!("{}{}", object("Camera"), osc("bodies = \"Camera\""))), Ok(()));
     assert_eq!(rehearse(&format!("{}{}", object("cart"), osc(""))), Ok(()));
     // A disabled output needs nothing.
@@ -315,7 +315,7 @@ fn a_receiver_brings_its_axes_and_units() {
         assert!(placement(&format!("{FREED}receiver = \"{receiver}\"\n")).is_identity());
     }
     let said = message(&format!("{JSON}receiver = \"unreal\"\n"));
-    assert!(said.starts_with("`receiver` in [[output]], line 4: json tells the record's own axes"), "{said}");
+    assert!(said.starts_with("`receiver` in [[output]], line 4: json sends the record's own axes"), "{said}");
     let said = message(&format!("{OSC}receiver = \"unity\"\n"));
     assert!(said.starts_with("`receiver` in [[output]], line 4: `unity` cannot be used; give unreal, disguise"), "{said}");
 }

@@ -213,7 +213,7 @@ fn receiver_axes(section: &Section<'_>, output: &as_typed::Output, protocol: &Pr
     match (protocol, &output.receiver) {
         (Protocol::Osc(_), _) => Ok(axes),
         (Protocol::Json(_), Some(typed)) => {
-            let problem = "json tells the record's own axes, which its reader turns; remove it, or send osc";
+            let problem = "json sends the record's own axes, which the receiver converts; remove it, or send osc";
             Err(section.conflict("receiver", typed, problem))
         }
         _ => Ok(Axes::STAGE),

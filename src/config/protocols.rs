@@ -167,7 +167,7 @@ fn osc_value(section: &Section<'_>, typed: &Spanned<as_typed::OutputValue>) -> R
         Some(typed) => match typed.get_ref().values() {
             [least, greatest] if least < greatest => Some([least, greatest]),
             other => {
-                let wanted = "a least and a greatest number, such as [0.0, 1.0]";
+                let wanted = "a minimum and a maximum, such as [0.0, 1.0]";
                 return Err(section.refuse("clamp", &typed.span(), Problem::Range { value: format!("{other:?}"), wanted }));
             }
         },

@@ -33,7 +33,7 @@ pub enum ShapeFileError {
         reason: String,
     },
     /// Numbers that make no shape.
-    #[error("`{key}` does not fit its `intervals`, or has a number that no surface has; survey the stage again (`stagepose survey`)")]
+    #[error("`{key}` does not match its `intervals`, or holds an impossible number; survey the stage again (`stagepose survey`)")]
     Numbers {
         /// The key with these numbers.
         key: &'static str,

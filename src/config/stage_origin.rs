@@ -66,15 +66,14 @@ pub(super) fn place(
             ));
         }
         1 => Pose::new(nalgebra::UnitQuaternion::identity(), pairs[0].1 - pairs[0].0),
-        2 => return Err(refuse("two points leave open how the stage is turned about the line through them; give one, or three")),
-        _ => fitted(&pairs).ok_or_else(|| {
-            refuse("these points lie in one line, which leaves open how the stage is turned about it; give a third corner")
-        })?,
+        2 => return Err(refuse("two points do not determine the stage's rotation about the line through them; give one, or three")),
+        _ => fitted(&pairs)
+            .ok_or_else(|| refuse("these points lie in one line, so the stage's rotation about it is undetermined; give a third corner"))?,
     };
     let misfits = pairs.iter().map(|(from, to)| (moved.transform(&Point3::from(*from)).coords - to).norm());
     let (largest, diagonal) = (misfits.fold(0.0, f64::max), first.size_m[0].hypot(first.size_m[1]));
-    if largest > TAPE_M + MAX_MISFIT * diagonal {
-        let value = format!("a point {largest:.3} m beside where size_m has it");
+    if largest > TAPE_M + LARGEST_MISFIT * diagonal {
+        let value = format!("a point {largest:.3} m from where size_m puts it");
         let wanted = "points that are as far apart as size_m says, or measure size_m again";
         return Err(section.refuse("origin", &typed.span(), Problem::Range { value, wanted }));
     }
@@ -143,14 +142,14 @@ mod tests {
     fn points_that_do_not_tell_are_refused() {
         let cases = [
             ("origin = {}", "there is no point in it"),
-            ("origin = { \"bottom left\" = [0, 0, 0], \"top left\" = [0, 0, 3] }", "two points leave open"),
+            ("origin = { \"bottom left\" = [0, 0, 0], \"top left\" = [0, 0, 3] }", "two points do not determine"),
             ("origin = { left = [-2, 0, 0], centre = [0, 0, 0], right = [2, 0, 0] }", "lie in one line"),
             ("origin = { corner = [0, 0, 0] }", "`corner` cannot be used; give centre, top left"),
             ("origin = { \"botom left\" = [0, 0, 0] }", "did you mean `bottom left`?"),
             ("origin = { centre = [0, 0, 20000] }", "three numbers of metres between"),
             (
                 "origin = { \"bottom left\" = [0, 0, 0], \"bottom right\" = [4.5, 0, 0], \"top left\" = [0, 0, 3] }",
-                "beside where size_m has it cannot be used; give points that are as far apart as size_m says",
+                "from where size_m puts it cannot be used; give points that are as far apart as size_m says",
             ),
         ];
         for (origin, wanted) in cases {

@@ -57,7 +57,7 @@ fn a_lens_may_be_guessed_and_says_how_far_it_may_be_off() {
     // A photograph without its own calibration uses the camera's.
     let photo = "[[stage.surface]]\nphoto = \"photo.png\"\ncorners_px = [[10, 10], [600, 12], [590, 440], [20, 450]]\nsize_m = [4, 3]\n";
     let settings = load(&folder, &format!("[camera]\nfov_deg = 60\n{photo}")).unwrap();
-    assert_eq!(settings.notes, ["photo.png: no photo_calibration; the guess of the camera's own lens is used"]);
+    assert_eq!(settings.notes, ["photo.png: no photo_calibration; the guess for the camera's own lens is used"]);
 }
 
 #[test]

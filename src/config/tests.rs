@@ -111,7 +111,7 @@ fn every_key_reaches_the_settings() {
     assert_eq!(s.stage.surfaces[0].pose.translation.as_slice(), [1.0, 2.0, 3.0]);
     assert!((s.stage.surfaces[0].pose.rotation.coords.norm() - 1.0).abs() < 1e-12);
     assert_eq!((s.objects[0].name.as_str(), s.objects[0].surfaces.len()), ("cart", 1));
-    assert_eq!(s.notes, ["photo.png: no photo_calibration; it has the camera's size, so that the camera's own calibration is used"]);
+    assert_eq!(s.notes, ["photo.png: no photo_calibration; the photograph has the camera's size, so the camera's calibration is used"]);
 }
 
 #[test]
@@ -250,7 +250,7 @@ fn wrong_values_are_refused() {
         ),
         (
             camera_plus("mask = \"black.png\""),
-            "`mask` in [camera], line 3: the mask black.png is black everywhere, so that nothing could be tracked; leave white what is to be seen",
+            "`mask` in [camera], line 3: the mask black.png is black everywhere, so nothing could be tracked; leave white what to use",
         ),
         (
             GOOD.replace("[4, 3]", "[nan, 3]"),
@@ -390,7 +390,7 @@ fn what_is_transparent_is_a_warning_of_every_command_and_an_opaque_alpha_is_none
     half_unseen.save(folder.path().join("art.png")).unwrap();
     let settings = load(&folder, GOOD).unwrap();
     assert_eq!(settings.warnings.len(), 1, "{:?}", settings.warnings);
-    assert!(settings.warnings[0].starts_with("art.png: 50.0 % of it is transparent, which is taken as white paper"));
+    assert!(settings.warnings[0].starts_with("art.png: 50.0 % of it is transparent, which is treated as white paper"));
     assert!(!settings.notes.join(";").contains("transparent"), "{:?}", settings.notes);
 }
 

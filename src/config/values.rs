@@ -131,7 +131,8 @@ impl Section<'_> {
         let (picture, orientation, unseen) = decode_on_white(&bytes).map_err(|reason| refuse(Problem::PictureContent { file, reason }))?;
         if unseen > 0.0 {
             let note = format!(
-                "{:.1} % of it is transparent, which is taken as white paper; where it is printed on another colour, put it on that colour first",
+                "{:.1} % of it is transparent, which is treated as white paper; if it is printed on another colour, fill it with that \
+                 colour first",
                 100.0 * unseen
             );
             remark(&self.origin.warnings, typed.get_ref(), &note);

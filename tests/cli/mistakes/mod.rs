@@ -296,7 +296,7 @@ const CAMERA: [Mistake; 9] = [
             s.config("calibration = \"camera.toml\"", "calibration = \"camera.toml\"\nmask = \"mask.png\"");
         },
         code: 2,
-        says: &["mask.png is black everywhere", "leave white what is to be seen"],
+        says: &["mask.png is black everywhere", "leave white what to use"],
     },
 ];
 
