@@ -114,7 +114,7 @@ impl Jobs {
             Err(error) => {
                 let mut board = held(&self.board);
                 let failed = board.job(number).map(|job| {
-                    (job.state, job.text) = (JobState::Failed, format!("the system gives no thread ({error}); close other programs"));
+                    (job.state, job.text) = (JobState::Failed, format!("cannot start a thread ({error}); close other programs"));
                     job.clone()
                 });
                 // It was added to the board above.

@@ -43,7 +43,7 @@ impl LearntFile {
             Ok(bytes) => bytes,
             Err(e) if e.kind() == io::ErrorKind::NotFound => return LearntCamera::default(),
             Err(e) => {
-                tracing::warn!("{}: {e}; the camera is learnt anew", self.0.display());
+                tracing::warn!("{}: {e}; the camera is learnt again", self.0.display());
                 return LearntCamera::default();
             }
         };
@@ -60,7 +60,7 @@ impl LearntFile {
         }
         let made = self.0.parent().map_or(Ok(()), std::fs::create_dir_all);
         if let Err(e) = made.and_then(|()| safe_file::write_whole(&self.0, &learnt.to_bytes())) {
-            tracing::warn!("{}: what was learnt of the camera is not kept ({e}); the next start learns it anew", self.0.display());
+            tracing::warn!("{}: what was learnt about the camera cannot be saved ({e}); the next start learns it again", self.0.display());
         }
     }
 }

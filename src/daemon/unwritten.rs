@@ -9,7 +9,7 @@ pub fn unwritten(error: &io::Error) -> String {
             "let this program's user write there, or set `folder` in [recorder] to a folder that it may write"
         }
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge | ErrorKind::WriteZero => "make room on the disk",
-        _ => "look at that folder and its disk",
+        _ => "check that folder and its disk",
     };
     format!("{error}; {mend}")
 }

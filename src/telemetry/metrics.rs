@@ -33,7 +33,7 @@ fn one(text: &mut String, name: &str, kind: &str, help: &str, value: impl std::f
 }
 
 fn states(text: &mut String, statistics: &Statistics) {
-    head(text, "stagepose_samples_total", "counter", "Samples given out, by state.");
+    head(text, "stagepose_samples_total", "counter", "Samples published, by state.");
     for state in State::ALL {
         let _ = writeln!(text, "stagepose_samples_total{{state=\"{}\"}} {}", state.word(), statistics.in_state(state));
     }
@@ -46,15 +46,15 @@ fn states(text: &mut String, statistics: &Statistics) {
 
 fn counters(text: &mut String, s: &Statistics) {
     let counters = [
-        ("stagepose_frames_total", "Frames tracked, whatever became of them.", s.frames()),
+        ("stagepose_frames_total", "Frames processed, whatever the result.", s.frames()),
         ("stagepose_frames_undecodable_total", "Frames whose picture could not be read.", s.undecodable.get()),
-        ("stagepose_frames_skipped_total", "Frames not tracked for their stamp or size.", s.skipped.get()),
+        ("stagepose_frames_skipped_total", "Frames skipped because of their stamp or size.", s.skipped.get()),
         ("stagepose_frames_dropped_total", "Frames dropped because the tracker was late.", s.dropped.get()),
-        ("stagepose_frames_lost_in_device_total", "Frames lost before they came, by the driver's numbers.", s.device_dropped.get()),
+        ("stagepose_frames_lost_in_device_total", "Frames lost before arrival, by the driver's sequence numbers.", s.device_dropped.get()),
         ("stagepose_camera_reconnects_total", "How often the camera was opened again.", s.reconnects.get()),
         ("stagepose_panics_contained_total", "Panics that were contained.", s.contained_panics.get()),
         ("stagepose_frames_recorded_total", "Frames recorded.", s.recorded.get()),
-        ("stagepose_frames_viewed_total", "Frames copied for those who watch the page.", s.viewed.get()),
+        ("stagepose_frames_viewed_total", "Frames copied for clients that watch the page.", s.viewed.get()),
     ];
     counters.iter().for_each(|(name, help, value)| one(text, name, "counter", help, value));
 }
@@ -67,7 +67,7 @@ fn gauges(text: &mut String, s: &Statistics, clock: &FrameClock) {
     one(text, "stagepose_rms_pixels", "gauge", "Residual of the last frame.", s.rms_px());
     one(text, "stagepose_camera_up", "gauge", "1 while the camera gives pictures.", u8::from(s.camera() == CameraState::Streaming));
     one(text, "stagepose_recording", "gauge", "1 while frames are recorded.", u8::from(s.recorder() == RecorderState::Recording));
-    one(text, "stagepose_recorder_stopped", "gauge", "1 where recording gave up.", u8::from(s.recorder() == RecorderState::Stopped));
+    one(text, "stagepose_recorder_stopped", "gauge", "1 if recording gave up.", u8::from(s.recorder() == RecorderState::Stopped));
 }
 
 fn buckets(text: &mut String, name: &str, labels: &str, histogram: &Histogram) {

@@ -295,7 +295,7 @@ fn it_is_a_good_service() {
     // Rename the file as a log rotation does.
     std::fs::rename(folder.path().join("events.jsonl"), folder.path().join("events.old")).unwrap();
     signal(&child, Signal::SIGHUP);
-    wait_for(&mut log, "was read again");
+    wait_for(&mut log, "was reloaded");
     wait_for(&mut log, " is open: ");
     signal(&child, Signal::SIGTERM);
     let mut rest = String::new();

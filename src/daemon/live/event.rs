@@ -255,7 +255,7 @@ impl Event {
             Self::NoDriverStamp { name } => (
                 Level::WARN,
                 format!(
-                    "{name}: its driver gives no time stamps that can be true; frames are stamped when they arrive, which is later than they were taken"
+                    "{name}: its driver's time stamps are implausible; frames are stamped on arrival, which is later than they were taken"
                 ),
             ),
             Self::ExposureDiffers { reason } => (Level::WARN, reason.clone()),
@@ -281,8 +281,8 @@ impl Event {
             }
             Self::Job(Job { job, kind, state: JobState::Done, text, .. }) => (Level::INFO, format!("job {job} ({kind}) is done: {text}")),
             Self::Job(Job { job, kind, text, .. }) => (Level::WARN, format!("job {job} ({kind}) is not done: {text}")),
-            Self::ConfigReloaded { file } => (Level::INFO, format!("{file} was read again")),
-            Self::ConfigRefused { reason } => (Level::ERROR, format!("the old config stays: {reason}")),
+            Self::ConfigReloaded { file } => (Level::INFO, format!("{file} was reloaded")),
+            Self::ConfigRefused { reason } => (Level::ERROR, format!("the old config stays in use: {reason}")),
             Self::Ended { reason } => (Level::INFO, format!("ended: {reason}")),
         }
     }

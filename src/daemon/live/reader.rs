@@ -136,7 +136,7 @@ pub(super) fn read(shared: &Shared, ticket: &Ticket, to: &DropOldestSender<Arriv
     if catch_unwind(AssertUnwindSafe(|| open_and_stream(shared, ticket, to))).is_err() {
         shared.link.statistics.contained_panics.add(1);
         shared.link.statistics.camera_lost();
-        let reason = "the thread that reads it failed; it is started again".to_owned();
+        let reason = "the thread that reads it failed; restarting it".to_owned();
         shared.link.events.publish(Event::CameraLost { reason });
     }
 }
@@ -194,7 +194,7 @@ fn open(shared: &Shared) -> Result<(Box<dyn Camera>, CameraMode), String> {
     let opened = catch_unwind(AssertUnwindSafe(|| shared.opener.open().map(|camera| (camera.mode().clone(), camera))));
     let opened = opened.map_err(|_| {
         shared.link.statistics.contained_panics.add(1);
-        "the camera's driver gave up while it was opened; unplug the camera and plug it in again".to_owned()
+        "the camera's driver failed while the camera was opened; unplug the camera and plug it in again".to_owned()
     })?;
     let (mode, camera) = opened.map_err(|fault| fault.to_string())?;
     let mut first = shared.first_mode.lock().unwrap_or_else(PoisonError::into_inner);
@@ -243,7 +243,7 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: Camer
             Ok(Err(CameraFault::End)) => return Loss::Ended,
             Err(_) => {
                 shared.link.statistics.contained_panics.add(1);
-                return Loss::Gone("the camera's driver gave up while it was read".to_owned());
+                return Loss::Gone("the camera's driver failed while the camera was read".to_owned());
             }
         };
         last = Instant::now();

@@ -24,11 +24,11 @@ pub fn contradiction(shutter: &Shutter, first: &CameraMode, now: &CameraMode) ->
     if (used - real).abs() <= SAME_EXPOSURE_S.max(SAME_EXPOSURE_SHARE * used.max(real)) {
         None
     } else if shutter.exposure_s == 0.0 && used == 0.0 {
-        Some(format!("its exposure is now locked at {real_ms:.1} ms, which the tracker was not told; send SIGHUP or start again"))
+        Some(format!("its exposure is now locked at {real_ms:.1} ms, which the tracker does not know; send SIGHUP or restart"))
     } else if shutter.exposure_s == 0.0 && real == 0.0 {
-        Some(format!("its exposure is not locked any more, the tracker was told {used_ms:.1} ms; lock it in `controls`"))
+        Some(format!("its exposure is no longer locked, but the tracker uses {used_ms:.1} ms; lock it in `controls`"))
     } else if shutter.exposure_s == 0.0 {
-        Some(format!("its exposure is now {real_ms:.1} ms, the tracker was told {used_ms:.1} ms; send SIGHUP or start again"))
+        Some(format!("its exposure is now {real_ms:.1} ms, but the tracker uses {used_ms:.1} ms; send SIGHUP or restart"))
     } else if real > 0.0 {
         Some(format!(
             "its exposure is {real_ms:.1} ms, exposure_s in [camera] says {used_ms:.1} ms, which is used; make them equal or remove exposure_s"
@@ -72,8 +72,8 @@ mod tests {
         assert_eq!(said(set, None, None), None, "an automatic exposure is warned of elsewhere");
         assert_eq!(said(set, Some(0.0101), Some(0.0101)), None, "within the driver's unit");
         assert!(said(set, Some(0.02), Some(0.02)).unwrap().starts_with("its exposure is 20.0 ms, exposure_s in [camera] says 10.0 ms"));
-        assert!(said(unset, Some(0.01), Some(0.02)).unwrap().contains("now 20.0 ms, the tracker was told 10.0 ms"));
-        assert!(said(unset, Some(0.01), None).unwrap().contains("not locked any more"));
+        assert!(said(unset, Some(0.01), Some(0.02)).unwrap().contains("now 20.0 ms, but the tracker uses 10.0 ms"));
+        assert!(said(unset, Some(0.01), None).unwrap().contains("no longer locked"));
         assert!(said(unset, None, Some(0.01)).unwrap().contains("now locked at 10.0 ms"));
     }
 }

@@ -123,7 +123,7 @@ impl LiveSource {
             if self.left_behind.len() >= MAX_READERS {
                 return;
             }
-            let reason = format!("its driver has not answered for {:.1} s; another try is made beside it", blocked.as_secs_f64());
+            let reason = format!("its driver has not answered for {:.1} s; trying again in parallel", blocked.as_secs_f64());
             self.shared.link.statistics.camera_lost();
             self.shared.link.events.publish(Event::CameraLost { reason });
             self.replace_reader();

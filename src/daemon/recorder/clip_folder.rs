@@ -95,7 +95,7 @@ impl ClipFolder {
     /// Creates the folder, which may exist but must hold nothing of a clip.
     pub fn create(folder: &Path, disk: &mut dyn Disk) -> io::Result<Self> {
         if let Some(taken) = taken_by_earlier(folder) {
-            let reason = format!("{} is there already; give a new folder", taken.display());
+            let reason = format!("{} exists already; give a new folder", taken.display());
             return Err(io::Error::new(io::ErrorKind::AlreadyExists, reason));
         }
         disk.make_folder(&folder.join("frames"))?;

@@ -48,7 +48,7 @@ fn refuse_foreign(folder: &Path) -> io::Result<()> {
         Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(()),
         Err(e) => Err(e),
         Ok(false) => Err(io::Error::other(format!(
-            "{} is there and is no ring of stagepose, so it is left alone; move it away, or give another folder in [recorder]",
+            "{} exists and is not a ring of stagepose, so it is left alone; move it away, or give another folder in [recorder]",
             folder.display()
         ))),
     }

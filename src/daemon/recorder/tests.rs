@@ -335,7 +335,7 @@ fn only_a_ring_of_its_own_is_moved_and_removed() {
         std::fs::write(foreign.join("wedding.jpg"), "kept").unwrap();
         for _ in 0..3 {
             let said = create(folder.path()).unwrap_err().to_string();
-            assert!(said.contains(name) && said.contains("no ring of stagepose") && said.contains("[recorder]"), "{said}");
+            assert!(said.contains(name) && said.contains("not a ring of stagepose") && said.contains("[recorder]"), "{said}");
         }
         assert_eq!(std::fs::read_to_string(foreign.join("wedding.jpg")).unwrap(), "kept");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
