@@ -75,7 +75,7 @@ impl<R: Read> AviReader<R> {
             }
         }
         let video = headers.video.ok_or_else(|| malformed("has no video stream"))?;
-        let codec = headers.codec.ok_or_else(|| malformed("does not tell its codec"))?;
+        let codec = headers.codec.ok_or_else(|| malformed("does not state its codec"))?;
         if ![b"MJPG", b"JPEG", b"AVRN", b"DMB1"].iter().any(|c| codec.eq_ignore_ascii_case(*c)) {
             return Err(AviError::NotMjpeg(codec.escape_ascii().to_string()));
         }

@@ -133,7 +133,7 @@ impl Clip {
             Ok(word) => word.into_iter().for_each(|word| self.note(format!("row {sequence}: {word}"))),
         }
         if self.earliest.is_some_and(|earliest| timestamp < earliest) {
-            return Some(skipped(timestamp, "its picture was passed over: it was too late to be played".to_owned()));
+            return Some(skipped(timestamp, "its picture was skipped: it was too late to be played".to_owned()));
         }
         let start = Instant::now();
         let mut repeats = false;
@@ -173,8 +173,8 @@ impl Clip {
         let Some(words) = orientation_words(orientation).filter(|_| !self.is_turned) else { return };
         self.is_turned = true;
         self.note(format!(
-            "row {sequence}: the file says to show its picture {words} (EXIF); clips are tracked as the pixels lie in the file, which is how \
-             the camera is calibrated"
+            "row {sequence}: the file says to show its picture {words} (EXIF); clips are tracked as stored in the file, which is how the \
+             camera is calibrated"
         ));
     }
 }

@@ -74,7 +74,7 @@ pub enum CaptureError {
         reason: String,
     },
     /// The file states no frame rate.
-    #[error("the clip {} does not tell its frame rate; give it with --fps", path.display())]
+    #[error("the clip {} does not state its frame rate; give it with --fps", path.display())]
     RateUnknown {
         /// The clip.
         path: PathBuf,

@@ -209,10 +209,10 @@ fn what_is_odd_about_a_video_is_said() {
         let path = folder.path().join(name);
         assert!(ffmpeg(arguments, &path), "{name}");
         let (rows, said) = read(&path);
-        assert!(said.contains(&format!("{rate} frames a second are taken for it; give --fps")), "{name}: {said}");
+        assert!(said.contains(&format!("{rate} frames a second are assumed; give --fps")), "{name}: {said}");
         assert_eq!(kinds(&rows), "FFFFFFFFFF", "{name}");
         let given = ClipOptions { fps: Some(25.0), ..ClipOptions::default() };
-        assert!(!all(open_clip(&path, given).unwrap()).1.contains("are taken for it"), "{name}");
+        assert!(!all(open_clip(&path, given).unwrap()).1.contains("are assumed"), "{name}");
     }
 }
 

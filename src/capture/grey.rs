@@ -46,7 +46,7 @@ pub enum DecodeError {
     #[error("the picture is cut off")]
     CutOff,
     /// The picture has more pixels than are allowed.
-    #[error("the picture is {width} x {height} pixels, and {} million are read at most; scale it down", MAX_PIXELS / 1_000_000)]
+    #[error("the picture is {width} x {height} pixels, the maximum is {} million; scale it down", MOST_PIXELS / 1_000_000)]
     TooLarge {
         /// Width, pixels.
         width: u32,
@@ -118,7 +118,7 @@ fn decoded(bytes: &[u8], grey: impl FnOnce(DynamicImage) -> GrayImage) -> Result
         [0xFF, 0xD8, ..] => decode_jpeg(bytes),
         _ => decode_other(bytes, grey),
     });
-    decoded.unwrap_or_else(|_| Err(DecodeError::damaged("the decoder gave up")))
+    decoded.unwrap_or_else(|_| Err(DecodeError::damaged("the decoder failed")))
 }
 
 /// Returns width and height from the file's header; `None` if it has none.
@@ -157,7 +157,7 @@ pub(super) fn sound_jpeg(bytes: &[u8]) -> Result<(Vec<u8>, bool), DecodeError> {
     let picture = match walk.advance(bytes) {
         Walked::Whole(end) => &bytes[..end],
         Walked::Unfinished => return Err(DecodeError::CutOff),
-        Walked::Damaged(at) => return Err(DecodeError::damaged(format!("no JPEG marker can stand at byte {at}"))),
+        Walked::Damaged(at) => return Err(DecodeError::damaged(format!("byte {at} should begin a JPEG marker and does not"))),
     };
     let scan = walk.first_scan.ok_or(DecodeError::CutOff)?;
     let tables = if walk.has_huffman_tables { Vec::new() } else { standard_huffman_tables() };
@@ -205,7 +205,7 @@ fn decode_sound_jpeg(bytes: &[u8], luma_from: ColorSpace) -> Result<(GrayImage, 
         _ => pixels.chunks_exact(3).map(|p| luma_8([p[0], p[1], p[2]])).collect(),
     };
     let image = GrayImage::from_raw(width, height, grey).filter(|_| width > 0 && height > 0);
-    image.map(|image| (image, orientation)).ok_or_else(|| DecodeError::damaged("its size is not what it says"))
+    image.map(|image| (image, orientation)).ok_or_else(|| DecodeError::damaged("its size differs from its header"))
 }
 
 fn decode_other(bytes: &[u8], grey: impl FnOnce(DynamicImage) -> GrayImage) -> Result<(GrayImage, Orientation), DecodeError> {

@@ -63,7 +63,7 @@ fn an_orientation_is_told_and_changes_no_pixel() {
 fn a_picture_of_too_many_pixels_is_said_to_be_so_before_memory_is_taken() {
     let too_large = |bytes: &[u8]| {
         let message = decode_grey(bytes).unwrap_err().to_string();
-        assert_eq!(message, "the picture is 16384 x 16384 pixels, and 67 million are read at most; scale it down");
+        assert_eq!(message, "the picture is 16384 x 16384 pixels, the maximum is 67 million; scale it down");
     };
     too_large(b"P5 16384 16384 255\n");
     let mut header = b"\0\0\x40\0\0\0\x40\0\x08\0\0\0\0".to_vec();

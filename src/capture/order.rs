@@ -68,7 +68,7 @@ impl EntryOrder {
             return Err(format!("the time stamp {stamp} does not follow {last}"));
         }
         (self.last_stamp, self.refused) = (Some(stamp), None);
-        Ok(Some(format!("the clock steps back from {last} to {stamp}; tracking begins anew there")))
+        Ok(Some(format!("the clock steps back from {last} to {stamp}; tracking restarts there")))
     }
 
     /// Numbers and checks a live row, with the result that a replay of the same rows would have.

@@ -18,7 +18,7 @@ pub(super) fn shown_turned(degrees: f64, is_mirrored: bool) -> Option<String> {
         (_, false) => turned,
     };
     Some(format!(
-        "the file says to show its pictures {words} (display matrix); clips are tracked as the pixels lie in the file, which is how the camera is \
+        "the file says to show its pictures {words} (display matrix); clips are tracked as stored in the file, which is how the camera is \
          calibrated"
     ))
 }
@@ -26,8 +26,8 @@ pub(super) fn shown_turned(degrees: f64, is_mirrored: bool) -> Option<String> {
 /// Remarks that the pixels are not square.
 pub(super) fn pixel_shape((width, height): (u32, u32)) -> String {
     format!(
-        "the file says that its pixels are not square, {width}:{height} as wide as high (pixel aspect, SAR); pictures are tracked as they lie \
-         in the file, so the calibration must be of such pictures too: fx / fy = {:.4}",
+        "the file says that its pixels are not square, {width}:{height} as wide as high (pixel aspect, SAR); pictures are tracked as \
+         stored in the file, so the calibration must be of such pictures too: fx / fy = {:.4}",
         f64::from(height) / f64::from(width)
     )
 }
@@ -42,7 +42,7 @@ pub(super) fn interlaced(row: u64) -> String {
 
 /// Remarks that the stamps are only derived from a rate.
 pub(super) fn rate_made_up(rate: &str) -> String {
-    format!("the clip has no time stamps; {rate} frames a second are taken for it; give --fps where the camera had another rate")
+    format!("the clip has no time stamps; {rate} frames a second are assumed; give --fps if the camera had another rate")
 }
 
 #[cfg(test)]
@@ -66,6 +66,9 @@ mod tests {
 
     #[test]
     fn the_shape_of_a_pixel_is_that_of_the_focal_lengths_turned_over() {
-        assert!(pixel_shape((4, 3)).ends_with("4:3 as wide as high (pixel aspect, SAR); pictures are tracked as they lie in the file, so the calibration must be of such pictures too: fx / fy = 0.7500"));
+        assert!(pixel_shape((4, 3)).ends_with(
+            "4:3 as wide as high (pixel aspect, SAR); pictures are tracked as stored in the file, so the calibration must be of such \
+             pictures too: fx / fy = 0.7500"
+        ));
     }
 }

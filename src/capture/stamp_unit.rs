@@ -24,12 +24,12 @@ pub(super) fn doubt(stamps: &[Timestamp]) -> Option<String> {
     let steps = stamps.windows(2).map(|pair| pair[1].ns_since(pair[0]));
     let (mut steps, others): (Vec<i64>, Vec<i64>) = steps.partition(|step| *step > 0);
     let repeated = others.iter().filter(|step| **step == 0).count();
-    let read = "they are read as nanoseconds, so times, speeds and the shutter come out wrong";
+    let read = "they are read as nanoseconds, so times, speeds and the shutter will be wrong";
     steps.sort_unstable();
     let step = *steps.get(steps.len() / 2)?;
     if repeated > steps.len() && step <= MIN_NS {
         let unit = if step == 1 { "whole seconds" } else { "a unit that is too coarse" };
-        return Some(format!("most stamps are those of the row before; are they {unit}? {read}: write nanoseconds"));
+        return Some(format!("most stamps repeat the previous row's; are they {unit}? {read}: write nanoseconds"));
     }
     if stamps.len() < 3 {
         return None;

@@ -42,7 +42,7 @@ impl<R: BufRead> Y4mReader<R> {
         let header_bytes = line.len() as u64 + 1;
         let mut words = line.split(' ');
         if words.next() != Some("YUV4MPEG2") {
-            return Err("this is no y4m stream: it does not begin with YUV4MPEG2; make the clip again".to_owned());
+            return Err("this is not a y4m stream: it does not begin with YUV4MPEG2; make the clip again".to_owned());
         }
         let (mut width, mut height, mut rate, mut chroma, mut full_range) = (None, None, None, "420", false);
         let mut pixel_shape = None;

@@ -199,7 +199,7 @@ fn pictures_that_are_to_be_shown_turned_are_turned_or_refused_or_told_of() {
     let replayed = scene.replay(&["--poses", "poses.jsonl"]);
     replayed.assert_success();
     assert!(
-        replayed.stderr.contains("show its picture turned by 90 degrees (EXIF); clips are tracked as the pixels lie"),
+        replayed.stderr.contains("show its picture turned by 90 degrees (EXIF); clips are tracked as stored in the file"),
         "{}",
         replayed.stderr
     );

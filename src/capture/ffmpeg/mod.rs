@@ -169,7 +169,7 @@ impl Ffmpeg {
             if silent >= MAX_SILENT {
                 let _ = self.child.kill(); // fails if ffmpeg has already ended
                 self.is_out_of_step = true;
-                return Some(Err("ffmpeg's pictures and what it says of them do not belong together any more".to_owned()));
+                return Some(Err("ffmpeg's pictures and its log are out of step".to_owned()));
             }
         }
         None
@@ -188,9 +188,10 @@ impl Ffmpeg {
         };
         let wanted = u64::from(written.0) * u64::from(written.1) * self.form.bytes_a_pixel(announced);
         let mut picture = (&mut self.frames).take(wanted);
-        let unreadable = |e| format!("ffmpeg cannot be read: {e}");
+        let unreadable = |e| format!("ffmpeg's output cannot be read: {e}");
         let is_allowed = check_size(written.0, written.1).map_err(|e| e.to_string());
-        let is_own = if written == size { Ok(()) } else { Err(format!("the picture is {} x {} pixels, others are not", size.0, size.1)) };
+        let is_own =
+            if written == size { Ok(()) } else { Err(format!("the picture is {} x {} pixels, unlike the first one", size.0, size.1)) };
         if let Err(reason) = is_allowed.and(is_own) {
             std::io::copy(&mut picture, &mut std::io::sink()).map_err(unreadable)?;
             return Err(reason);
@@ -214,7 +215,7 @@ impl Ffmpeg {
             return Some(format!("the recording is cut off: it ends in the middle, after {rows} frames (ffmpeg: {said})"));
         }
         if !is_clean {
-            return Some(format!("ffmpeg ended after {rows} frames: {said}; what comes behind is missing"));
+            return Some(format!("ffmpeg ended after {rows} frames: {said}; the rest is missing"));
         }
         log.complaint().map(|said| format!("ffmpeg complains of the clip, some pictures may be damaged: {said}"))
     }
@@ -324,7 +325,7 @@ mod tests {
         let mut stream = Ffmpeg::start(program.as_os_str(), Path::new("a.mp4"), None, (Form::Luma, Probe::default())).unwrap();
         assert!(matches!(stream.next_picture().unwrap().data, PictureData::Grey(_)));
         let PictureData::Missing(reason) = stream.next_picture().unwrap().data else { panic!("there is no such picture") };
-        assert!(reason.contains("do not belong together"), "{reason}");
+        assert!(reason.contains("out of step"), "{reason}");
         assert!(stream.next_picture().is_none());
     }
 }

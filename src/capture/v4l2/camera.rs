@@ -110,7 +110,7 @@ impl Camera for V4l2Camera {
     }
 
     fn next_picture(&mut self, patience: Duration) -> Result<CapturedPicture, CameraFault> {
-        let waited = |e: std::io::Error| CameraFault::Gone(format!("the camera cannot be waited for: {e}"));
+        let waited = |e: std::io::Error| CameraFault::Gone(format!("cannot wait for the camera: {e}"));
         if self.streaming && !ioctl::wait_readable(self.fd, patience).map_err(waited)? {
             return Err(CameraFault::Silent);
         }
@@ -133,7 +133,7 @@ impl Drop for V4l2Camera {
         // if the driver refuses to stop the stream, hence `contained`.
         let dropped = contained(|| unsafe { ManuallyDrop::drop(nokhwa) });
         if dropped.is_none() {
-            tracing::warn!("the camera's driver did not stop its stream; the device is given up as it is");
+            tracing::warn!("the camera's driver did not stop its stream; the device is abandoned without stopping it");
         }
     }
 }

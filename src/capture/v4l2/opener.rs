@@ -87,7 +87,7 @@ impl V4l2Opener {
             device.set_format(&Format::new(offer.width, offer.height, fourcc))?;
             device.set_params(&Parameters::with_fps(offer.fps)).map(|_| ())
         });
-        set.unwrap_or_else(|| Err(io::Error::other("the V4L library gave up"))).map_err(fault)?;
+        set.unwrap_or_else(|| Err(io::Error::other("the V4L library failed"))).map_err(fault)?;
         let mode = format!("{} {}x{} at {}/s", offer.layout.fourcc(), offer.width, offer.height, offer.fps);
         let mut notes = vec![format!("taking {mode}: {why}")];
         self.say_once(format!("{}: {}", node.title(), notes[0]), false);
@@ -125,7 +125,7 @@ impl CameraOpener for V4l2Opener {
             }
             None => {
                 return Err(OpenFault(format!(
-                    "{} cannot be opened: the V4L library gave up; unplug it and plug it in again",
+                    "{} cannot be opened: the V4L library failed; unplug it and plug it in again",
                     node.title()
                 )));
             }
