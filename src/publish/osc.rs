@@ -85,7 +85,7 @@ pub struct AddressTemplate(String);
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum TemplateError {
     /// Not an address.
-    #[error("`{0}` is no OSC address; begin it with / and use neither spaces nor # * , ? [ ]")]
+    #[error("`{0}` is not an OSC address; begin it with / and use neither spaces nor # * , ? [ ]")]
     Address(String),
     /// An unknown placeholder.
     #[error("the template's field {{{0}}} is unknown; use {{body}} or {{output}}")]

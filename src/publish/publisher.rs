@@ -174,8 +174,7 @@ impl Publisher {
             return;
         }
         let Some(at) = self.clock.taken(stamp, work) else {
-            let sentence =
-                "the camera's stamps are not of the monotonic clock, so that nobody knows how old its frames are; they are not sent";
+            let sentence = "the camera's stamps are not from the monotonic clock, so the age of its frames is unknown; they are not sent";
             order.foreign.say(|| sentence.to_owned());
             return;
         };
@@ -214,7 +213,7 @@ impl Publisher {
                 std::thread::sleep(Duration::from_millis(1));
             }
             match thread.is_finished().then(|| thread.join()) {
-                None => tracing::warn!("output {name}: it does not take what is left, which is dropped"),
+                None => tracing::warn!("output {name}: it accepts no more data, so the rest is dropped"),
                 Some(Err(_)) => tracing::error!("output {name}: it failed; please report this"),
                 Some(Ok(())) => {}
             }

@@ -194,8 +194,8 @@ impl SafetySettings {
         let (stale_s, interval_s) = (self.stale_after.as_secs_f64(), 1.0 / frames_per_s);
         (frames_per_s > 0.0 && stale_s < interval_s).then(|| {
             format!(
-                "stale_after_s in [safety] is {stale_s} s, but at {:.4} frames a second one comes every {interval_s:.3} s: \
-                 receivers hear `stale` between all frames; give at least {:.1}",
+                "stale_after_s in [safety] is {stale_s} s, but at {:.4} frames a second a frame comes every {interval_s:.3} s: receivers \
+                 get `stale` between all frames; give at least {:.1}",
                 frames_per_s,
                 (30.0 * interval_s).ceil() / 10.0
             )

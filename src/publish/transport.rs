@@ -63,7 +63,7 @@ pub enum TransportError {
         source: io::Error,
     },
     /// The file cannot be created.
-    #[error("{file}: cannot be written ({source}); give a path with room that may be written")]
+    #[error("{file}: cannot be written ({source}); give a writable path with free space")]
     File {
         /// The file.
         file: String,
@@ -224,7 +224,7 @@ impl TcpClients {
             if is_set && self.clients.len() < MAX_CLIENTS {
                 self.clients.push(Client { stream, peer, waiting: Vec::new() });
             } else {
-                self.complaints.say(|| format!("{peer} is turned away; {MAX_CLIENTS} clients are connected"));
+                self.complaints.say(|| format!("{peer} is refused; {MOST_CLIENTS} clients are connected"));
             }
         }
     }

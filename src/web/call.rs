@@ -42,7 +42,9 @@ impl Call {
 
     /// Returns a path field that is a number.
     pub(super) fn number(&self, field: &str) -> Result<u64, Reply> {
-        self.name(field)?.parse().map_err(|_| Reply::text(400, format!("the last part of the path is no {field}; give a whole number\n")))
+        self.name(field)?
+            .parse()
+            .map_err(|_| Reply::text(400, format!("the last part of the path is not a {field}; give a whole number\n")))
     }
 
     /// Returns a number from the query, within these limits.
@@ -68,7 +70,7 @@ impl Call {
     /// Parses the content as JSON.
     pub(super) fn json<T: DeserializeOwned>(&mut self, most_bytes: u64) -> Result<T, Reply> {
         let bytes = self.content(most_bytes)?;
-        serde_json::from_slice(&bytes).map_err(|e| Reply::text(400, format!("the request is not the JSON that is wanted here: {e}\n")))
+        serde_json::from_slice(&bytes).map_err(|e| Reply::text(400, format!("the request is not the expected JSON: {e}\n")))
     }
 
     /// Whether the request comes from this machine.

@@ -120,7 +120,7 @@ pub(super) fn too_large(most_bytes: u64) -> Reply {
         return Reply::text(413, "this request has no content\n");
     }
     let limit = if most_bytes >= 1 << 20 { format!("{} MB", most_bytes >> 20) } else { format!("{most_bytes} bytes") };
-    Reply::text(413, format!("the content is larger than {limit}, which is the most that is taken here\n"))
+    Reply::text(413, format!("the content is larger than the limit of {limit}\n"))
 }
 
 /// Returns the reply for content that did not arrive.

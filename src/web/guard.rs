@@ -40,16 +40,18 @@ pub(super) fn judge<B>(hosts: &AllowedHosts, request: &Request<B>, reached: IpAd
 fn asked_host<B>(request: &Request<B>) -> Result<Option<HostAndPort>, Reply> {
     let bad = |sentence: &str| Reply::text(400, sentence);
     if request.method() == Method::CONNECT {
-        return Err(bad("this server is no proxy\n"));
+        return Err(bad("this server is not a proxy\n"));
     }
-    let named = only(request.headers(), header::HOST).map_err(|()| bad("a request has one Host, not more\n"))?;
-    let named = named.map(|text| HostAndPort::parse(text).ok_or_else(|| bad("Host is no host with a port\n"))).transpose()?;
+    let named = only(request.headers(), header::HOST).map_err(|()| bad("a request must have one Host, not more\n"))?;
+    let named = named.map(|text| HostAndPort::parse(text).ok_or_else(|| bad("Host is not a host with a port\n"))).transpose()?;
     if named.is_none() && request.version() > Version::HTTP_10 {
         return Err(bad("a request of HTTP/1.1 needs a Host\n"));
     }
-    let Some(target) = absolute(request.uri()).map_err(|()| bad("the request's target is no http address\n"))? else { return Ok(named) };
+    let Some(target) = absolute(request.uri()).map_err(|()| bad("the request's target is not an http address\n"))? else {
+        return Ok(named);
+    };
     match named {
-        Some(named) if !named.is_at(&target, HTTP_PORT) => Err(bad("Host is another one than in the request's target\n")),
+        Some(named) if !named.is_at(&target, HTTP_PORT) => Err(bad("Host differs from the one in the request's target\n")),
         _ => Ok(Some(target)),
     }
 }

@@ -217,7 +217,10 @@ impl Keys {
     pub(super) fn judge(&self, access: Access, method: &Method, headers: &HeaderMap, peer: IpAddr) -> Result<(), Reply> {
         let is_browser = headers.contains_key(header::ORIGIN) || headers.contains_key("sec-fetch-site");
         if !matches!(*method, Method::GET | Method::HEAD) && is_browser && !headers.contains_key("x-stagepose") {
-            return Err(Reply::text(403, "a page that changes something says X-Stagepose: 1, which no other site's page can\n"));
+            return Err(Reply::text(
+                403,
+                "a request that changes something needs the header X-Stagepose: 1, which pages of other sites cannot send\n",
+            ));
         }
         let is_known = || Self::is_here(peer, headers) || self.is_paired(headers);
         match access {

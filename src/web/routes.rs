@@ -157,7 +157,7 @@ impl Pace {
     pub fn allow(&self) -> Result<(), Reply> {
         self.take(Instant::now()).map_err(|wait| {
             let after = wait.as_secs() + 1;
-            let sentence = format!("this was asked for too often; ask again in {after} s\n");
+            let sentence = format!("too many requests; ask again in {after} s\n");
             Reply::text(429, sentence).with("retry-after", &after.to_string())
         })
     }

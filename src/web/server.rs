@@ -101,7 +101,7 @@ pub enum WebError {
     #[error("[http]: cannot start the server ({0}); close other programs or raise the limits of processes and files")]
     Start(io::Error),
     /// Pairings cannot be stored.
-    #[error("[http]: pairings cannot be kept ({0}); make room in the state folder, or let it be written")]
+    #[error("[http]: pairings cannot be saved ({0}); make room in the state folder, or make it writable")]
     State(io::Error),
 }
 
@@ -160,12 +160,12 @@ impl Server {
         let keys = Keys::open(site.state.as_deref(), address.port()).or_else(|e| {
             // Without a folder for pairings tracking still works, and this machine's own page needs
             // none.
-            tracing::warn!("[http]: pairings end with the program, for they cannot be kept ({e}); let the state folder be written");
+            tracing::warn!("[http]: pairings end with the program, because they cannot be saved ({e}); make the state folder writable");
             Keys::open(None, address.port())
         });
         let keys = Arc::new(keys.map_err(WebError::State)?);
         if !address.ip().is_loopback() {
-            tracing::info!("[http]: a browser on another machine that is to change something is paired by the code {}", keys.code());
+            tracing::info!("[http]: to let a browser on another machine change something, pair it with the code {}", keys.code());
         }
         let (feed, (stop, stopped)) = (Arc::new(Feed::new()), watch::channel(false));
         let hub = Hub::start(site.statistics).map_err(WebError::Start)?;

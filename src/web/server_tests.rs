@@ -431,7 +431,7 @@ fn what_a_viewer_says_beside_n_ends_it_with_a_sentence() {
         viewer.write_all(said).unwrap();
         let close = std::iter::repeat_with(|| next_message(&mut viewer)).find(|(kind, _)| *kind != 0x81).unwrap();
         assert_eq!((close.0, &close.1[..2]), (0x88, &1008_u16.to_be_bytes()[..]));
-        assert!(close.1.ends_with(b"nothing else is understood"));
+        assert!(close.1.ends_with(b"other messages are not supported"));
     }
     wait_until(|| server.hub.viewers() == 0);
 }

@@ -67,7 +67,7 @@ pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, 
                 }
                 Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
                 Some(Ok(Message::Text(_) | Message::Binary(_))) => {
-                    let reason = "say n for the next frame, u for one with its used pixels; nothing else is understood".into();
+                    let reason = "say n for the next frame, u for one with its used pixels; other messages are not supported".into();
                     let refusal = Message::Close(Some(CloseFrame { code: close_code::POLICY, reason }));
                     let _ = timeout(TAKES_WITHIN, socket.send(refusal)).await;
                     return;

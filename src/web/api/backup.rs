@@ -89,8 +89,9 @@ fn restore(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     let _ = std::fs::remove_dir_all(&aside.0);
     std::fs::create_dir_all(aside.0.join("sets")).map_err(|e| unwritable(file, &e))?;
     let names = unpack(&packed, &aside.0)?;
-    let text = safe_file::read(&aside.0.join(CONFIG), MAX_PACKED).ok().and_then(|bytes| String::from_utf8(bytes).ok());
-    let text = text.ok_or_else(|| Reply::text(422, "the zip has no stage.toml, so it is no backup; give one of GET /api/v1/backup\n"))?;
+    let text = safe_file::read(&aside.0.join(CONFIG), LARGEST_PACKED).ok().and_then(|bytes| String::from_utf8(bytes).ok());
+    let text =
+        text.ok_or_else(|| Reply::text(422, "the zip has no stage.toml, so it is not a backup; give one of GET /api/v1/backup\n"))?;
     let (settings, findings) = judged_to_run(&text, &aside.0.join(CONFIG), supervisor);
     let Some(settings) = settings else { return Ok(reply(422, &findings, false)) };
     let is_named = |name: &str| name == CONFIG || name == SET || name.starts_with("sets/") || settings.files.contains(&aside.0.join(name));
@@ -144,7 +145,10 @@ fn undo(done: Vec<(&Path, Option<PathBuf>)>) {
     for (to, kept) in done.into_iter().rev() {
         let undone = kept.map_or_else(|| std::fs::remove_file(to), |kept| std::fs::rename(kept, to));
         if let Err(error) = undone {
-            tracing::error!("{}: what was there before a restore cannot be put back ({error}); it is in the folder former", to.display());
+            tracing::error!(
+                "{}: the files from before a restore cannot be put back ({error}); they are in the folder former",
+                to.display()
+            );
         }
     }
 }
@@ -152,8 +156,8 @@ fn undo(done: Vec<(&Path, Option<PathBuf>)>) {
 /// Puts a zip's files into a folder; nothing outside of it, and nothing endless.
 fn unpack(packed: &[u8], folder: &Path) -> Result<BTreeSet<String>, Reply> {
     let bad = |why: &str| Reply::text(422, format!("{why}; give a zip of GET /api/v1/backup\n"));
-    let mut zip = ZipArchive::new(Cursor::new(packed)).map_err(|_| bad("this is no whole zip"))?;
-    if zip.len() > MAX_FILES {
+    let mut zip = ZipArchive::new(Cursor::new(packed)).map_err(|_| bad("this is not a complete zip"))?;
+    if zip.len() > MOST_FILES {
         return Err(bad("the zip has too many files"));
     }
     let (mut left, mut names) = (MAX_UNPACKED, BTreeSet::new());
@@ -165,7 +169,7 @@ fn unpack(packed: &[u8], folder: &Path) -> Result<BTreeSet<String>, Reply> {
         }
         let of_set = name.strip_prefix("sets/").is_some_and(is_model);
         if !entry.is_file() || !(is_name(&name) || of_set) {
-            return Err(bad("a name in the zip is none that a backup has"));
+            return Err(bad("the zip holds a name that no backup has"));
         }
         let mut bytes = Vec::new();
         // By what comes out: what a zip says of its sizes need not be true.
@@ -177,7 +181,7 @@ fn unpack(packed: &[u8], folder: &Path) -> Result<BTreeSet<String>, Reply> {
             gltf::judge(&path).map_err(|reason| Reply::text(422, format!("{name}: {reason}\n")))?;
         }
         if !names.insert(name) {
-            return Err(bad("a name is twice in the zip"));
+            return Err(bad("a name occurs twice in the zip"));
         }
     }
     Ok(names)

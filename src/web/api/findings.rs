@@ -62,7 +62,7 @@ pub(super) fn of_refused(supervisor: &Supervisor) -> Vec<Finding> {
     match read {
         Err(e) if e.kind() == ErrorKind::NotFound => error(&format!("{}: there is no config yet; put one", file.display())),
         Err(e) => error(&format!("{}: the config cannot be read ({e}); let the daemon's user read it", file.display())),
-        Ok(Err(_)) => error(&format!("{}: the config is no text in UTF-8; put another one", file.display())),
+        Ok(Err(_)) => error(&format!("{}: the config is not UTF-8 text; put another one", file.display())),
         Ok(Ok(text)) => match (judged(&text, file), supervisor.refusal()) {
             ((None, findings), _) => findings,
             ((Some(_), _), Some(refusal)) => error(&refusal),

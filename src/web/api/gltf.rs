@@ -27,7 +27,7 @@ const NEED_A_DECODER: [&str; 4] =
 pub fn judge(file: &Path) -> Result<(), String> {
     let mut opened = safe_file::open(file).map_err(|e| format!("the model cannot be read ({e})"))?;
     let length = opened.metadata().map_or(0, |about| about.len());
-    let not_whole = || "this is no whole binary glTF file; export the model as .glb (glTF 2.0) and send all of it".to_owned();
+    let not_whole = || "this is not a complete binary glTF file; export the model as .glb (glTF 2.0) and send all of it".to_owned();
     let mut head = [0; 20];
     opened.read_exact(&mut head).map_err(|_| not_whole())?;
     let word = |k: usize| u32::from_le_bytes([head[k], head[k + 1], head[k + 2], head[k + 3]]);
@@ -44,10 +44,10 @@ pub fn judge(file: &Path) -> Result<(), String> {
     let mut text = BufReader::new(opened.take(u64::from(word(12))));
     let begins = text.fill_buf().map_err(|_| not_whole())?.trim_ascii_start().first().copied();
     if begins != Some(b'{') {
-        return Err("the model's description is no JSON object; export it as glTF 2.0, with its version in \"asset\"".to_owned());
+        return Err("the model's description is not a JSON object; export it as glTF 2.0, with its version in \"asset\"".to_owned());
     }
     let read: Result<Description, serde_json::Error> = serde_json::from_reader(text);
-    let model = read.map_err(|e| format!("the model's description is no JSON of glTF ({e}); export it anew"))?;
+    let model = read.map_err(|e| format!("the model's description is not glTF JSON ({e}); export it again"))?;
     if !model.asset.version.is_some_and(|version| version.starts_with("2.")) {
         return Err("the model's description has no version 2 in \"asset\"; export it as glTF 2.0".to_owned());
     }

@@ -126,7 +126,7 @@ fn tracker(statistics: &Statistics) -> Part {
         ),
         State::Tracking => part("tracker", "good", format!("it tracks, to {:.2} px", statistics.rms_px()), None),
         State::Coasting => part("tracker", "warn", "it predicts the pose for a moment", None),
-        State::Stale => part("tracker", "bad", "it gets no pictures", Some("see to the camera")),
+        State::Stale => part("tracker", "bad", "it gets no pictures", Some("check the camera")),
         state => {
             let sentence = format!("it does not find the stage ({})", state.word());
             part("tracker", "bad", sentence, Some("the events say why; `stagepose check --clip` tries what would help"))
@@ -180,7 +180,7 @@ fn recorder(statistics: &Statistics, supervisor: &Supervisor) -> Part {
             "recorder",
             "bad",
             "recording stopped, tracking goes on",
-            Some("the last event of the recorder says why; see to that, then begin a recording anew"),
+            Some("the last event of the recorder says why; fix that, then start a new recording"),
         ),
     }
 }
@@ -188,7 +188,7 @@ fn recorder(statistics: &Statistics, supervisor: &Supervisor) -> Part {
 /// The room where a path lies or would lie.
 fn disk(path: &Path) -> Part {
     let there = path.ancestors().find(|path| path.exists()).map_or_else(|| PathBuf::from("."), Path::to_owned);
-    let Ok(about) = statvfs(&there) else { return part("disk", "warn", "the system does not say how much room there is", None) };
+    let Ok(about) = statvfs(&there) else { return part("disk", "warn", "the free disk space is unknown", None) };
     let free = about.blocks_available() as f64 * about.fragment_size() as f64;
     let sentence = format!("{:.1} GB are free for recordings", free / 1e9);
     if free < NO_ROOM {

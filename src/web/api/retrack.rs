@@ -30,7 +30,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>, lines: &Arc<LineIndex>) -> Ve
         Route::aside(Method::GET, path, Access::Anyone, move |call| {
             let clip = folder.clip(call)?.path;
             if !clip.join("retracked/compared.json").is_file() {
-                return Err(Reply::text(404, "this recording was not tracked again yet; POST to its retrack\n"));
+                return Err(Reply::text(404, "this recording has not been tracked again yet; POST to its retrack\n"));
             }
             answer(&folder, &clip, call)
         })

@@ -46,7 +46,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     let record = |supervisor: Arc<Supervisor>, path, wish, says: &'static str| {
         Route::aside(Method::POST, path, Access::Change, move |_| {
             if supervisor.settings().is_none() || supervisor.mode() != Mode::Track {
-                return Err(Reply::text(409, "nothing is tracked, so nothing can be recorded; begin to track first\n"));
+                return Err(Reply::text(409, "nothing is tracked, so nothing can be recorded; start tracking first\n"));
             }
             if let (RecordingWish::Start, Some(settings)) = (wish, supervisor.settings()) {
                 // Said to whoever asks, not a moment later to whoever listens.
