@@ -42,8 +42,8 @@ impl Target {
     /// Describes the target.
     pub fn words(self) -> &'static str {
         match self {
-            Self::Circles => "a grid of circles, which is not read",
-            Self::Markers => "a board of square markers (ChArUco, ArUco or AprilTag), which is not read",
+            Self::Circles => "a grid of circles, which is not supported",
+            Self::Markers => "a board of square markers (ChArUco, ArUco or AprilTag), which is not supported",
         }
     }
 

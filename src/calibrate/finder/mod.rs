@@ -90,7 +90,8 @@ pub enum NoBoard {
     },
     /// The requested size, but its end cannot be determined.
     #[error(
-        "{0} corners of a chessboard whose outermost squares cannot be told from what is around them; light the board evenly, and show its rim"
+        "{0} corners of a chessboard whose outermost squares cannot be told from their surroundings; light the board evenly, and show its \
+         rim"
     )]
     Endless(String),
     /// The right size, with too many corners hidden.
@@ -295,7 +296,7 @@ fn brightness(picture: &GrayImage) -> String {
         (200.., _) => format!("the picture is overexposed (98 % of it above grey level {dark})"),
         _ if light - dark < 12 => format!("the picture is flat (grey levels {dark} to {light})"),
         _ if is_blurred(picture) => "the picture is blurred; focus the lens, and hold board and camera still".to_owned(),
-        _ => "no corners that hang together as one".to_owned(),
+        _ => "no connected group of corners".to_owned(),
     }
 }
 

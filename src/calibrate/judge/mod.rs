@@ -201,10 +201,11 @@ impl Judgement {
         let tilted = self.tilted_views;
         let blame = if 2 * tilted < views {
             format!(
-                ", for only {tilted} of {views} views are tilted by {TILTED_DEG:.0} degrees or more: nearly front-on views cannot tell focal length from distance"
+                ", because only {tilted} of {views} views are tilted by {TILTED_DEG:.0} degrees or more: nearly front-on views cannot \
+                 tell focal length from distance"
             )
         } else {
-            ", for the views are too few or too much alike".to_owned()
+            ", because the views are too few or too much alike".to_owned()
         };
         self.graded(share, FOCAL_SHARE, || format!("the focal length is known to {:.2} % only{blame}", 100.0 * share));
         if views < 6 {
@@ -243,7 +244,7 @@ impl Judgement {
         }
         if !self.insignificant.is_empty() {
             let names = self.insignificant.join(", ");
-            self.find(Verdict::Good, format!("{names} cannot be told from 0 (3 sigma >= value); --fix may hold them there"));
+            self.find(Verdict::Good, format!("{names} do not differ from 0 significantly (3 sigma >= value); --fix can hold them at 0"));
         }
     }
 
@@ -252,7 +253,7 @@ impl Judgement {
     fn weigh_model(&mut self, observations: &[Vec<Observation>], estimate: &Estimate, (width, height): (u32, u32)) -> bool {
         let refusal = estimate.bundle.lens.model(width, height).and_then(|model| plausible::judge(&model).map(|_| ())).err();
         if let Some(reason) = &refusal {
-            self.find(Verdict::DoNotUse, format!("no command would read it: {reason}"));
+            self.find(Verdict::DoNotUse, format!("no command would accept it: {reason}"));
         }
         let Some(reach) = wide::reach(observations, estimate) else { return false };
         let is_too_wide = reach.angle_deg > wide::WIDE_DEG && (refusal.is_some() || reach.ringed > wide::RINGED);
@@ -260,9 +261,9 @@ impl Judgement {
             self.find(
                 Verdict::DoNotUse,
                 format!(
-                    "this is a fisheye or a very wide lens, which is not supported: boards reach {:.0} degrees from its axis, where the model does not \
-                     bend as the lens does ({:.0} % of the squared residuals lie in rings); use another lens, or only the middle of the picture (cut \
-                     pictures and clips alike)",
+                    "this is a fisheye or a very wide lens, which is not supported: boards reach {:.0} degrees from its axis, where the \
+                     model cannot follow the lens ({:.0} % of the squared residuals lie in rings); use another lens, or only the middle \
+                     of the picture (cut pictures and clips alike)",
                     reach.angle_deg,
                     100.0 * reach.ringed
                 ),
@@ -296,7 +297,7 @@ impl Judgement {
                     self.find(weight, format!("the two halves of the views differ ({name} by {times:.1} times the joint 3 sigma, {px:.1} px apart over most of the picture)"));
                 }
             }
-            None => self.find(Verdict::Usable, "there are too few views to hold one half against the other".to_owned()),
+            None => self.find(Verdict::Usable, "there are too few views to compare one half with the other".to_owned()),
         }
     }
 

@@ -142,7 +142,8 @@ pub(crate) fn implausible_squares(estimate: &Estimate, board: &Board) -> Option<
     let is_plausible = (PLAUSIBLE_M[0]..=PLAUSIBLE_M[1]).contains(&metres);
     (!is_plausible).then(|| {
         format!(
-            "with squares of {} mm the boards were {} from the camera, which is hardly so: --square-mm is in millimetres (perhaps {}); the lens comes out the same",
+            "with squares of {} mm the boards were {} from the camera, which is implausible: --square-mm is in millimetres (perhaps {}); \
+             the lens comes out the same",
             rounded(square_mm),
             away(metres),
             rounded(times * square_mm)

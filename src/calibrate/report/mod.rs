@@ -48,16 +48,17 @@ pub fn html(made: &CameraCalibration, comparison: Option<&Comparison>, date: &st
     body += "<h2>Where the board has been, and how well it fits</h2>\n<div class=\"figures\">";
     body += &figure(
         &figures::coverage(made),
-        "<b>Coverage.</b> Every corner of every picture used. The lens is known best where there are many, and only guessed where there are none. \
-         Colours: how far a corner lies from where the calibration expects it.",
+        "<b>Coverage.</b> Every corner of every picture used. The lens is known best where there are many corners, and only extrapolated \
+         where there are none. Colours: how far a corner lies from where the calibration expects it.",
     );
     body += &figure(
         &figures::errors(made),
-        "<b>What is left over.</b> Each dot is a corner: the middle is where the calibration expects it, the dot where the picture shows it. A round \
-         cloud is good; a lopsided one speaks for a bent board or a lens that changed.",
+        "<b>Residuals.</b> Each dot is a corner: the middle is where the calibration expects it, the dot where the picture shows it. A \
+         round cloud is good; a lopsided one suggests a bent board or a lens that changed.",
     );
-    let caption = "<b>How far to trust a place in the picture.</b> The colour says within how many pixels a point lies of where the calibration \
-                   puts it, in 997 of 1000 cases (3 sigma). What a small turn of the camera makes up for is left out, for tracking finds it by itself.";
+    let caption = "<b>How far to trust a place in the picture.</b> The colour says within how many pixels a point lies of where the \
+                   calibration puts it, in 997 of 1000 cases (3 sigma). Errors that a small rotation of the camera compensates are left \
+                   out, because tracking finds that rotation by itself.";
     body += &figure(&figures::map(&made.judgement.uncertainty, made.size, "Uncertainty over the picture"), caption);
     if let Ok(model) = made.estimate.bundle.lens.model(made.size.0, made.size.1) {
         let caption = "<b>What the lens does.</b> Lines lead from where a lens without distortion would show a point to where this one does. The red \
@@ -70,8 +71,8 @@ pub fn html(made: &CameraCalibration, comparison: Option<&Comparison>, date: &st
     if let Some(comparison) = comparison {
         body += &comparison_part(comparison);
     }
-    body += "<h2>Pictures</h2>\n<p>Green crosses: corners found. Red crosses: left out, for they do not fit. The circle is the board's first corner; the \
-             red line runs along its rows, the yellow one along its columns.</p>\n<div class=\"pictures\">";
+    body += "<h2>Pictures</h2>\n<p>Green crosses: corners found. Red crosses: left out, because they do not fit. The circle is the \
+             board's first corner; the red line runs along its rows, the yellow one along its columns.</p>\n<div class=\"pictures\">";
     for (k, view) in views.iter().enumerate() {
         body += &picture(k + 1, view, made);
     }

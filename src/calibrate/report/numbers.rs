@@ -20,8 +20,8 @@ pub(super) fn part(made: &CameraCalibration) -> String {
         rows += &format!("<tr><th>{name}</th><td>{value}</td></tr>\n");
     }
     format!(
-        "<h2>The lens in numbers</h2>\n<div class=\"wide\"><table>\n{rows}</table></div>\n<p>What follows &plusmn; is 3 sigma: the truth lies within in 997 of \
-         1000 cases, as far as the pictures can tell.</p>\n{}",
+        "<h2>The lens in numbers</h2>\n<div class=\"wide\"><table>\n{rows}</table></div>\n<p>The number after &plusmn; is 3 sigma: the \
+         true value lies within it in 997 of 1000 cases, as far as the pictures can tell.</p>\n{}",
         programs(made)
     )
 }
@@ -53,7 +53,7 @@ fn plain(made: &CameraCalibration) -> Vec<(&'static str, String)> {
     if map.quantile(MOST).is_finite() {
         let (most, worst) = (map.quantile(MOST), map.worst());
         let places = format!("{most:.2} px over most of the picture, {worst:.2} px at the worst place");
-        rows.push(("How exactly places in the picture are known", places));
+        rows.push(("How precisely places in the picture are known", places));
     }
     rows
 }
@@ -81,7 +81,7 @@ fn bending(model: &CameraModel) -> Option<String> {
     let way =
         if farthest < 0.0 { "inwards (barrel: straight lines bow outwards)" } else { "outwards (pincushion: straight lines bow inwards)" };
     let moves = format!("moves the picture's corners by up to {:.0} px {way}", farthest.abs());
-    Some(if farthest.abs() < 0.5 { "next to none".to_owned() } else { moves })
+    Some(if farthest.abs() < 0.5 { "almost none".to_owned() } else { moves })
 }
 
 /// Returns the parameters as in calibration files.
