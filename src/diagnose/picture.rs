@@ -44,7 +44,7 @@ pub fn of_frames(frames: &[Frame], is_followed: bool) -> Vec<Finding> {
     let combed = pictures.iter().filter(|p| is_combed(p)).count();
     if 4 * combed >= pictures.len().max(1) {
         findings.push(Finding::doubt(format!(
-            "the clip is interlaced: {combed} of {} frames combine two moments; switch the camera to a progressive mode, or deinterlace \
+            "the clip is interlaced: {combed} of {} frames mix two moments; switch the camera to a progressive mode, or deinterlace \
              the clip (ffmpeg -i CLIP -vf bwdif out.y4m)",
             pictures.len()
         )));

@@ -73,8 +73,13 @@ fn said(change: impl FnOnce(&mut VirtualStage)) -> String {
     text
 }
 
-/// A phrase from each message that can blame a part of the model.
-const PARTS: [&str; 4] = ["the lens is not as calibrated", "is not of the shape", "stands elsewhere", "for its height than size_m says"];
+/// The beginnings of all that may be said of a part of the model.
+const PARTS: [&str; 4] = [
+    "the lens is not as calibrated",
+    "does not have its configured shape",
+    "is not at its configured position",
+    "for its height than size_m says",
+];
 
 /// Asserts that the text blames only this part, and contains all of these words.
 fn assert_names(text: &str, part: &str, words: &[&str]) {
@@ -114,8 +119,8 @@ fn cloth_in_folds() {
         let wave = |height_m, wave_vector, phase_rad| Wave { height_m, wave_vector, rate_hz: 0.0, phase_rad };
         real.draughts = vec![Draught { surface: 0, waves: vec![wave(0.012, [4.0, 0.5], 0.4), wave(0.006, [-1.0, 5.0], 1.0)] }];
     });
-    assert_names(&text, PARTS[1], &["backdrop.png is not of the shape", "stagepose survey"]);
-    // The waves have an rms height of 9.5 mm.
+    assert_names(&text, PARTS[1], &["backdrop.png does not have its configured shape", "stagepose survey"]);
+    // The root mean square of the waves is 9.5 mm.
     let rms_mm = number_before(&text, " mm off (rms)");
     assert!((5.0..14.0).contains(&rms_mm), "{text}");
 }
@@ -135,7 +140,7 @@ fn cloth_that_moves() {
 #[test]
 fn a_flat_that_was_moved() {
     let text = said(|real| real.stage.surfaces[2].pose.translation += Vector3::new(0.012, 0.0, 0.009));
-    assert_names(&text, PARTS[2], &["house.png stands elsewhere", "stagepose survey"]);
+    assert_names(&text, PARTS[2], &["house.png is not at its configured position", "stagepose survey"]);
     let mm = number_before(&text, " mm from there");
     assert!((mm - 15.0).abs() < 1.5, "{text}");
 }

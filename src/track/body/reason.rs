@@ -115,7 +115,7 @@ impl Reason {
                  or a second copy of it is in view"
             }
             Self::Jumped => {
-                "a pose is found where the camera cannot have come to since the last one: another copy of the picture may be in view"
+                "a pose is found that the camera cannot have reached since the last one: another copy of the picture may be in view"
             }
             Self::Unconfirmed => "a pose is found and waits for the next frame to confirm it",
             Self::TooDark => "the frame is too dark",
@@ -126,8 +126,8 @@ impl Reason {
             Self::Undecodable => "the frame cannot be decoded",
             Self::Skipped => "the row is skipped: its stamp or its size does not fit the clip",
             Self::LensMoved => "the picture is recognised, but through a lens of another focal length than the calibration's",
-            Self::Repeated => "the picture is the one before, to the last byte: the camera or what captures it stands still",
-            Self::Mixed => "the frame shows two moments at once, as interlaced, converted or torn video does",
+            Self::Repeated => "the picture is identical to the one before: the camera or the capture device is frozen",
+            Self::Mixed => "the frame mixes two moments, like interlaced, converted or torn video",
         }
     }
 
@@ -142,7 +142,7 @@ impl Reason {
                 "go nearer, add a surface that stands at another angle, break a repetition with something of its own, or cover the copy"
             }
             Self::Jumped => "cover other copies of the picture (prints, screens); else check the clip's stamps and its frame rate",
-            Self::Unconfirmed => "nothing; where it stays so, frames come too rarely: at least two a second are needed",
+            Self::Unconfirmed => "nothing; if it persists, frames come too rarely: at least two a second are needed",
             Self::TooDark => "give more light or a longer exposure",
             Self::TooBright => "expose less, or turn the lamp out of the picture",
             Self::TooBlurred => "focus the lens, expose for a shorter time, or move the camera more slowly",

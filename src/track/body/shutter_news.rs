@@ -37,11 +37,11 @@ impl ShutterNews {
             }
             Self::ReadoutContradicted { configured_s, found: LearntTime { seconds: readout_s, sigma_s } } => format!(
                 "readout_s is configured as {configured_s}, but the rows of the frames fit {readout_s:.5} +- {sigma_s:.5}: poses of a \
-                 moving camera are less sure; correct readout_s, or remove it, and it is learnt"
+                 moving camera are less sure; correct readout_s, or remove it so that it is learnt"
             ),
             Self::ExposureContradicted { configured_s, found_s } => format!(
                 "exposure_s is configured as {configured_s}, but the blur of moving frames fits about {found_s:.4}: poses of a moving \
-                 camera are less sure; correct exposure_s, or remove it, and it is learnt"
+                 camera are less sure; correct exposure_s, or remove it so that it is learnt"
             ),
         }
     }

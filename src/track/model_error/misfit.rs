@@ -163,21 +163,18 @@ impl Part {
                 figures(farthest_px)
             ),
             Self::Shape { rms_mm, most_mm, .. } => {
-                format!(
-                    "{name} is not of the shape that it is told to have: {} mm off (rms), {} mm at most",
-                    figures(rms_mm),
-                    figures(most_mm)
-                )
+                format!("{name} does not have its configured shape: {} mm off (rms), {} mm at most", figures(rms_mm), figures(most_mm))
             }
             Self::Place { moved_mm: [x, y, z], turned_deg, .. } => {
                 let far = (x * x + y * y + z * z).sqrt();
                 format!(
-                    "{name} stands elsewhere than it is told to: {} mm from there, by [{x:.1}, {y:.1}, {z:.1}] mm, turned by {turned_deg:.2} degrees",
+                    "{name} is not at its configured position: {} mm from there, by [{x:.1}, {y:.1}, {z:.1}] mm, turned by \
+                     {turned_deg:.2} degrees",
                     figures(far)
                 )
             }
             Self::Corners { most_px, most_mm, .. } => format!(
-                "{name}: its corners are not those of the surface as it hangs: {} px off in the picture, {} mm on the surface",
+                "{name}: its corners do not match the surface as it hangs: {} px off in the picture, {} mm on the surface",
                 figures(most_px),
                 figures(most_mm)
             ),
