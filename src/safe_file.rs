@@ -58,7 +58,7 @@ pub fn open_below(folder: &Path, name: &Path) -> io::Result<File> {
         _ => e.into(),
     };
     while let Some(part) = parts.next() {
-        let Component::Normal(part) = part else { return Err(io::Error::other("it leads out of its folder")) };
+        let Component::Normal(part) = part else { return Err(io::Error::other("it points outside its folder")) };
         let flags = if parts.peek().is_some() {
             OFlag::O_PATH | OFlag::O_DIRECTORY
         } else {
@@ -179,7 +179,7 @@ pub fn may_write(path: &Path) -> io::Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let in_folder = |e: io::Error| io::Error::new(e.kind(), format!("the folder {}: {e}", folder.display()));
     if !std::fs::metadata(folder).map_err(in_folder)?.is_dir() {
-        return Err(io::Error::other(format!("{} is no folder", folder.display())));
+        return Err(io::Error::other(format!("{} is not a folder", folder.display())));
     }
     access(folder, AccessFlags::W_OK | AccessFlags::X_OK).map_err(|e| in_folder(e.into()))
 }

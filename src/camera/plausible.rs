@@ -127,7 +127,7 @@ fn judge_distortion(model: &CameraModel) -> Result<Option<String>, CameraError> 
         return Err(CameraError::NotInvertible { distortion: i.distortion, percent: 100.0 * (1.0 - share) });
     }
     let without = 100.0 * (1.0 - f64::from(rays) / f64::from(ASKED * ASKED));
-    Ok((without > 0.0).then(|| format!("its distortion folds over {without:.0} % of the picture, at the edges: what is there is not used")))
+    Ok((without > 0.0).then(|| format!("its distortion folds over {without:.0} % of the picture, at the edges, which are not used")))
 }
 
 #[cfg(test)]

@@ -272,7 +272,7 @@ impl Comparison {
     /// Summarises the result in one sentence.
     pub fn sentence(&self) -> String {
         let Some((model, relation)) = self.model.zip(self.chosen()) else {
-            return "No relation found: nothing shows that the two pictures show the same thing.".to_owned();
+            return "No relation found: no evidence that the two pictures show the same thing.".to_owned();
         };
         let how = match model {
             Model::Homography if self.camera_move.is_some_and(|m| m.direction.is_none()) => "The camera turned without moving",
@@ -289,13 +289,17 @@ impl Comparison {
             let turn = found.rotation.angle().to_degrees();
             remarks.push(match found.direction {
                 Some(t) => format!("The camera turned by {turn:.2} degrees and moved {}.", direction_words(&t, &found.rotation)),
-                None => format!("The camera turned by {turn:.2} degrees; a move of it does not show."),
+                None => format!("The camera turned by {turn:.2} degrees; no translation is visible."),
             });
             if found.is_ambiguous {
-                remarks.push("Of a flat scene seen like this two moves explain the matches alike; the one that sees the plane more squarely is given.".to_owned());
+                remarks.push(
+                    "For a flat scene seen like this, two motions explain the matches equally well; the one that sees the plane \
+                              more squarely is reported."
+                        .to_owned(),
+                );
             }
         } else if self.cameras.is_none() && self.model.is_some() {
-            remarks.push("The move of the camera needs its calibration; give --camera.".to_owned());
+            remarks.push("The camera's motion needs its calibration; give --camera.".to_owned());
         }
         let count = self.chosen().map_or(0, |relation| relation.inliers.len());
         remarks.extend(self.model.map(|_| stage_words(count).to_owned()));
@@ -322,10 +326,11 @@ const ENOUGH: [usize; 2] = [30, 120];
 /// Rates the picture as a stage picture by its inliers.
 fn stage_words(agreeing: usize) -> &'static str {
     match agreeing {
-        n if n >= ENOUGH[1] => "As the picture of a stage it has plenty to hold on to.",
-        n if n >= ENOUGH[0] => "As the picture of a stage it will do; more detail on it would help when parts are hidden.",
+        n if n >= ENOUGH[1] => "As a stage picture it has plenty of detail to track.",
+        n if n >= ENOUGH[0] => "As a stage picture it is sufficient; more detail would help when parts are hidden.",
         _ => {
-            "As the picture of a stage it has too little to hold on to from this view; take a picture nearer to this view, or a richer one."
+            "As a stage picture it has too little detail to track from this view; take a picture closer to this view, or one with more \
+             detail."
         }
     }
 }

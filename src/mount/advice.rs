@@ -44,9 +44,9 @@ pub fn judge(solution: &Solution, by_lenses: &Matrix6<f64>) -> (Verdict, Vec<Str
     let used = solution.views.iter().filter(|view| view.is_used).count();
     let mut reasons = Vec::new();
     if used == 1 {
-        reasons.push("one pair of views only: nothing checks it".to_owned());
+        reasons.push("one pair of views only: nothing verifies it".to_owned());
     } else if used < ENOUGH_PAIRS {
-        reasons.push(format!("{used} pairs of views only: where they disagree nobody knows which one is wrong"));
+        reasons.push(format!("{used} pairs of views only: if they disagree, it is unknown which one is wrong"));
     }
     if shift > GOOD_M {
         reasons.push(format!("the offset is known to {:.1} mm only (one sigma in the worst direction)", shift * 1e3));
@@ -56,13 +56,13 @@ pub fn judge(solution: &Solution, by_lenses: &Matrix6<f64>) -> (Verdict, Vec<Str
     }
     if solution.excess > ODD_EXCESS {
         reasons.push(format!(
-            "the views scatter {:.1} times as much as their noise explains: was the rig still, are both cameras bolted to it, do size_m and \
-             the calibrations hold?",
+            "the views scatter {:.1} times as much as their noise explains: was the rig still, are both cameras bolted to it, are size_m \
+             and the calibrations correct?",
             solution.excess
         ));
     }
     if is_doubt_of_lenses(solution, by_lenses) {
-        reasons.push("most of the doubt is the calibrations' own, which more views do not mend: calibrate both cameras".to_owned());
+        reasons.push("most of the uncertainty is the calibrations', which more views do not reduce: calibrate both cameras".to_owned());
     }
     let verdict = match reasons.is_empty() {
         _ if shift > USELESS_M || turn > USELESS_RAD => Verdict::DoNotUse,

@@ -45,7 +45,7 @@ pub struct FreedPacket {
 #[non_exhaustive]
 pub enum FreedError {
     /// The length is not 29.
-    #[error("{0} bytes are no FreeD D1 packet; it has 29")]
+    #[error("{0} bytes are not a FreeD D1 packet; it has 29")]
     Length(usize),
     /// Another message of the protocol, or another protocol.
     #[error("the first byte is {0:#04x}, not 0xd1; set the sender to FreeD D1")]

@@ -121,7 +121,7 @@ fn one_pair_is_given_with_its_doubt_and_the_view_that_is_missing() {
     let said = text(&told.stdout);
     assert_eq!(told.status.code(), Some(0), "{said}{}", text(&told.stderr));
     assert!(said.contains("picture 2: the filming camera does not find its stage"), "{said}");
-    assert!(said.contains("one pair of views only: nothing checks it"), "{said}");
+    assert!(said.contains("one pair of views only: nothing verifies it"), "{said}");
     assert!(said.contains("next      take a pair of views from") && said.contains(": then about "), "{said}");
     let (mm, degrees, nees) = off(&json(folder));
     assert!(nees < 3.7 && mm < 20.0 && degrees < 0.5, "{mm} mm, {degrees} degrees, NEES/6 {nees}: {said}");
@@ -182,9 +182,11 @@ fn a_lens_that_was_guessed_leaves_its_doubt_in_the_mount() {
     let said = text(&told.stdout);
     let (told_m, (mm, degrees, nees)) = (sigma(&json(folder)), off(&json(folder)));
     println!("{said}\noff by {mm:.3} mm, {degrees:.4} degrees, NEES/6 {nees:.2}, sigma {told_m} m instead of {calibrated}");
-    assert!(said.contains("most of the doubt is the calibrations' own, which more views do not mend: calibrate both cameras"), "{said}");
-    // The uncertainty is decimetres, so the mount is unusable. No further view is requested,
-    // because it would not help.
+    assert!(
+        said.contains("most of the uncertainty is the calibrations', which more views do not reduce: calibrate both cameras"),
+        "{said}"
+    );
+    // Decimetres: nothing to show a renderer, and no view is asked for that would not help.
     assert!(said.contains("verdict   do not use") && !said.contains("next      "), "{said}");
     assert!(text(&told.stderr).contains("calibrate both cameras with `stagepose calibrate`"), "{}", text(&told.stderr));
     assert_eq!(told.status.code(), Some(1), "{said}");

@@ -42,11 +42,12 @@ impl CalibrationFileError {
 pub enum CalibrationProblem {
     /// The text has no known format.
     #[error(
-        "this is no calibration file that is known here; give stagepose TOML (.toml), OpenCV or ROS YAML (.yaml, .yml) or Bouguet's Calib_Results.m"
+        "this is not a known kind of calibration file; give stagepose TOML (.toml), OpenCV or ROS YAML (.yaml, .yml) or Bouguet's \
+         Calib_Results.m"
     )]
     UnknownForm,
     /// The TOML, YAML or m-file grammar is broken.
-    #[error("{reason}; mend the file's syntax")]
+    #[error("{reason}; fix the file's syntax")]
     Syntax {
         /// The parser's message.
         reason: String,
@@ -107,7 +108,7 @@ pub enum CalibrationProblem {
     #[error("{0}; write the numbers of the pictures as they come: width, height and a matrix of the window, and a `roi` of zeros")]
     Window(String),
     /// An unsupported format of another program.
-    #[error("this is a file of {program}, whose form is not read; {mend}")]
+    #[error("this is a file of {program}, whose format is not supported; {mend}")]
     OtherProgram {
         /// The program.
         program: &'static str,

@@ -136,7 +136,7 @@ fn a_window_of_the_sensor_and_binning_are_applied_in_both_conventions() {
     // window's.
     let unsure = own.replace("x_offset: 160", "x_offset: 8").replace("y_offset: 90", "y_offset: 8");
     let message = refusal("c.yaml", &unsure);
-    assert!(message.contains("line 9: `roi` begins at 8, 8, and it cannot be told") && message.contains("a `roi` of zeros"), "{message}");
+    assert!(message.contains("line 9: `roi` begins at 8, 8, and it is unclear") && message.contains("a `roi` of zeros"), "{message}");
     let outside = refusal("c.yaml", &format!("{SENSOR}{}", roi([800, 90, 640, 360])));
     assert!(outside.contains("does not lie within the picture of 960 x 540"), "{outside}");
     assert!(refusal("c.yaml", &format!("{SENSOR}binning_x: -2\n")).contains("`binning_x` is -2; write a whole number"));
@@ -298,21 +298,21 @@ fn what_is_missing_and_what_is_no_text_has_a_line_too() {
     }
     let bytes = [&STAGEPOSE.as_bytes()[..20], b"\xe9", &STAGEPOSE.as_bytes()[20..]].concat();
     let message = parse_calibration(&bytes, Path::new("c.toml")).unwrap_err().to_string();
-    assert_eq!(message, "c.toml line 2: there is a character that is not UTF-8; mend the file's syntax");
+    assert_eq!(message, "c.toml line 2: there is a character that is not UTF-8; fix the file's syntax");
     let latin = [b"% Kalibrierung f\xfcr B\xfchne\n", BOUGUET.as_bytes()].concat();
     assert!(parse_calibration(&latin, Path::new("c.m")).is_ok(), "comments of other programs' files");
 }
 
 #[test]
 fn broken_yaml_and_unknown_forms_say_so() {
-    assert!(refusal("c.yml", "image_width: [1, 2\nfoo: }\n").contains("mend the file's syntax"));
+    assert!(refusal("c.yml", "image_width: [1, 2\nfoo: }\n").contains("fix the file's syntax"));
     assert!(refusal("c.yml", "").contains("is missing"));
     assert!(refusal("c.yml", &OPENCV.replace("5.34e+02", ".Nan")).contains("line 7: fx is NaN"));
     assert!(refusal("c.yml", &OPENCV.replace("0., 0., 1. ]", "0., 0., 2. ]")).contains("`camera_matrix` is 2"));
     assert!(refusal("c.yml", &OPENCV.replace("image_width: 640", "image_width: wide")).contains("line 5: `image_width` holds \"wide\""));
     assert!(refusal("c.yml", &"- ".repeat(100_000)).contains("nested too deeply"));
     assert!(refusal("c.yml", "a: &a [1]\nb: *a\n").contains("aliases"));
-    assert!(refusal("picture.png", "\u{1}\u{2}").contains("no calibration file"));
+    assert!(refusal("picture.png", "\u{1}\u{2}").contains("not a known kind of calibration file"));
 }
 
 #[test]

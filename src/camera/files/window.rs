@@ -35,7 +35,7 @@ pub(super) fn applied(root: &Node, sensor: Intrinsics) -> Result<(Intrinsics, Op
     let moved = Intrinsics { width: w, height: h, cx: sensor.cx - f64::from(x), cy: sensor.cy - f64::from(y), ..sensor };
     let is_of_window = !fits && belongs_to_window(root, &sensor, &moved).ok_or_else(|| {
         refused(format!(
-            "`roi` begins at {x}, {y}, and it cannot be told whether the matrix is that of the whole sensor or of the window of {w} x {h} pixels"
+            "`roi` begins at {x}, {y}, and it is unclear whether the matrix is for the whole sensor or for the window of {w} x {h} pixels"
         ))
     })?;
     let (camera, _) = binned(if is_of_window { sensor } else { moved }, [bin_x, bin_y]);

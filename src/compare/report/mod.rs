@@ -35,14 +35,14 @@ pub fn html(made: &Comparison, pictures: [&GrayImage; 2], names: [&str; 2], date
     body += &figure(
         &sheet.drawn(made, &fitting, "hsl(140 70% 45%)", "Matches that fit"),
         &format!(
-            "<b>Matches that fit</b> ({} of {}): they agree with the model that explains the two pictures best.",
+            "<b>Matches that fit</b> ({} of {}): they agree with the model that best explains the two pictures.",
             fitting.len(),
             made.matches.len()
         ),
     );
     body += &figure(
         &sheet.drawn(made, &others, "hsl(0 80% 55%)", "Matches that do not fit"),
-        &format!("<b>Matches that do not fit</b> ({}): they look alike and lie elsewhere, or they moved.", others.len()),
+        &format!("<b>Matches that do not fit</b> ({}): they only look alike, or they moved.", others.len()),
     );
     body += "</div>\n<h2>Geometry</h2>\n<div class=\"figures\">";
     if let Some(relation) = made.essential_or_fundamental() {
@@ -62,14 +62,14 @@ pub fn html(made: &Comparison, pictures: [&GrayImage; 2], names: [&str; 2], date
     if let Some(drawn) = space::figure(made) {
         body += &figure(
             &drawn,
-            "<b>The two cameras</b> from above and from the side, A in blue at the origin and B in orange, with the matched points. The distance between the \
-             cameras is the unit of length, because two pictures do not tell it.",
+            "<b>The two cameras</b> from above and from the side, A in blue at the origin and B in orange, with the matched points. The \
+             distance between the cameras is the unit of length, because two pictures do not determine it.",
         );
     }
     body += &figure(
         &histograms::cumulative(made),
-        "<b>How near.</b> Left: share of the matches whose descriptors are nearer than this: alikeness, no error. Right: share of the matches that lie \
-         within this many pixels of where the model puts them.",
+        "<b>How near.</b> Left: share of the matches whose descriptors are closer than this; this is similarity, not an error. Right: \
+         share of the matches that lie within this many pixels of where the model puts them.",
     );
     body += "</div>\n";
     page("Two pictures compared", date, &body)
