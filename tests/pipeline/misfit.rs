@@ -129,7 +129,9 @@ fn a_flat_that_was_moved_is_told_once_and_the_others_lead_on() {
     let [one] = &news[..] else { panic!("{news:?}") };
     let text = one.text();
     assert!(
-        one.surface.as_deref() == Some("tree.png") && text.starts_with("tree.png stands elsewhere") && text.contains("stagepose survey"),
+        one.surface.as_deref() == Some("tree.png")
+            && text.starts_with("tree.png is not at its configured position")
+            && text.contains("stagepose survey"),
         "{text}"
     );
     let mm = text.split(" mm from there").next().and_then(|t| t.split(' ').next_back()).and_then(|mm| mm.parse::<f64>().ok());

@@ -21,7 +21,7 @@ fn packets_become_lines() {
     assert_eq!(line(Spoken::Psn, &info.encode().unwrap()), "info frame 0: s: 1 camera");
     let sample = opentrackio::datagram(opentrackio::Encoding::Json, 4, br#"{"a":1}"#).unwrap();
     assert_eq!(line(Spoken::OpenTrackIo, &sample), r##"#4 {"a":1}"##);
-    assert!(line(Spoken::Freed, b"hello").starts_with("5 bytes: 5 bytes are no FreeD"));
+    assert!(line(Spoken::Freed, b"hello").starts_with("5 bytes: 5 bytes are not a FreeD"));
     assert!(line(Spoken::Osc, b"hello").contains("not an OSC packet"));
     assert_eq!(line(Spoken::Json, b"{\"state\":\"lost\", \"x\": 1.50}\n"), "{\"state\":\"lost\", \"x\": 1.50}");
     assert_eq!(line(Spoken::Json, b"[1]").split_once(" (").unwrap().0, "3 bytes: it is not a JSON object");
@@ -88,7 +88,7 @@ fn what_the_decoder_does_not_know_is_shown_all_the_same() {
         (bundle(&[message(vec![OscType::Int(4)]), symbol]), "/a 4 | /b (S) symbol"),
         (
             bundle(&[message(vec![OscType::Int(4)]), untagged, b"junk".to_vec()]),
-            "/a 4 | /info (no type tags, 0 bytes) | (4 bytes that are no message)",
+            "/a 4 | /info (no type tags, 0 bytes) | (4 bytes that are not a message)",
         ),
         (bundle(&[]), "#bundle (empty)"),
     ] {

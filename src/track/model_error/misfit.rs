@@ -212,13 +212,15 @@ mod tests {
         let lens = Part::Lens { focal_percent: 2.561, centre_px: [10.6, -7.1], radial: -0.19, farthest_px: 41.23 };
         assert!(lens.says("").contains("+2.56 %") && lens.says("").contains("41.2 px") && lens.mend().contains("--lens refine"));
         let place = Part::Place { surface: 2, moved_mm: [3.0, 0.0, -4.0], turned_deg: 0.5 };
-        assert!(place.says("tree.png").starts_with("tree.png stands elsewhere") && place.says("tree.png").contains("5.00 mm"));
+        assert!(
+            place.says("tree.png").starts_with("tree.png is not at its configured position") && place.says("tree.png").contains("5.00 mm")
+        );
         let ratio = Part::Ratio { surface: 0, wider_percent: -0.5 };
         assert_eq!(ratio.says("cloth.png"), "cloth.png is 0.500 % narrower for its height than size_m says");
         let corners = Part::Corners { surface: 0, most_px: 1.42, most_mm: 1.57 };
         assert_eq!(
             corners.says("a.jpg"),
-            "a.jpg: its corners are not those of the surface as it hangs: 1.42 px off in the picture, 1.57 mm on the surface"
+            "a.jpg: its corners do not match the surface as it hangs: 1.42 px off in the picture, 1.57 mm on the surface"
         );
         assert!(corners.mend().contains("corners_px") && corners.surface() == Some(0) && corners.word() == "corners");
         assert_eq!(figures(0.0), "0");
