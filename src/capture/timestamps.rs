@@ -50,7 +50,7 @@ pub fn read_timestamps(input: impl Read) -> Result<Vec<StampRow>, TimestampsErro
 
 fn unreadable(text: &str) -> String {
     let hint = if text.parse::<f64>().is_ok() { "; are they seconds? multiply them by 1000000000 and leave out the fraction" } else { "" };
-    format!("\"{}\" is no time stamp in whole nanoseconds{hint}", shortened(text))
+    format!("\"{}\" is not a time stamp in whole nanoseconds{hint}", shortened(text))
 }
 
 /// Whether a line after the header stands for a row, that is, is neither a comment nor empty.

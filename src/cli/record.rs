@@ -8,10 +8,9 @@ use crate::daemon::recorder::taken_by_earlier;
 
 /// Track with a camera and record the clip: pictures as received, stamps, records, events, config.
 #[derive(Debug, clap::Args)]
-#[command(
-    after_help = "Example:\n  stagepose record take1 --config stage.toml --seconds 60\n  stagepose replay take1 --config take1/config/stage.toml --poses again.jsonl\n\n\
-    The replay gives take1/poses.jsonl byte for byte. A disk that is full ends the recording, not the tracking."
-)]
+#[command(after_help = "Example:\n  stagepose record take1 --config stage.toml --seconds 60\n  stagepose replay take1 --config \
+                  take1/config/stage.toml --poses again.jsonl\n\nThe replay reproduces take1/poses.jsonl byte for byte. A full disk ends \
+                  the recording, not the tracking.")]
 pub(super) struct RecordArguments {
     /// The clip's folder: new, or without anything of an earlier recording
     clip: PathBuf,

@@ -114,10 +114,10 @@ pub enum Problem {
     #[error("the length of the quaternion is {0:.4}, not 1; give x, y, z, w of a unit quaternion")]
     Quaternion(f64),
     /// A section that may occur several times, in single brackets.
-    #[error("there may be several of these sections, so they stand in double brackets; write {0}")]
+    #[error("this section can occur several times, so it needs double brackets; write {0}")]
     SingleBrackets(&'static str),
     /// A section that may occur once, in double brackets.
-    #[error("there is only one of this section, so it stands in single brackets; write {0}")]
+    #[error("this section occurs only once, so it needs single brackets; write {0}")]
     DoubleBrackets(&'static str),
     /// Two keys that exclude or require each other.
     #[error("{0}")]

@@ -87,9 +87,9 @@ pub(super) fn not_toml(error: &toml::de::Error, origin: &Origin<'_>) -> ConfigEr
         let path: Vec<&str> = name.split('.').map(str::trim).collect();
         match section(&path).filter(|(name, _)| name.starts_with("[[")) {
             Some((double, _)) => {
-                format!("there may be several of these sections, so they stand in double brackets; write {double} each time")
+                format!("this section can occur several times, so it needs double brackets; write {double} each time")
             }
-            None => format!("[{name}] stands at line {line} already; write its keys there"),
+            None => format!("[{name}] already exists at line {line}; write its keys there"),
         }
     });
     origin.syntax_with(error, hint)

@@ -180,7 +180,7 @@ fn slips_of_the_keyboard_are_answered_by_what_to_type() {
             "line 6 is not TOML: duplicate key",
             "write [[stage.surface]] each time",
         ),
-        (format!("{GOOD}[camera]\nfov_deg = 50.0\n"), "line 6 is not TOML: duplicate key", "[camera] stands at line 1 already"),
+        (format!("{GOOD}[camera]\nfov_deg = 50.0\n"), "line 6 is not TOML: duplicate key", "[camera] already exists at line 1"),
         (format!("{GOOD}[output]\nprotocol = \"freed\""), "`output` in the config, line 6", "write [[output]]"),
         (format!("{GOOD}[object]\nname = \"a\""), "`object` in the config, line 6", "write [[object]]"),
         (GOOD.replace("[camera]", "[[camera]]"), "`camera` in the config, line 1", "write [camera]"),

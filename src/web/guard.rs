@@ -30,7 +30,7 @@ pub(super) fn judge<B>(hosts: &AllowedHosts, request: &Request<B>, reached: IpAd
     }
     let headers = request.headers();
     if !is_from_here(headers, host.as_ref()) || !is_fetched_from_here(request.method(), headers) {
-        let sentence = "this request comes from another site's page, which may not ask here; open the page at this server's own address\n";
+        let sentence = "this request comes from another site's page, which is not allowed; open the page at this server's own address\n";
         return Err(Reply::text(403, sentence));
     }
     Ok(())

@@ -55,7 +55,7 @@ fn bad_usage_ends_with_2() {
 #[test]
 fn outputs_without_an_output_section() {
     let scene = Scene::new();
-    scene.replay(&["--outputs"]).assert_refused(2, &["stage.toml: there is no [[output]] section to send to; leave --outputs away"]);
+    scene.replay(&["--outputs"]).assert_refused(2, &["stage.toml: there is no [[output]] section to send to; omit --outputs"]);
 }
 
 #[test]

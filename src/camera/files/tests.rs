@@ -265,10 +265,10 @@ fn wrong_values_are_named_with_key_and_line() {
 #[test]
 fn a_key_that_stands_twice_is_refused_in_every_grammar_that_does_not_let_the_last_win() {
     let message = refusal("c.yml", &format!("{OPENCV}image_width: 320\n"));
-    assert!(message.contains("line 20: `image_width` stands here again, after `image_width` in line 5; remove one"), "{message}");
+    assert!(message.contains("line 20: `image_width` is repeated here, after `image_width` in line 5; remove one"), "{message}");
     let message = refusal("c.yaml", &format!("{ROS}Image_Height: 320\n"));
-    assert!(message.contains("`Image_Height` stands here again, after `image_height` in line 2"), "{message}");
-    assert!(refusal("c.yml", &OPENCV.replacen("rows: 3", "rows: 3\n   rows: 3", 1)).contains("line 9: `rows` stands here again"));
+    assert!(message.contains("`Image_Height` is repeated here, after `image_height` in line 2"), "{message}");
+    assert!(refusal("c.yml", &OPENCV.replacen("rows: 3", "rows: 3\n   rows: 3", 1)).contains("line 9: `rows` is repeated here"));
 }
 
 #[test]

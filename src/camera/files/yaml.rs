@@ -80,10 +80,7 @@ impl Open {
             Content::Map(entries) => match (self.key.take(), child.content) {
                 (Some((key, line)), content) => {
                     if let Some((typed, before)) = entries.iter().find(|(known, _)| plain(known) == plain(&key)) {
-                        return Err(syntax(
-                            line,
-                            format!("`{key}` stands here again, after `{typed}` in line {}; remove one", before.line),
-                        ));
+                        return Err(syntax(line, format!("`{key}` is repeated here, after `{typed}` in line {}; remove one", before.line)));
                     }
                     entries.push((key, Node { line, content }));
                 }

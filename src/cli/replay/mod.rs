@@ -97,7 +97,7 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     let settings = Settings::load(&arguments.config)?;
     if arguments.outputs && settings.http.is_none() && !settings.outputs.iter().any(|output| output.enabled) {
         let file = arguments.config.display();
-        return Err(Failure::Usage(format!("{file}: there is no [[output]] section to send to; leave --outputs away")));
+        return Err(Failure::Usage(format!("{file}: there is no [[output]] section to send to; omit --outputs")));
     }
     logging::start(&arguments.log, settings.log);
     settings.notes.iter().for_each(|note| tracing::info!("{note}"));

@@ -53,7 +53,7 @@ impl WalkFile {
             .map_err(std::io::Error::other)
             .and_then(|()| safe_file::write_whole(&self.file, &bytes));
         if let Err(e) = written {
-            tracing::warn!("{}: {e}; if the survey is interrupted, it will begin anew", self.file.display());
+            tracing::warn!("{}: {e}; if the survey is interrupted, it must start again", self.file.display());
         }
     }
 

@@ -109,10 +109,10 @@ impl Reason {
             Self::NoPoseFits => "the picture is recognised, but no pose fits",
             Self::Covered => "the picture is recognised, but most of it is covered or looks different",
             Self::TooSmall => "the picture is recognised, but it is too small in the frame",
-            Self::Uncertain => "the picture is recognised, but too little of it is seen to tell the pose",
+            Self::Uncertain => "the picture is recognised, but too little of it is visible to determine the pose",
             Self::Ambiguous => {
-                "two poses explain the picture about as well: it is too far away or too flat to the lens to tell its tilt, it repeats itself, \
-                 or a second copy of it is in view"
+                "two poses explain the picture about equally well: it is too far away or too flat to the lens to tell its tilt, it \
+                 repeats itself, or a second copy of it is in view"
             }
             Self::Jumped => {
                 "a pose is found that the camera cannot have reached since the last one: another copy of the picture may be in view"
