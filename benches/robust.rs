@@ -29,7 +29,7 @@ const POSTER: [f64; 2] = [1000.0, 800.0];
 const PICTURE: [f64; 2] = [640.0, 480.0];
 /// Focal length of the camera, pixels, and maximum tilt of the poster, radians.
 const FOCAL_PX: f64 = 600.0;
-const MOST_TILT: f64 = 0.8;
+const MAX_TILT: f64 = 0.8;
 /// Standard deviation of the noise in one picture coordinate, pixels.
 const NOISE_PX: f64 = 0.7;
 /// Inlier distance of the search, pixels; also the maximum corner error of a successful search.
@@ -144,7 +144,7 @@ impl Scene {
 fn view(random: &mut Pcg64Mcg) -> Homography {
     let half = Vector2::from(PICTURE) / 2.0;
     loop {
-        let (away, towards, roll) = (random.random_range(0.0..MOST_TILT), random.random_range(0.0..TAU), random.random_range(-0.5..0.5));
+        let (away, towards, roll) = (random.random_range(0.0..MAX_TILT), random.random_range(0.0..TAU), random.random_range(-0.5..0.5));
         let lean = Rotation3::new(Vector3::new(f64::cos(towards), f64::sin(towards), 0.0) * away);
         let turn = (Rotation3::from_axis_angle(&Vector3::z_axis(), roll) * lean).into_inner();
         let middle = Matrix3::new(1.0, 0.0, -POSTER[0] / 2.0, 0.0, 1.0, -POSTER[1] / 2.0, 0.0, 0.0, 1.0);

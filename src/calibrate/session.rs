@@ -117,7 +117,7 @@ pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOpt
     let repeated = (shown - working.len(), pictures.len());
     let too_few = |usable: usize| {
         let (all, mend) = (pictures.len(), judge::mend_for_few(pictures, board));
-        CalibrationError(format!("only {usable} of {all} pictures can be used, at least {LEAST_VIEWS} are needed; {mend}"))
+        CalibrationError(format!("only {usable} of {all} pictures can be used, at least {MIN_VIEWS} are needed; {mend}"))
     };
     if working.len() < MIN_VIEWS {
         return Err(too_few(working.len()));

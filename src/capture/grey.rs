@@ -46,7 +46,7 @@ pub enum DecodeError {
     #[error("the picture is cut off")]
     CutOff,
     /// The picture has more pixels than are allowed.
-    #[error("the picture is {width} x {height} pixels, the maximum is {} million; scale it down", MOST_PIXELS / 1_000_000)]
+    #[error("the picture is {width} x {height} pixels, the maximum is {} million; scale it down", MAX_PIXELS / 1_000_000)]
     TooLarge {
         /// Width, pixels.
         width: u32,

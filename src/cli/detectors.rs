@@ -159,7 +159,7 @@ const MAX_HOMOGRAPHY: u64 = 1 << 12;
 
 fn read_homography(file: &std::path::Path) -> Result<Homography, Failure> {
     let wrong = |why: &str| Failure::Usage(format!("{}: {why}; give nine numbers, row by row", file.display()));
-    let bytes = safe_file::read(file, LONGEST_HOMOGRAPHY).map_err(|e| wrong(&format!("cannot be read ({e})")))?;
+    let bytes = safe_file::read(file, MAX_HOMOGRAPHY).map_err(|e| wrong(&format!("cannot be read ({e})")))?;
     let text = String::from_utf8(bytes).map_err(|_| wrong("is not text"))?;
     let numbers = text.split_whitespace().map(str::parse).collect::<Result<Vec<f64>, _>>().map_err(|_| wrong("has more than numbers"))?;
     if numbers.len() != 9 || !numbers.iter().all(|v| v.is_finite()) {

@@ -72,7 +72,7 @@ pub(super) fn place(
     };
     let misfits = pairs.iter().map(|(from, to)| (moved.transform(&Point3::from(*from)).coords - to).norm());
     let (largest, diagonal) = (misfits.fold(0.0, f64::max), first.size_m[0].hypot(first.size_m[1]));
-    if largest > TAPE_M + LARGEST_MISFIT * diagonal {
+    if largest > TAPE_M + MAX_MISFIT * diagonal {
         let value = format!("a point {largest:.3} m from where size_m puts it");
         let wanted = "points that are as far apart as size_m says, or measure size_m again";
         return Err(section.refuse("origin", &typed.span(), Problem::Range { value, wanted }));

@@ -224,7 +224,7 @@ impl TcpClients {
             if is_set && self.clients.len() < MAX_CLIENTS {
                 self.clients.push(Client { stream, peer, waiting: Vec::new() });
             } else {
-                self.complaints.say(|| format!("{peer} is refused; {MOST_CLIENTS} clients are connected"));
+                self.complaints.say(|| format!("{peer} is refused; {MAX_CLIENTS} clients are connected"));
             }
         }
     }

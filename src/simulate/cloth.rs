@@ -21,7 +21,7 @@ const LAST_STEP_M: f64 = 1e-10;
 /// Steps for each fold that a flat ray is followed through, at most so many in all, and halvings of the one with the passage. Raised, rendering is
 /// slower; lowered, the tops of folds that a ray just touches are missed.
 const STEPS_PER_FOLD: f64 = 24.0;
-const MOST_STEPS: f64 = 2000.0;
+const MAX_STEPS: f64 = 2000.0;
 const HALVINGS: usize = 50;
 /// Repetitions that undo the stretch: it is small and smooth, so each takes a hundredth of what is left. Fewer would leave the picture off its truth.
 const UNSTRETCHINGS: usize = 6;
@@ -154,7 +154,7 @@ impl Cloth {
             place.z - self.at(self.beneath(&place, time_s), time_s).place.z
         };
         let folds = (to - from) * direction.xy().norm() / self.narrowest_m;
-        let steps = (folds * STEPS_PER_FOLD).ceil().clamp(2.0, MOST_STEPS);
+        let steps = (folds * STEPS_PER_FOLD).ceil().clamp(2.0, MAX_STEPS);
         let at_step = |k: f64| from + (to - from) * k / steps;
         let mut before = above(from);
         for k in 1..=steps as u32 {

@@ -145,18 +145,13 @@ impl Survey {
         let mut findings: Vec<(Verdict, String)> = Vec::new();
         let mut below = |value, limits, good, bad: &dyn Fn() -> String| findings.push(graded(value, limits, good, bad));
         let used = self.used as f64 / self.keyframes.max(1) as f64;
-        below(
-            -used,
-            LEAST_USED.map(|share| -share),
-            format!("{} of {} keyframes agree with the result", self.used, self.keyframes),
-            &|| {
-                format!(
-                    "only {} of {} keyframes agree with the result; check that the clip shows this stage and the config matches",
-                    self.used, self.keyframes
-                )
-            },
-        );
-        below(self.scale, LARGEST_SCALE, format!("the residual is noise ({:.3} px)", self.rms_px), &|| {
+        below(-used, MIN_USED.map(|share| -share), format!("{} of {} keyframes agree with the result", self.used, self.keyframes), &|| {
+            format!(
+                "only {} of {} keyframes agree with the result; check that the clip shows this stage and the config matches",
+                self.used, self.keyframes
+            )
+        });
+        below(self.scale, MAX_SCALE, format!("the residual is noise ({:.3} px)", self.rms_px), &|| {
             format!(
                 "the residual ({:.3} px) is {:.1} times the noise: the lens or the shutter is wrong, or the stage moved; try --lens \
                  refine, and check the shutter with `stagepose check --clip`",
@@ -192,7 +187,7 @@ impl Survey {
             if self.places.poses[k].is_some() && (support.is_little() || support.is_stray()) {
                 findings.push((Verdict::Usable, little(&surface.name, support, place_mm)));
             } else {
-                findings.push(graded(place_mm / side_mm, LARGEST_PLACE_SIGMA, String::new(), &|| {
+                findings.push(graded(place_mm / side_mm, MAX_PLACE_SIGMA, String::new(), &|| {
                     format!("the position of {} is known to {place_mm:.0} mm only: film it from closer and from two sides", surface.name)
                 }));
             }
@@ -226,7 +221,7 @@ impl Survey {
         });
         let (px, part) = (weakest.three_sigma_px, weakest.part);
         let of_640ths = px * 640.0 / f64::from(self.camera.width());
-        let picture = graded(of_640ths, LARGEST_PIXEL, format!("the lens is known to {px:.2} px over the whole picture"), &|| {
+        let picture = graded(of_640ths, MAX_PIXEL, format!("the lens is known to {px:.2} px over the whole picture"), &|| {
             format!(
                 "in the {part} of the picture the lens is known to {px:.1} px only: film so that the stage fills that part, and turn the \
                  camera on its side"

@@ -118,10 +118,10 @@ fn of_model(model: &ModelReport, findings: &[Finding]) -> Vec<Finding> {
         return Vec::new();
     }
     let ModelReport { parts, left_px, doubt_mm, doubt_share, views } = model;
-    if parts.is_empty() && *doubt_share >= LEAST_DOUBT {
+    if parts.is_empty() && *doubt_share >= MIN_DOUBT {
         let seen = format!("the stage appears {left_px:.2} px (rms) from where its poses put it, so they may be {doubt_mm:.1} mm off");
         let walk = "film it while walking past, from both sides, near and far; check that clip, or survey the stage with it";
-        return vec![match *views >= LEAST_VIEWS {
+        return vec![match *views >= MIN_VIEWS {
             true => Finding::warning(format!(
                 "{seen}, and no constant error of the stage or lens explains that; moving cloth would: keep draughts off it or weigh it \
                  down. If nothing moves: {walk}"

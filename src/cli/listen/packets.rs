@@ -26,7 +26,7 @@ pub(super) fn line(protocol: Spoken, bytes: &[u8]) -> String {
             opentrackio::decode(bytes).map(|(sequence, sample)| format!("#{sequence} {sample}")).map_err(|e| e.to_string())
         }
         Spoken::Osc if nests_too_deep(bytes) => {
-            Err(format!("its bundles or arrays are nested more than {MOST_LEVELS} levels deep; check the sender"))
+            Err(format!("its bundles or arrays are nested more than {MAX_LEVELS} levels deep; check the sender"))
         }
         Spoken::Json => json(bytes),
         Spoken::Osc => osc_packet(bytes).ok_or_else(|| "it is not an OSC packet; check the sender's port".to_owned()),

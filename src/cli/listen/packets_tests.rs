@@ -117,9 +117,9 @@ fn nested_arrays(levels: usize) -> Vec<u8> {
 
 #[test]
 fn what_nests_without_end_is_refused() {
-    assert_eq!(line(Spoken::Osc, &nested_bundles(MOST_LEVELS - 1)), "/a 5");
-    assert!(line(Spoken::Osc, &nested_arrays(MOST_LEVELS)).starts_with("/a [[["));
-    for packet in [nested_bundles(MOST_LEVELS), nested_bundles(3000), nested_arrays(MOST_LEVELS + 1), nested_arrays(32_000)] {
+    assert_eq!(line(Spoken::Osc, &nested_bundles(MAX_LEVELS - 1)), "/a 5");
+    assert!(line(Spoken::Osc, &nested_arrays(MAX_LEVELS)).starts_with("/a [[["));
+    for packet in [nested_bundles(MAX_LEVELS), nested_bundles(3000), nested_arrays(MAX_LEVELS + 1), nested_arrays(32_000)] {
         assert!(line(Spoken::Osc, &packet).contains("nested more than 16 levels deep"));
     }
     // Siblings do not nest.

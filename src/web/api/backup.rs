@@ -89,7 +89,7 @@ fn restore(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     let _ = std::fs::remove_dir_all(&aside.0);
     std::fs::create_dir_all(aside.0.join("sets")).map_err(|e| unwritable(file, &e))?;
     let names = unpack(&packed, &aside.0)?;
-    let text = safe_file::read(&aside.0.join(CONFIG), LARGEST_PACKED).ok().and_then(|bytes| String::from_utf8(bytes).ok());
+    let text = safe_file::read(&aside.0.join(CONFIG), MAX_PACKED).ok().and_then(|bytes| String::from_utf8(bytes).ok());
     let text =
         text.ok_or_else(|| Reply::text(422, "the zip has no stage.toml, so it is not a backup; give one of GET /api/v1/backup\n"))?;
     let (settings, findings) = judged_to_run(&text, &aside.0.join(CONFIG), supervisor);
@@ -157,7 +157,7 @@ fn undo(done: Vec<(&Path, Option<PathBuf>)>) {
 fn unpack(packed: &[u8], folder: &Path) -> Result<BTreeSet<String>, Reply> {
     let bad = |why: &str| Reply::text(422, format!("{why}; give a zip of GET /api/v1/backup\n"));
     let mut zip = ZipArchive::new(Cursor::new(packed)).map_err(|_| bad("this is not a complete zip"))?;
-    if zip.len() > MOST_FILES {
+    if zip.len() > MAX_FILES {
         return Err(bad("the zip has too many files"));
     }
     let (mut left, mut names) = (MAX_UNPACKED, BTreeSet::new());
