@@ -1,5 +1,8 @@
-//! A picture at twice its size, by Lanczos' windowed sinc of three lobes: exactly two phases of six weights, mirror images of
-//! each other, one direction after the other. It is made row by row: whoever cuts it up need not hold all of it.
+//! Enlarges a picture to twice its size with Lanczos' windowed sinc of three lobes.
+//!
+//! At a factor of two the kernel has exactly two phases of six weights, which mirror each other.
+//! Rows are blended first, then pixels within a row. The enlarged picture is produced row by row,
+//! so that `texture`, which cuts it into tiles, never holds all of it.
 
 use std::f32::consts::PI;
 
@@ -7,23 +10,26 @@ use image::GrayImage;
 
 use crate::simd::multiversion;
 
-/// Lobes of the kernel on each side, and the pixels that it weighs along a row. Three are the usual choice (Lanczos3). Raised, edges ring
-/// further, and the start takes longer.
+/// Lobes of the kernel on each side, and weights along one axis. Raised, edges ring further and
+/// loading takes longer; lowered, detail is lost.
 const LOBES: usize = 3;
 const TAPS: usize = 2 * LOBES;
-/// Old pixels whose new ones are made at once: what stays in the nearest cache.
+/// Old pixels processed at once, so that they stay in the first-level cache.
 const BLOCK: usize = 64;
 
-/// A picture of at least one pixel, twice as wide and high. The new pixels of a pair lie a quarter of a pixel to either side of the old one.
+/// A picture of at least one pixel, enlarged to twice its width and height. The two new pixels of
+/// an old one lie a quarter of an old pixel to either side of it.
 pub struct Enlarged<'a> {
     picture: &'a GrayImage,
-    /// For the earlier of two new pixels, and for the later.
+    /// Weights of the earlier and of the later of two new pixels.
     weights: [[f32; TAPS]; 2],
-    /// A blended row with room for the taps at both ends, and for a block that begins at any of its pixels.
+    /// A blended row, padded by the taps at both ends and by one block beyond, so that a block may
+    /// start at any of its pixels.
     blended: Vec<f32>,
 }
 
 impl<'a> Enlarged<'a> {
+    /// Prepares to enlarge a picture; no pixel is computed yet.
     pub fn new(picture: &'a GrayImage) -> Self {
         let earlier = weights();
         let mut later = earlier;
@@ -31,12 +37,12 @@ impl<'a> Enlarged<'a> {
         Self { picture, weights: [earlier, later], blended: vec![0.0; picture.width() as usize + 2 * LOBES + BLOCK] }
     }
 
-    /// Columns and rows.
+    /// Returns the columns and rows of the enlarged picture.
     pub fn size(&self) -> [usize; 2] {
         [2 * self.picture.width() as usize, 2 * self.picture.height() as usize]
     }
 
-    /// Writes its row `v`.
+    /// Writes row `v` of the enlarged picture to `out`, which has one element per column.
     pub fn write_row(&mut self, v: usize, out: &mut [u8]) {
         let Self { picture, weights, blended } = self;
         let (w, h) = (picture.width() as usize, picture.height() as usize);
@@ -51,7 +57,7 @@ impl<'a> Enlarged<'a> {
 }
 
 multiversion! {
-    /// The weighted sum of rows.
+    /// Computes the weighted sum of rows.
     fn blend(rows: [&[u8]; TAPS], weights: &[f32; TAPS], out: &mut [f32]); ["avx2"] => blend_plain, else blend_plain
 }
 
@@ -64,17 +70,19 @@ fn blend_plain(rows: [&[u8]; TAPS], weights: &[f32; TAPS], out: &mut [f32]) {
 }
 
 multiversion! {
-    /// Two new pixels of each old one, from a row that is longer by [`LOBES`] pixels before it and a block more behind it.
+    /// Computes two new pixels for each old one. `row` has [`LOBES`] more pixels before its start
+    /// and at least a block more beyond its end.
     fn interleave(row: &[f32], earlier: &[f32; TAPS], later: &[f32; TAPS], out: &mut [u8]);
     ["avx2"] => interleave_plain, else interleave_plain
 }
 
 #[inline(always)]
 fn interleave_plain(row: &[f32], earlier: &[f32; TAPS], later: &[f32; TAPS], out: &mut [u8]) {
-    // Behind 2^23 a float's last bits count by one: a conversion of eight at once, where `as` checks one after the other.
+    // Above 2^23 the lowest bits of a float count whole numbers, so the low byte is the integer.
+    // This converts eight values at once, where `as` would check one after the other.
     let grey = |sum: f32| ((sum + 0.5).clamp(0.0, 255.0).floor() + 8_388_608.0).to_bits() as u8;
     for (k, out) in out.chunks_mut(2 * BLOCK).enumerate() {
-        // What is computed beyond the row's end is not taken.
+        // Values computed beyond the end of the row are not written.
         let Some(row) = row[k * BLOCK..].first_chunk::<{ BLOCK + TAPS }>() else { return };
         let mut greys = [[0u8; BLOCK]; 2];
         for u in 0..BLOCK {
@@ -92,7 +100,8 @@ fn interleave_plain(row: &[f32], earlier: &[f32; TAPS], later: &[f32; TAPS], out
     }
 }
 
-/// Weights of the pixels three before to two behind, for a place a quarter of a pixel before one; their sum is 1.
+/// Returns the weights of the pixels from three before to two after a pixel, for a place a quarter
+/// of a pixel before it. Their sum is 1.
 fn weights() -> [f32; TAPS] {
     let lanczos = |x: f32| {
         let (a, b) = (PI * x, PI * x / LOBES as f32);
@@ -123,7 +132,7 @@ mod tests {
         let (own, general) = (enlarged_twice(&picture), resize(&picture, 82, 74, FilterType::Lanczos3));
         assert_eq!(own.dimensions(), (82, 74));
         for (x, y, intensity) in own.enumerate_pixels() {
-            // The border is continued here, and left out there.
+            // This code extends the border; `resize` leaves it out.
             let is_inside = (6..76).contains(&x) && (6..68).contains(&y);
             assert!(!is_inside || intensity[0].abs_diff(general.get_pixel(x, y)[0]) <= 1, "{x} {y}");
         }

@@ -1,4 +1,5 @@
-//! The reference picture as alignment reads it.
+//! The reference picture as alignment reads it. All of it is prepared once, when a surface is
+//! loaded, except `sight`, which is computed for each frame.
 //!
 //! - `texture`, `enlarge`: the picture at all levels, in tiles that share a cache line
 //! - `plane_table`: the tangent planes of a bent surface

@@ -1,47 +1,55 @@
-//! A bent surface, ready to be asked for thousands of touching planes a frame.
+//! The tangent planes of a bent surface, tabulated, because each frame asks for thousands of them.
 //!
-//! A spline costs sixteen coefficients for each of its three numbers. But within centimetres a smooth surface is its parabola, up to a few micrometres. So the parabolas of a
-//! grid of points are made once, and a plane costs a look at the nearest one.
+//! Evaluating the spline of a surface takes sixteen coefficients for each of its three coordinates.
+//! Within centimetres a smooth surface equals its osculating paraboloid (value, slopes and second
+//! derivatives at one point) up to a few micrometres. So these are computed once, for a grid of
+//! points, and a lookup evaluates the one of the nearest grid point.
 
 use nalgebra::{Vector2, Vector3};
 
 use crate::track::align::lanes::{LANES, Lanes};
 use crate::track::scene::shape::{ShapePoint, SurfaceShape};
 
-/// Points of the grid to an interval of the height's spline, along each axis. Chosen: of folds of 12 mm and 0.7 m, parabolas part by
-/// ten micrometres. Raised, the table grows by the square, and leaves the cache; lowered, edges of sharp folds are off.
+/// Grid steps per interval of the height's spline, along each axis. Raised, the table grows with
+/// the square and leaves the cache; lowered, edges of sharp folds are off.
 const TO_AN_INTERVAL: usize = 4;
-/// Step by which slopes are differenced, as a share of the grid's spacing. Any small one would do.
+/// Step of the finite differences of the slopes, as a fraction of the grid spacing. Any small value
+/// would do.
 const STEP: f64 = 0.25;
 
-/// Rows of a parabola: its value and that by x, by y and by xx, by xy and by yy. Each is four numbers: the stretch along x and y, the height, and nothing.
-/// So rows of eight points become columns of numbers in a few steps of the processor.
+/// Rows of a paraboloid: value and derivative by x; derivative by y and by xx; by xy and by yy.
+/// Each half row has four numbers: the offsets along x, y and z, and a zero. Rows of eight numbers
+/// of eight points transpose to columns in a few instructions.
 const ROWS: usize = 3;
 type Parabola = [[f32; LANES]; ROWS];
-/// Half a row.
+/// Length of half a row.
 const HALF: usize = LANES / 2;
 
-/// The parabolas of a grid of points.
+/// The paraboloids of a grid of points.
 #[derive(Debug, Clone)]
 pub struct PlaneTable {
-    /// The rows of all parabolas.
+    /// Rows of all paraboloids, [`ROWS`] for each grid point, row of the grid by row of the grid.
     rows: Vec<[f32; LANES]>,
-    /// Steps of the grid across and up.
+    /// Steps of the grid along x and y.
     steps: [usize; 2],
     /// Width and height of the picture, metres.
     size_m: [f64; 2],
 }
 
-/// The surface at points of its picture: how far it is off its plane's points, metres, and how that changes by a metre along the picture's x and y.
+/// The surface at several points (x, y) of its picture, metres.
 #[derive(Clone, Copy)]
 pub struct TablePoint<L> {
+    /// Offset of the surface from (x, y, 0), metres.
     pub off: [L; 3],
+    /// Derivative of `off` by x, metres per metre.
     pub off_by_x: [L; 3],
+    /// Derivative of `off` by y, metres per metre.
     pub off_by_y: [L; 3],
 }
 
 impl PlaneTable {
-    /// Of a shape of a picture of this size; `None` of a flat one, which needs none.
+    /// Tabulates a shape for a picture of this size, metres; `None` for a flat shape, which needs
+    /// no table.
     pub fn of(shape: &SurfaceShape, size_m: [f64; 2]) -> Option<Self> {
         let SurfaceShape::Bent(bent) = shape else { return None };
         let steps = bent.height.intervals().map(|n| n * TO_AN_INTERVAL);
@@ -52,11 +60,12 @@ impl PlaneTable {
         Some(Self { rows, steps, size_m })
     }
 
-    /// The surface at a point of its picture, as [`SurfaceShape::at`] up to micrometres.
+    /// Returns the surface at a point of its picture, metres. It agrees with [`SurfaceShape::at`]
+    /// to a few micrometres.
     pub fn at(&self, point: Vector2<f64>) -> ShapePoint {
         let nearest = |axis: usize| {
             let steps = self.steps[axis] as f64;
-            // `clamp` keeps a coordinate that is no number; as an index it becomes 0.
+            // `clamp` keeps a NaN, which becomes index 0.
             let index = ((point[axis] / self.size_m[axis] + 0.5) * steps).clamp(0.0, steps) + 0.5;
             let index = index as usize;
             (index, point[axis] - (index as f64 * (self.size_m[axis] / steps) - 0.5 * self.size_m[axis]))
@@ -73,7 +82,7 @@ impl PlaneTable {
         ShapePoint { place: Vector3::new(point.x, point.y, 0.0) + off, by_picture: [Vector3::x() + there_x, Vector3::y() + there_y] }
     }
 
-    /// The same at several points.
+    /// Returns the same for several points.
     #[inline(always)]
     pub fn at_lanes<L: Lanes>(&self, point: [L; 2]) -> TablePoint<L> {
         let ([i, x], [j, y]) = (self.nearest(0, point[0]), self.nearest(1, point[1]));
@@ -87,30 +96,31 @@ impl PlaneTable {
         TablePoint { off: [sx[0], sy[0], h[0]], off_by_x: [sx[1], sy[1], h[1]], off_by_y: [sx[2], sy[2], h[2]] }
     }
 
-    /// Index of the nearest points of the grid along an axis, and how far from them coordinates are.
+    /// Returns the index of the nearest grid point along an axis, and the coordinate relative to
+    /// it, metres.
     #[inline(always)]
     fn nearest<L: Lanes>(&self, axis: usize, at: L) -> [L; 2] {
         let (steps, size_m) = (self.steps[axis] as f32, self.size_m[axis] as f32);
         let index = at.mul_add(L::splat(steps / size_m), L::splat(0.5 * steps + 0.5));
-        // `max` takes the limit where a coordinate is no number.
+        // For a NaN `max` returns the limit.
         let index = index.max(L::splat(0.0)).min(L::splat(steps + 0.5)).floor();
         [index, at.sub(index.mul_add(L::splat(size_m / steps), L::splat(-0.5 * size_m)))]
     }
 
-    /// The n-th rows of parabolas.
+    /// Returns row `n` of the paraboloids at `index`, as columns.
     #[inline(always)]
     fn row<L: Lanes>(&self, index: L::Index, n: usize) -> [L; LANES] {
         L::gather_rows(&self.rows, L::address(index, whole::<L>(ROWS), whole::<L>(n), whole::<L>(0)))
     }
 }
 
-/// A small whole number in all lanes.
+/// Returns a small whole number in all lanes.
 #[inline(always)]
 fn whole<L: Lanes>(n: usize) -> L::Index {
     L::splat(n as f32).to_index()
 }
 
-/// A parabola's value at a place, and its slopes there.
+/// Returns the value of a paraboloid at (x, y), and its derivatives by x and y there.
 #[inline(always)]
 fn parabola_at<L: Lanes>([x, y]: [L; 2], value: L, [by_x, by_y]: [L; 2], [xx, xy, yy]: [L; 3]) -> [L; 3] {
     let (there_x, there_y) = (x.mul_add(xx, y.mul_add(xy, by_x)), x.mul_add(xy, y.mul_add(yy, by_y)));
@@ -118,10 +128,11 @@ fn parabola_at<L: Lanes>([x, y]: [L; 2], value: L, [by_x, by_y]: [L; 2], [xx, xy
     [grown.mul_add(L::splat(0.5), value), there_x, there_y]
 }
 
-/// About a point; `spacing`: of the grid.
+/// Computes the paraboloid at a point; `spacing` is that of the grid, metres.
 fn parabola(shape: &SurfaceShape, point: [f64; 2], size_m: [f64; 2], spacing: [f64; 2]) -> Parabola {
     let at = shape.at(point);
-    // The change of the slopes along an axis; beyond the picture there is no shape.
+    // The change of both derivatives along an axis. The step is clamped, because the shape is
+    // undefined beyond the picture.
     let curvature = |axis: usize| {
         let side = |sign: f64| {
             let mut p = point;

@@ -1,26 +1,30 @@
-//! How the camera sees a surface while its rows are exposed, in the numbers of the kernels.
+//! The camera's pose relative to a surface while its rows are exposed.
+//!
+//! With a rolling shutter each row has its own time, so the pose is a polynomial of time, in `f32`
+//! as the kernels need it. `pixels::appearance` evaluates it at each pixel's row.
 
 use crate::motion::Motion;
 use crate::track::align::lanes::Lanes;
 use crate::track::scene::rectangle::Rectangle;
 
-/// A surface's sights over time, as polynomials: [entry][power].
+/// The camera's pose in the frame of a surface, as quadratic polynomials of the seconds from the
+/// frame's stamp: [entry][power].
 pub struct SightPath {
     rotation: [[f32; 3]; 9],
     centre: [[f32; 3]; 3],
 }
 
-/// How a few pixels see a surface at a time.
+/// The camera's pose relative to a surface, for several pixels at their times.
 #[derive(Clone, Copy)]
 pub struct Sight<L> {
     /// The camera's centre in the surface's frame, metres.
     pub centre: [L; 3],
-    /// From rays to the surface's axes, row by row.
+    /// Rotation from camera axes to surface axes, row-major.
     pub rotation: [L; 9],
 }
 
 impl SightPath {
-    /// Of a surface from a motion.
+    /// Computes the polynomials for a surface and a camera motion.
     pub fn new(rectangle: &Rectangle, motion: &Motion) -> Self {
         let to_surface = rectangle.rotation.transpose();
         let turn = motion.rotation_polynomial().map(|r| to_surface * r);
@@ -32,7 +36,7 @@ impl SightPath {
         }
     }
 
-    /// At time `t`.
+    /// Evaluates them at `t`, seconds from the frame's stamp.
     #[inline(always)]
     pub fn at<L: Lanes>(&self, t: L) -> Sight<L> {
         let (mut centre, mut rotation) = ([t; 3], [t; 9]);
@@ -47,7 +51,7 @@ impl SightPath {
 }
 
 impl<L: Lanes> Sight<L> {
-    /// Where a ray leads, in the surface's axes.
+    /// Returns the direction of the ray (x, y, 1) in surface axes.
     #[inline(always)]
     pub fn direction(&self, x: L, y: L) -> [L; 3] {
         let mut direction = [x; 3];

@@ -1,4 +1,5 @@
-//! A surface as alignment needs it: its texture at all levels, its place, and its shape as a table.
+//! A surface prepared for alignment: its texture at all levels, its place in the body, and its
+//! shape as a table. Also computes where the nearest surface of a body is relative to a camera.
 
 use nalgebra::Vector3;
 
@@ -9,45 +10,50 @@ use crate::track::scene::rectangle::Rectangle;
 use crate::track::scene::shape::ShapePoint;
 use crate::track::scene::surface::SurfaceSpec;
 
-/// A surface as alignment needs it.
+/// A surface prepared for alignment.
 #[derive(Debug, Clone)]
 pub struct AlignSurface {
+    /// The picture at all levels.
     pub texture: Texture,
+    /// Place in the body, size and shape.
     pub rectangle: Rectangle,
-    /// Of a bent surface.
+    /// Tabulated tangent planes of a bent surface; `None` for a flat one.
     pub planes: Option<PlaneTable>,
 }
 
 impl AlignSurface {
-    /// Prepares a surface.
+    /// Prepares a surface: enlarges, halves and ranks its picture, and tabulates its shape.
     pub fn new(spec: &SurfaceSpec) -> Self {
         Self { texture: Texture::new(&spec.artwork), rectangle: Rectangle::of(spec), planes: PlaneTable::of(&spec.shape, spec.size_m) }
     }
 
-    /// Where a point of its picture is, up to micrometres.
+    /// Returns where a point of the picture (x, y from its middle, metres) lies on the surface, to
+    /// a few micrometres.
     pub fn at(&self, point: [f64; 2]) -> ShapePoint {
         self.planes.as_ref().map_or_else(|| self.rectangle.shape.at(point), |table| table.at(point.into()))
     }
 
-    /// Takes its place and shape anew.
+    /// Replaces place and shape; the picture stays.
     pub fn take_place(&mut self, spec: &SurfaceSpec) {
         self.planes = PlaneTable::of(&spec.shape, spec.size_m);
         self.rectangle = Rectangle::of(spec);
     }
 }
 
-/// From a camera to the centre of the nearest surface, body axes, metres.
+/// Returns the vector from a camera to the centre of the nearest surface, body axes, metres; `None`
+/// without surfaces.
 pub fn way_to_nearest(surfaces: &[AlignSurface], pose: &Pose<Body, Camera>) -> Option<Vector3<f64>> {
     let ways = surfaces.iter().map(|s| s.rectangle.centre - pose.translation);
     ways.min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()))
 }
 
-/// Where a camera sees the centre of the nearest surface, camera axes, metres.
+/// Returns the centre of the nearest surface in camera axes, metres; zero without surfaces.
 pub fn nearest_centre(surfaces: &[AlignSurface], pose: &Pose<Body, Camera>) -> Vector3<f64> {
     pose.rotation.inverse() * way_to_nearest(surfaces, pose).unwrap_or_default()
 }
 
-/// Distance of a camera from the nearest surface's centre, metres.
+/// Returns the distance from a camera to the centre of the nearest surface, metres: at least 1 mm,
+/// and infinite without surfaces.
 pub fn distance_m(surfaces: &[AlignSurface], pose: &Pose<Body, Camera>) -> f64 {
     way_to_nearest(surfaces, pose).map_or(f64::INFINITY, |way| way.norm()).max(1e-3)
 }

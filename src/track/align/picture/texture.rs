@@ -1,8 +1,13 @@
-//! A surface's picture as alignment reads it: a copy of twice the size, the picture, and a chain of halved copies,
-//! and for each the texels with the steepest grey, block by block.
+//! A surface's picture as alignment reads it.
 //!
-//! The enlarged copy makes linear interpolation good enough: between the texels of the picture itself it would lose
-//! detail that the camera sees, and those losses, other at every place, pull at the pose.
+//! There are several levels: a copy at twice the size, the picture itself, and a chain of halved
+//! copies. All are stored in tiles that each fill a cache line. For each level from the picture
+//! itself on, the steepest texels are listed block by block: `pixels::selection` chooses from these
+//! candidates.
+//!
+//! The enlarged copy makes linear interpolation accurate enough. Interpolating between the texels
+//! of the picture itself would lose detail that the camera sees, and this loss, which varies from
+//! place to place, would bias the pose.
 
 use image::GrayImage;
 
@@ -11,42 +16,44 @@ use crate::features::halved;
 use crate::simd::multiversion;
 use crate::track::align::lanes::{LANES, TILE_COLUMNS, TILE_ROWS, Tile};
 
-/// Columns and rows from tile to tile: neighbours share one of each.
+/// Columns and rows from one tile to the next; neighbours share one column or one row.
 pub const TILE_STEP: [usize; 2] = [TILE_COLUMNS - 1, TILE_ROWS - 1];
-/// Side of a block of texels that candidates are chosen from. Chosen, not tuned. Raised, the chosen pixels are spread less evenly; lowered,
-/// more blocks are projected in every frame.
+/// Side of a block of candidates, texels. Raised, the chosen pixels are spread less evenly;
+/// lowered, more blocks are projected per frame.
 pub const BLOCK: usize = 16;
-/// Candidates kept per block, of 256 texels: what a still camera takes at most. Chosen, not tuned. Raised, the lists take more memory;
-/// lowered, a still camera is asked less of detailed pictures.
+/// Maximum candidates per block of 256 texels. Raised, the lists take more memory; lowered, a still
+/// camera uses fewer pixels of detailed pictures.
 const KEPT: usize = 160;
-/// Pictures of more pixels are not enlarged: the copy takes nearly six bytes for each of theirs, and few cameras show such a picture larger
-/// than it is. Raised, large pictures take more memory and a longer start; lowered, linear interpolation loses detail of more of them.
+/// Maximum size of a picture that is enlarged, pixels. Raised, large pictures take more memory and
+/// load longer; lowered, more of them lose detail to interpolation.
 const MAX_ENLARGED: u32 = 6_000_000;
-/// Least grey difference per texel of a candidate. Chosen: the read noise of a usual camera, below which a pixel tells nearly nothing.
-/// Raised, soft pictures are left with too few pixels; lowered, lists hold texels that are never taken.
+/// Minimum gradient of a candidate, grey levels per texel. Raised, soft pictures have too few
+/// pixels; lowered, lists hold texels that are never taken.
 const MIN_GRADIENT: f32 = 1.5;
-/// The chain ends when a side falls below this, texels. Chosen, not tuned: less shows no detail to align by. Raised, pictures seen from
-/// afar are sampled too finely, and alias.
+/// The chain of halved copies ends before a side falls below this, texels. Raised, pictures seen
+/// from afar are sampled too finely and alias.
 const MIN_SIDE: usize = 8;
 
 /// All levels of a picture.
 #[derive(Debug, Clone)]
 pub struct Texture {
-    /// Grey of all levels, tile by tile and row of tiles by row of tiles. A tile starts [`TILE_STEP`] texels behind its neighbour.
+    /// Grey of all levels, row of tiles by row of tiles. A tile starts [`TILE_STEP`] texels after
+    /// its neighbour.
     pub tiles: Vec<Tile>,
-    /// Address in bytes of each level's first texel; unused entries repeat the last.
+    /// Byte address of each level's first texel; unused entries repeat the last level.
     pub base: [i32; LANES],
-    /// Bytes per row of tiles of each level, less those that the rows of a tile take.
+    /// Bytes per row of tiles of each level, minus the bytes of `TILE_STEP[1]` rows of a tile: an
+    /// address also counts `TILE_COLUMNS` bytes for each row of the level above the texel's.
     pub stride: [i32; LANES],
-    /// Texels of each level by pixels of the picture.
+    /// Texels of each level per pixel of the picture.
     pub scale: [f32; LANES],
-    /// Largest column and row that interpolation may start from, in each level.
+    /// Largest column from which interpolation may start, per level.
     pub last_column: [f32; LANES],
-    /// See `last_column`.
+    /// Largest row from which interpolation may start, per level.
     pub last_row: [f32; LANES],
-    /// Levels in use.
+    /// Number of levels in use.
     pub levels: usize,
-    /// Candidates of each level.
+    /// Candidates of each level; none for the enlarged copy.
     pub candidates: Vec<Candidates>,
 }
 
@@ -57,9 +64,9 @@ pub struct Candidates {
     pub columns: usize,
     /// Blocks down.
     pub rows: usize,
-    /// Where the candidates of block k start; one entry more than blocks.
+    /// Where the candidates of block k start; one more entry than blocks.
     starts: Vec<u32>,
-    /// Offsets inside the block, steepest first.
+    /// Offsets (column, row) inside the block, steepest first.
     offsets: Vec<[u8; 2]>,
 }
 
@@ -68,7 +75,7 @@ impl Candidates {
         Self { columns: 0, rows: 0, starts: vec![0], offsets: Vec::new() }
     }
 
-    /// The offsets of block (column, row) inside it, steepest first.
+    /// Returns the offsets of the candidates inside block (column, row), steepest first.
     pub fn of_block(&self, column: usize, row: usize) -> &[[u8; 2]] {
         let k = row * self.columns + column;
         &self.offsets[self.starts[k] as usize..self.starts[k + 1] as usize]
@@ -94,7 +101,8 @@ impl Texture {
         texture.tiles.reserve_exact(sizes.map(|size| tiles_of(size).iter().product::<usize>()).sum());
         if is_enlarged {
             let mut enlarged = Enlarged::new(picture);
-            // Pixels are never chosen by texels that the picture does not have.
+            // The enlarged copy has no candidates: pixels are chosen by texels of the picture
+            // itself.
             texture.push(enlarged.size(), |j, row| enlarged.write_row(j, row), 2.0, Candidates::none());
         }
         let halves = std::iter::successors(Some(picture.clone()), |level| Some(halved(level)));
@@ -113,7 +121,7 @@ impl Texture {
         texture
     }
 
-    /// The level that is the picture itself.
+    /// Returns the level that is the picture itself.
     pub fn own_level(&self) -> usize {
         usize::from(self.scale[0] > 1.0)
     }
@@ -129,7 +137,7 @@ impl Texture {
     }
 }
 
-/// Of a picture and its halved copies, down to the last that shows detail.
+/// Returns the sizes of a picture and its halved copies, down to [`MIN_SIDE`].
 fn halved_sizes(own: [usize; 2]) -> impl Iterator<Item = [usize; 2]> {
     std::iter::successors(Some(own), |size| {
         let half = size.map(|n| n / 2);
@@ -137,15 +145,15 @@ fn halved_sizes(own: [usize; 2]) -> impl Iterator<Item = [usize; 2]> {
     })
 }
 
-/// Tiles across and down that a picture is cut into.
+/// Returns the number of tiles across and down that a picture is cut into.
 fn tiles_of([w, h]: [usize; 2]) -> [usize; 2] {
     [(w - 1).div_ceil(TILE_STEP[0]), (h - 1).div_ceil(TILE_STEP[1])]
 }
 
-/// Cuts a picture, which is written row by row, into tiles; the bytes per row of them, less those that the rows of a tile take.
+/// Cuts a picture, which is written row by row, into tiles. Returns [`Texture::stride`].
 fn push_tiles([w, h]: [usize; 2], mut write_row: impl FnMut(usize, &mut [u8]), tiles: &mut Vec<Tile>) -> i32 {
     let [across, down] = tiles_of([w, h]);
-    // The rows of a row of tiles.
+    // Buffer for the rows of one row of tiles.
     let mut raw = vec![0; TILE_ROWS * w];
     for row in 0..down {
         let j = row * TILE_STEP[1];
@@ -161,7 +169,7 @@ fn push_tiles([w, h]: [usize; 2], mut write_row: impl FnMut(usize, &mut [u8]), t
             let n = TILE_COLUMNS.min(w - i);
             for (k, texels) in tile.0.chunks_exact_mut(TILE_COLUMNS).enumerate().take(h - j) {
                 let source = &raw[k * w + i..][..n];
-                // A full row is copied as one register.
+                // The compiler copies a chunk of constant size as one register.
                 match source.first_chunk::<TILE_COLUMNS>() {
                     Some(full) => texels.copy_from_slice(full),
                     None => texels[..n].copy_from_slice(source),
@@ -173,17 +181,18 @@ fn push_tiles([w, h]: [usize; 2], mut write_row: impl FnMut(usize, &mut [u8]), t
     (across * size_of::<Tile>()) as i32 - (TILE_STEP[1] * TILE_COLUMNS) as i32
 }
 
+/// Lists the steepest texels of a picture of `w` x `h`, block by block.
 fn candidates(raw: &[u8], w: usize, h: usize) -> Candidates {
     let (columns, rows) = (w.div_ceil(BLOCK), h.div_ceil(BLOCK));
     let mut out = Candidates { columns, rows, starts: vec![0], offsets: Vec::new() };
-    // A row of blocks, full even where the picture ends before.
+    // One row of blocks, padded where the picture ends inside a block.
     let stride = columns * BLOCK;
     let mut steepness = vec![0u32; stride * BLOCK];
     let mut ranking = Ranking::new();
     for row in 0..rows {
         for (own, j) in steepness.chunks_exact_mut(stride).zip(row * BLOCK..) {
             let line = |j: usize| &raw[j * w..][..w];
-            // The rim has no gradients.
+            // The outermost rows and columns have no central differences.
             if j == 0 || j + 1 >= h || w < 3 {
                 own.fill(0);
             } else {
@@ -200,7 +209,7 @@ fn candidates(raw: &[u8], w: usize, h: usize) -> Candidates {
 }
 
 multiversion! {
-    /// Four times the squared gradients of the middle one of three rows, but for its ends.
+    /// Computes four times the squared gradient for the middle one of three rows, without its ends.
     fn steepness_of(rows: [&[u8]; 3], out: &mut [u32]); ["avx2"] => steepness_of_plain, else steepness_of_plain
 }
 
@@ -215,18 +224,19 @@ fn steepness_of_plain([above, here, below]: [&[u8]; 3], out: &mut [u32]) {
     }
 }
 
-/// Bits of a key that tell the texel.
+/// Bits of a sort key that hold the texel; they number all texels of a block.
 const TEXEL_BITS: u32 = 8;
 const TEXELS: usize = 1 << TEXEL_BITS;
 const _: () = assert!(BLOCK * BLOCK == TEXELS);
 
-/// Ranks the texels of a block; keeps its buffers.
+/// Ranks the texels of a block; reuses its buffers.
 #[derive(Debug, Clone)]
 struct Ranking {
-    /// Four times the squared gradient, and what is larger for the texels that come first where that is equal.
+    /// Sort keys: four times the squared gradient, above a texel number that puts ties in column
+    /// order.
     keys: [u32; TEXELS],
     sorted: [u32; TEXELS],
-    /// Where each bucket begins among the sorted keys; where it ends, once all are there.
+    /// Start of each bucket among the sorted keys; its end, once all keys are placed.
     ends: [u32; BUCKETS],
 }
 
@@ -235,17 +245,17 @@ impl Ranking {
         Self { keys: [0; TEXELS], sorted: [0; TEXELS], ends: [0; BUCKETS] }
     }
 
-    /// The texels that are steep enough, the steepest first. They go into buckets of about the same steepness, and only those buckets are sorted
-    /// whose texels are kept.
+    /// Appends the texels that are steep enough, steepest first. A bucket sort by rough steepness
+    /// comes first, and only buckets whose texels are kept are sorted.
     fn append_steepest(&mut self, block: [&[u32]; BLOCK], offsets: &mut Vec<[u8; 2]>) {
-        // As the keys count it.
+        // [`MIN_GRADIENT`] in the unit of the keys.
         const LEAST: u32 = (4.0 * MIN_GRADIENT * MIN_GRADIENT) as u32;
         let Self { keys, sorted, ends } = self;
         let mut count = 0;
         ends.fill(0);
         for (dy, row) in block.into_iter().enumerate() {
             for (dx, n) in row.iter().enumerate().take(BLOCK) {
-                // What is not steep is written over by the next one.
+                // The next key overwrites one that is not steep.
                 keys[count] = (n << TEXEL_BITS) | (TEXELS - 1 - (dx * BLOCK + dy)) as u32;
                 let is_steep = *n >= LEAST;
                 ends[bucket(*n)] += u32::from(is_steep);
@@ -279,14 +289,16 @@ impl Ranking {
     }
 }
 
-/// The bucket of a steepness: sixteen for each doubling, the steepest last. Most have a texel or two.
+/// Returns the bucket of a steepness: sixteen per doubling, the steepest last. Most hold one or two
+/// texels of a block.
 fn bucket(steepness: u32) -> usize {
     (((steepness as f32).to_bits() >> BUCKET_SHIFT) as usize).saturating_sub(BUCKETS_BELOW)
 }
 
-/// Low bits of a float that do not tell its bucket.
+/// Low bits of a float that do not select its bucket.
 const BUCKET_SHIFT: u32 = 19;
-/// The bucket of a steepness of 1, were it counted from 0; buckets for all that 8 bits can differ by, in two directions.
+/// Number of the bucket of a steepness of 1 before the shift to 0, and the number of buckets for
+/// all differences of 8 bits in two directions.
 const BUCKETS_BELOW: usize = (1.0f32.to_bits() >> BUCKET_SHIFT) as usize;
 const BUCKETS: usize = ((2.0 * 255.0 * 255.0f32).to_bits() >> BUCKET_SHIFT) as usize - BUCKETS_BELOW + 1;
 
@@ -322,7 +334,7 @@ mod tests {
     #[test]
     fn the_steepest_of_a_block_are_those_of_a_plain_sort() {
         for seed in [3u32, 8, 21] {
-            // Small steps too, so that many are equally steep.
+            // Small ranges of grey too, so that many texels are equally steep.
             let grey = |x: u32, y: u32| (x.wrapping_mul(2_654_435_761) ^ y.wrapping_mul(40_503).wrapping_mul(seed) ^ (x * y)) >> 7;
             let picture = GrayImage::from_fn(53, 41, |x, y| image::Luma([(grey(x, y) % (5 + 12 * seed)) as u8]));
             let found = candidates(picture.as_raw(), 53, 41);
