@@ -1,69 +1,75 @@
-//! How long the shutter is open, where nobody said: learnt from blurred frames.
+//! Learns the exposure time from blurred frames where it is not configured.
+//!
+//! The length of the motion blur is the speed times the exposure. So each blurred frame yields a
+//! [`Clue`] on how much longer or shorter the exposure should be ([`exposure_clue`]), and
+//! [`UnknownExposure`] follows these clues slowly.
 
 use super::clue::Clue;
 use crate::camera::Shutter;
 
-/// Exposure that an unknown camera is begun with, seconds. Chosen, not tuned: learning only begins there, and found the 12 ms of d-handheld
-/// from it. Raised, blur is predicted in the first frames that may not be there.
+/// Initial exposure of an unknown camera, seconds. Raised, the first frames are predicted with blur
+/// that they may not have.
 pub const USUAL_EXPOSURE_S: f64 = 0.004;
-/// Shortest exposure that is learnt, seconds. Chosen: at 300 pixels a second it blurs by 0.15. Never 0, from which an exposure that changes
-/// by shares of itself could not rise again. Raised, cameras with short exposures are predicted too blurred.
+/// Minimum learnt exposure, seconds; above 0, because changes are relative. Raised, cameras with
+/// short exposures are predicted too blurred.
 const MIN_EXPOSURE_S: f64 = 5e-4;
-/// Longest exposure that is learnt, seconds: the time from frame to frame at 25 a second. Raised, frames that mislead can lead further
-/// astray.
+/// Maximum learnt exposure, seconds: the frame interval at 25 per second. Raised, misleading frames
+/// can do more harm.
 const MAX_EXPOSURE_S: f64 = 0.04;
-/// Frames with this much blur or less, pixels of the frame, say nothing of the exposure; with less than `TELLING_BLUR_PX` they count by the
-/// fourth power of it, as their information falls. With 1.5 for both, d-handheld was 0.106 mm off instead of 0.095. `MIN_BLUR_PX`
-/// lowered, the point spread passes for motion; `TELLING_BLUR_PX` raised, a slow camera learns its exposure later.
+/// Blur that a frame needs for a clue, and below which its weight falls with the fourth power of
+/// the blur, pixels of the frame. `MIN_BLUR_PX` lowered, point spread passes for motion;
+/// `TELLING_BLUR_PX` raised, a slow camera learns later.
 const MIN_BLUR_PX: f64 = 0.8;
 pub const TELLING_BLUR_PX: f64 = 1.5;
-/// Share of what a frame says that is taken over: a memory of some ten frames, once the first ones, which count more, are in. Raised, the
-/// exposure follows the noise of single frames.
+/// Fraction of a frame's clue that is applied, once the first frames, which count more, are in.
+/// Raised, the exposure follows the noise of single frames.
 const LEARNT_SHARE: f64 = 0.2;
-/// Shares by which the exposure's square falls and rises in one frame at most: to a half, to twice. Chosen, not tuned: so far off the blur
-/// is not linear in it any more. Raised, one frame that misleads does more harm; lowered, a wrong start is left later.
+/// Maximum relative decrease and increase of the squared exposure per frame. Raised, a misleading
+/// frame does more harm; lowered, a wrong start is left later.
 const MAX_FALL: f64 = 0.5;
 const MAX_RISE: f64 = 1.0;
 
-/// One sigma of an exposure that is not known, as a share of it: before any frame told of it, and after many. Chosen, not tuned: cameras expose for 1 to 20 ms.
-/// Raised, the speed of a body that was just found is less sure.
+/// Relative sigma of a learnt exposure, before any frame and after many. Raised, the speed of a
+/// newly found body is less certain.
 const FIRST_SIGMA: f64 = 1.0;
 const LEARNT_SIGMA: f64 = 0.05;
 
-/// What is known of the point spread when a frame is asked for its blur.
+/// What is known of the point spread when a frame's blur is evaluated, in the kernel's unit of
+/// variance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KnownPsfVariance {
-    /// Its slow average less what the frame was solved with.
+    /// Its slow average minus the value that the frame was solved with.
     pub error: f64,
-    /// One sigma.
+    /// One sigma of that.
     pub sigma: f64,
 }
 
-/// An exposure that follows slowly what blurred frames say of it.
+/// Follows an unknown exposure by the clues of blurred frames.
 #[derive(Debug, Clone, Default)]
 pub struct UnknownExposure {
-    /// Frames that told of it, by how much they did.
+    /// Sum of the weights of all frames so far, each at most 1.
     told: f64,
 }
 
 impl UnknownExposure {
-    /// One that earlier frames told, to this share of it, one sigma.
+    /// Returns the state of an exposure that an earlier session learnt to this relative sigma.
     pub fn known_to(sigma: f64) -> Self {
         let of_frames = (sigma.powi(2) - LEARNT_SIGMA.powi(2)).max(0.0).sqrt().max(LEARNT_SIGMA);
         Self { told: (FIRST_SIGMA / of_frames - 1.0).max(0.0) }
     }
 
-    /// Whether frames told of it.
+    /// Whether frames have determined it, with a total weight of at least one frame.
     pub fn is_told(&self) -> bool {
         self.told >= 1.0
     }
 
-    /// One sigma of the exposure, as a share of it.
+    /// Returns the relative sigma of the exposure.
     pub fn sigma(&self) -> f64 {
         LEARNT_SIGMA.hypot(FIRST_SIGMA / (1.0 + self.told))
     }
 
-    /// Learns from a frame's clue.
+    /// Corrects the exposure of `shutter` by a frame's clue. `blur_px`: length of the frame's blur,
+    /// pixels of the frame.
     pub fn learn(&mut self, shutter: &mut Shutter, clue: Clue, blur_px: f64) {
         let weight = (blur_px / TELLING_BLUR_PX).min(1.0).powi(4);
         self.told += weight;
@@ -74,20 +80,22 @@ impl UnknownExposure {
     }
 }
 
-/// What the residuals of a frame with so much blur say of the exposure, beside the point spread, as a share of it; `None` where the frame
-/// is too sharp to tell. `blur`: sums of the tiles' evidence.
+/// Returns a frame's clue on the exposure, as a relative change, with the point spread free; `None`
+/// where the frame is too sharp or blur and point spread cannot be told apart. `blur`:
+/// `RunEvidence::blur` summed over the tiles; `blur_px`: length of the blur, pixels of the frame.
 pub fn exposure_clue(blur: &[f64; 5], psf_variance: KnownPsfVariance, blur_px: f64) -> Option<Clue> {
     if blur_px <= MIN_BLUR_PX {
         return None;
     }
     let mut s = *blur;
-    // What is known of the point spread keeps it from passing for motion.
+    // The prior of the point spread keeps it from passing for motion.
     s[0] += psf_variance.sigma.powi(-2);
     s[3] += psf_variance.error * psf_variance.sigma.powi(-2);
     let determinant = s[0] * s[2] - s[1] * s[1];
     if determinant <= 1e-3 * s[0] * s[2] {
         return None;
     }
-    // Grey changes by -2 / exposure of "sharper" per second of exposure: blur grows with its square.
+    // A relative change c of the exposure changes the grey by -2 c times "sharper", because blur
+    // grows with the square of the exposure.
     Some(Clue { score: -2.0 * (s[0] * s[4] - s[1] * s[3]) / s[0], information: 4.0 * determinant / s[0] })
 }

@@ -1,30 +1,31 @@
 //! Whether the blur of moving frames contradicts a configured exposure.
 //!
-//! Each blurred frame says by which share the exposure should change. One frame may be wrong by
-//! half, since blur by focus and blur by motion look alike along one direction. Many frames that
-//! agree are not. Nothing is changed by it: what is configured is used, and contradicted in words.
+//! Each blurred frame yields a clue on the relative change of the exposure. A single frame may be
+//! wrong by half, because defocus and motion blur look alike along one direction; many frames that
+//! agree are not. The configured exposure stays in use: a contradiction is only reported.
 
 use super::clue::Clue;
 use super::exposure::TELLING_BLUR_PX;
 
-/// Frames that must have shown blur, by how much they show. Raised, a wrong exposure is named
-/// later; lowered, a few unusual frames contradict a right one.
+/// Minimum total weight of blurred frames. Raised, a wrong exposure is reported later; lowered, a
+/// few unusual frames contradict a right one.
 const MIN_FRAMES: f64 = 30.0;
-/// Least share of the exposure by which it is off, up or down by as much. Raised, smaller errors
-/// pass; lowered, rounding by drivers and strong sharpening contradict right exposures.
+/// Minimum factor between the fitted and the configured exposure, up or down. Raised, smaller
+/// errors pass; lowered, rounding by drivers and strong sharpening contradict right exposures.
 const MIN_CHANGE: f64 = 1.5;
-/// Shortest exposure over the configured one that is named: below it nearly no blur is left, which a
-/// camera that sharpens shows as well. Raised, exposures that are configured too long pass; lowered,
+/// Minimum ratio of fitted to configured exposure that is reported; below it nearly no blur is
+/// left, as in a camera that sharpens. Raised, an exposure configured too long passes; lowered,
 /// sharpening contradicts right ones.
 const MIN_RATIO: f64 = 0.3;
-/// Least distance of the mean from zero, standard errors. Five frames in a row count as one, since
-/// their errors are alike. Raised, wrong exposures are named later.
+/// Minimum distance of the mean from zero, standard errors, and consecutive frames that count as
+/// one, because their errors are alike. Raised, wrong exposures are reported later.
 const MIN_SIGMAS: f64 = 5.0;
 const ALIKE_FRAMES: f64 = 5.0;
-/// What a single frame may say at most, share of the exposure either way: twice as long.
+/// Maximum relative change that a single frame may ask for, either way; at 1.5 the exposure is
+/// doubled.
 const MAX_SAID: f64 = 1.5;
 
-/// Mean and scatter of what frames say of a configured exposure.
+/// Weighted mean and scatter of the clues on a configured exposure.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ExposureWatch {
     frames: f64,
@@ -33,7 +34,7 @@ pub struct ExposureWatch {
 }
 
 impl ExposureWatch {
-    /// Takes what a frame says whose blur is so long.
+    /// Adds a frame's clue. `blur_px`: length of the frame's blur, pixels of the frame.
     pub fn take(&mut self, clue: Clue, blur_px: f64) {
         let weight = (blur_px / TELLING_BLUR_PX).min(1.0).powi(4);
         let said = (clue.score / clue.information).clamp(-MAX_SAID, MAX_SAID);
@@ -44,7 +45,8 @@ impl ExposureWatch {
         }
     }
 
-    /// The exposure that fits over the configured one, where frames clearly contradict that.
+    /// Returns the ratio of the fitted to the configured exposure where the frames clearly
+    /// contradict the configured one.
     pub fn contradiction(&self) -> Option<f64> {
         if self.frames < MIN_FRAMES {
             return None;
@@ -66,7 +68,8 @@ mod tests {
 
     use super::*;
 
-    /// The contradiction after frames whose real exposure is `ratio` times the configured one.
+    /// Returns the contradiction after frames whose real exposure is `ratio` times the configured
+    /// one.
     fn after(frames: u32, ratio: f64, blur_px: f64, noise: f64) -> Option<f64> {
         let mut random = Pcg64Mcg::seed_from_u64(5);
         let mut watch = ExposureWatch::default();
@@ -98,7 +101,7 @@ mod tests {
     fn few_frames_and_sharp_frames_say_nothing() {
         assert_eq!(after(20, 0.5, 3.0, 0.1), None);
         assert_eq!(after(200, 0.5, 0.5, 0.1), None);
-        // Frames that disagree among themselves do not, either.
+        // Frames that disagree with each other do not either.
         assert_eq!(after(60, 0.6, 3.0, 3.0), None);
     }
 }

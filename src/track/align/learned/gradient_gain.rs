@@ -1,26 +1,28 @@
-//! How steep the prediction really is, learnt from steps.
+//! The gradient gain: the fraction of the predicted gradients that is real, learnt from the steps
+//! of the solver.
 //!
-//! A slope over the samples inside a pixel lets finer detail through than the pixel does: it is the pixel's own slope and something beside
-//! it, which scatters from pixel to pixel. That scatter counts as information, and steps come out too short (the dilution of a
-//! regression whose regressor is noisy: Fuller 1987). What a step changed in the prediction, over what its slopes predicted, is
-//! the share of the slopes that is real; with it steps are as long as they should be, and one of them is often enough.
+//! A gradient fitted to the samples inside a pixel passes finer detail than the pixel does. It is
+//! the pixel's own gradient plus a part that scatters from pixel to pixel. That scatter counts as
+//! information, so steps come out too short (regression dilution, the attenuation by a noisy
+//! regressor: Fuller 1987). The ratio of the change that a step made in the prediction to the
+//! change that the gradients predicted is the real fraction. With it, steps have the right length,
+//! and one is often enough.
 
 use crate::track::align::lanes::{LANES, Lanes, dispatch, load_at, resize_with_room, store_at, total};
 
-/// The share that slopes are begun with, and the least and most it may become. Learnt are 0.97 of the usual on d-handheld and 0.8 on the
-/// steepest views of d-steep; the bounds lie beyond, against frames that mislead. A share that is too large makes steps too short, too
-/// small too long.
+/// Initial gain, and its minimum and maximum. Too large a gain makes steps too short, too small a
+/// gain too long; wider bounds let misleading frames do more harm.
 const USUAL: f64 = 0.95;
 const LEAST: f64 = 0.7;
 const MOST: f64 = 1.1;
-/// Share of the difference to a frame's estimate that is taken over each frame: a memory of some ten frames. Chosen, not tuned. Raised, the
-/// share follows single frames; lowered, steps stay too short or too long for longer when the view changes.
+/// Fraction of the difference to a frame's estimate that is applied per frame. Raised, the gain
+/// follows single frames; lowered, steps have a wrong length for longer after the view changes.
 const FOLLOWS: f64 = 0.2;
-/// Least mean squared change of a step that is learnt from, grey levels²: a tenth of a level. Chosen: of smaller changes the rounding of
-/// texels to whole levels is a large part. Raised, slow cameras never learn the share.
+/// Minimum mean squared change of a step that is learnt from, grey levels². Raised, slow cameras
+/// never learn the gain; lowered, rounding to whole levels biases it.
 const MIN_CHANGE: f64 = 0.01;
 
-/// The share of the slopes over samples that is the pixels' own, as learnt so far.
+/// The fraction of the sampled gradients that is the pixels' own, as learnt so far.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GradientGain(f64);
 
@@ -31,12 +33,12 @@ impl Default for GradientGain {
 }
 
 impl GradientGain {
-    /// The share.
+    /// Returns the fraction.
     pub fn get(self) -> f64 {
         self.0
     }
 
-    /// Learns from a step whose change was predicted with the gain as it is.
+    /// Learns from steps whose change was predicted with the gain as it is.
     pub fn learn(&mut self, sums: &ChangeSums) {
         if sums.predicted_squared > MIN_CHANGE * sums.count {
             let found = sums.product / sums.predicted_squared;
@@ -46,19 +48,20 @@ impl GradientGain {
     }
 }
 
-/// Sums over pixels: their number, the predicted change squared, and that times the real one.
+/// Sums over pixels: their number, the squared predicted change, and predicted times real change.
+/// The latter two are in grey levels².
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ChangeSums {
-    /// Pixels that tell something.
+    /// Number of pixels that count: not burnt out, not drowned in black, no padding.
     pub count: f64,
-    /// Of the change that the slopes predict.
+    /// Sum of the squared predicted changes.
     pub predicted_squared: f64,
-    /// Of the predicted and the real change.
+    /// Sum of predicted times real change.
     pub product: f64,
 }
 
 impl ChangeSums {
-    /// Adds those of another step.
+    /// Adds the sums of another step.
     pub fn add(&mut self, other: &Self) {
         self.count += other.count;
         self.predicted_squared += other.predicted_squared;
@@ -66,7 +69,7 @@ impl ChangeSums {
     }
 }
 
-/// The grey of pixels before a step, and the change that the slopes predict.
+/// The grey of pixels before a step, and the change that the gradients predict for it.
 #[derive(Debug, Default)]
 pub struct PredictedChange {
     intensity: Vec<f32>,
@@ -74,19 +77,21 @@ pub struct PredictedChange {
 }
 
 impl PredictedChange {
-    /// Makes room for `n` pixels.
+    /// Makes room for `n` pixels, a whole number of lanes.
     pub fn resize(&mut self, n: usize) {
         resize_with_room(&mut self.intensity, n, 0.0);
         resize_with_room(&mut self.change, n, 0.0);
     }
 
-    /// Predicts the pixels of a range. `by_pose`: their derivatives; `step`: the change of pose at their time.
+    /// Predicts the change of the pixels of a range, whole lanes. `by_pose`: their derivatives by
+    /// the pose; `step`: the change of the pose at their time, in the same order and units.
     pub fn predict(&mut self, intensity: &[f32], by_pose: &[Vec<f32>; 6], step: &[f32; 6], range: std::ops::Range<usize>) {
         self.intensity[range.clone()].copy_from_slice(&intensity[range.clone()]);
         predict_change(by_pose, step, [range.start, range.end], &mut self.change);
     }
 
-    /// What became of that. `grey`: after the step; `counts`: 1 for pixels that tell something.
+    /// Compares the predicted change with the real one. `intensity`: the prediction after the step;
+    /// `counts`: 1 for pixels that count, else 0.
     pub fn compare(&self, intensity: &[f32], counts: &[f32]) -> ChangeSums {
         let n = self.intensity.len().min(intensity.len()).min(counts.len()) / LANES * LANES;
         let [count, predicted_squared, product] = compare(self, intensity, counts, n);
@@ -95,7 +100,7 @@ impl PredictedChange {
 }
 
 dispatch! {
-    /// The change that slopes predict for the pixels of a range.
+    /// Computes the change that the gradients predict for the pixels of a range.
     predict_change, predict_change_lanes,
     (by_pose: &[Vec<f32>; 6], step: &[f32; 6], range: [usize; 2], out: &mut [f32])
 }
@@ -114,7 +119,7 @@ fn predict_change_lanes<L: Lanes>(by_pose: &[Vec<f32>; 6], step: &[f32; 6], rang
 }
 
 dispatch! {
-    /// The sums over the first `n` pixels.
+    /// Computes the fields of [`ChangeSums`], in their order, over the first `n` pixels.
     compare, compare_lanes, (predicted_change: &PredictedChange, intensity: &[f32], counts: &[f32], n: usize) -> [f64; 3]
 }
 
@@ -147,7 +152,7 @@ mod tests {
         let by_pose: [Vec<f32>; 6] = std::array::from_fn(|c| (0..n).map(|k| ((k * (c + 3)) as f32).sin() * 50.0).collect());
         let step = [0.1, -0.05, 0.2, 0.03, 0.07, -0.1];
         let intensity: Vec<f32> = (0..n).map(|k| k as f32).collect();
-        // The last lane of pixels tells nothing.
+        // The last lane of pixels does not count.
         let counts: Vec<f32> = (0..n).map(|k| if k < n - LANES { 1.0 } else { 0.0 }).collect();
         let mut share = GradientGain::default();
         let mut predicted_change = PredictedChange::default();
@@ -155,7 +160,8 @@ mod tests {
         for _ in 0..60 {
             let applied: [Vec<f32>; 6] = std::array::from_fn(|c| by_pose[c].iter().map(|v| v * share.get() as f32).collect());
             predicted_change.predict(&intensity, &applied, &step, 0..n);
-            // Eight tenths of the slopes as they are without any share are real; where nothing is told, all is other.
+            // Eight tenths of the gradients before any gain are real. Pixels that do not count
+            // change by something else.
             let after = |k: usize| {
                 let change: f32 = (0..6).map(|c| by_pose[c][k] * step[c]).sum();
                 intensity[k] + if k < n - LANES { 0.8 * change } else { 99.0 }

@@ -1,88 +1,99 @@
-//! How the stage's light and the camera turn the reference's grey into the frame's: a gain that varies smoothly
-//! over the frame, a bias, and a point spread wider or narrower than the reference's.
+//! The photometric model: how light and camera turn the reference's grey into the frame's. It has a
+//! gain that varies smoothly over the frame, a bias, and a point spread wider or narrower than that
+//! of the reference.
 //!
-//! A [`Light`] and the grid that its gains are for are one value and change together: every tile of the grid has its
-//! four nodes. What outlives a grid is a [`RememberedLight`], which no tile can ask.
+//! A [`Light`] and the grid of its gains are one value and change together, so that every tile of
+//! the grid has its four nodes. What outlives a grid is a [`RememberedLight`], which no tile can
+//! query.
 //!
-//! # Where another parameter goes
-//! 1. [`columns`](crate::track::align::kernel::columns): its column before `GAINS`, and `LIGHT` one more. Sums take their sizes from there; the blocks that they are
-//!    computed by stop compiling until `tile_products` lays them out anew.
-//! 2. [`normal`](crate::track::align::kernel::normal): its effect in `residuals_lanes`, its derivative in `columns`; `kernel_tests` hold the one to differences of the other.
-//!    A term that is not linear in the picture also changes the columns beside it, and the slope of seen by predicted that `columns` gives as the gain.
-//! 3. Here: a field of [`Light`], [`TileLight`] and [`RememberedLight`], and all that copies them: `of_tile`, `spread_over`, `correct`, `guess`, `take`,
-//!    `clone_from`. `correct` and `guess` are called through [`pixels`](crate::track::align::pixels::runs) by [`level_problem`](crate::track::align::solve::level_problem).
-//! 4. [`system`](crate::track::align::solve::system): its prior in `begin`, its part of `Step` and of `of_tile`, its place in `spread_out` and in the list `others` of `add`.
-//!    A parameter that is one for the whole frame counts among `SHARED`.
+//! # How to add a parameter
+//! 1. [`columns`](crate::track::align::kernel::columns): add its column before `GAINS`, and one to
+//!    `LIGHT`. Sums take their sizes from there. The blocks in which `tile_products` computes them
+//!    no longer compile until they are laid out anew.
+//! 2. [`normal`](crate::track::align::kernel::normal): add its effect to `residuals_lanes` and its
+//!    derivative to `columns`; `kernel_tests` compare the two by finite differences. A term that is
+//!    not linear in the picture also changes the other columns, and the derivative of seen by
+//!    predicted grey that `columns` returns as the gain.
+//! 3. Here: add a field to [`Light`], [`TileLight`] and [`RememberedLight`], and to all that copies
+//!    them: `of_tile`, `spread_over`, `correct`, `guess`, `take`, `clone_from`.
+//!    [`level_problem`](crate::track::align::solve::level_problem) calls `correct` and `guess`
+//!    through [`pixels`](crate::track::align::pixels::runs).
+//! 4. [`system`](crate::track::align::solve::system): add its prior to `begin`, its part to `Step`
+//!    and its `of_tile`, and its place to `spread_out` and to the list `others` of `add`. A
+//!    parameter with one value for the whole frame counts among `SHARED`.
 
 use crate::track::frame::tile_grid::TileGrid;
 
-/// Weight of the usual gain at a node, beside the tiles that touch it, which weigh 1 each. Only the first guess: the solution corrects it.
-/// Chosen, not tuned. At 0, nodes without a tile would have no gain; raised, shadows are guessed too bright.
+/// Weight of the usual gain at a node in the first guess, where each adjacent tile weighs 1. At 0,
+/// nodes without a tile have no gain; raised, shadows are guessed too bright.
 const USUAL_SHARE: f64 = 0.2;
 
-/// The light at a tile and the small changes that a solution brings to its pixels.
+/// The light at a tile. A solution changes it by little.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct TileLight {
-    /// Gain at the corners of its cell.
+    /// Gain at the corners of the tile's cell of the light grid: top left, top right, bottom left,
+    /// bottom right.
     pub gains: [f32; 4],
-    /// Point spread.
+    /// Variance added by the point spread, in the kernel's unit (a twelfth of a square pixel of the
+    /// level).
     pub psf_variance: f32,
-    /// Grey levels.
+    /// Bias, grey levels.
     pub bias: f32,
 }
 
-/// seen = gain(x) (grey + spread * d grey / d spread) + bias.
+/// The light over the frame: seen = gain(x) (grey + psf_variance * d grey / d psf_variance) + bias.
 #[derive(Debug, Default)]
 pub struct Light {
     grid: TileGrid,
     /// Gain at the nodes of the grid, numbered column by column.
     gains: Vec<f64>,
-    /// Grey levels.
+    /// Bias, grey levels.
     bias: f64,
-    /// In the kernel's own unit.
+    /// Variance added by the point spread, in the kernel's unit.
     psf_variance: f64,
-    /// How much is known of each node while a light is guessed.
+    /// Weights of the nodes while a light is guessed.
     weights: Vec<f64>,
 }
 
 impl Light {
-    /// The grid.
+    /// Returns the grid.
     pub fn grid(&self) -> &TileGrid {
         &self.grid
     }
 
-    /// Gain at the nodes of the grid.
+    /// Returns the gain at the nodes of the grid, numbered column by column.
     pub fn gains(&self) -> &[f64] {
         &self.gains
     }
 
-    /// Grey levels.
+    /// Returns the bias, grey levels.
     pub fn bias(&self) -> f64 {
         self.bias
     }
 
-    /// In the kernel's own unit.
+    /// Returns the variance added by the point spread, in the kernel's unit.
     pub fn psf_variance(&self) -> f64 {
         self.psf_variance
     }
 
-    /// Mean of the nodes.
+    /// Returns the mean gain of the nodes.
     pub fn mean_gain(&self) -> f64 {
         mean(&self.gains)
     }
 
-    /// The nodes of a tile of the grid.
+    /// Returns the nodes at the corners of a tile's cell.
     pub fn nodes_of(&self, tile: u32) -> [usize; 4] {
         self.grid.nodes_of(tile as usize)
     }
 
-    /// The light of a tile of the grid.
+    /// Returns the light of a tile of the grid.
     pub fn of_tile(&self, tile: u32) -> TileLight {
         let gains = self.nodes_of(tile).map(|n| self.gains[n] as f32);
         TileLight { gains, psf_variance: self.psf_variance as f32, bias: self.bias as f32 }
     }
 
-    /// A light that is remembered, on another grid, which may cover another part of the frame: nodes keep their relative places.
+    /// Takes a remembered light to another grid, which may cover another part of the frame. With
+    /// the same number of nodes, nodes keep their gains; otherwise all take the mean.
     pub fn spread_over(&mut self, grid: TileGrid, light: &RememberedLight) {
         self.grid = grid;
         let nodes = grid.nodes();
@@ -90,13 +101,14 @@ impl Light {
         if nodes == light.nodes {
             self.gains.extend_from_slice(&light.gains);
         } else {
-            // Starts from its mean: the grid changes when the view does, and the solve is linear in the gains.
+            // The mean is enough to start from: the grid changes when the view does, and the
+            // solution is linear in the gains.
             self.gains.resize(nodes[0] * nodes[1], mean(&light.gains));
         }
         (self.bias, self.psf_variance) = (light.bias, light.psf_variance);
     }
 
-    /// Adds a solution's changes of the gains at the nodes, the point spread and the bias.
+    /// Adds a solution's changes of the gains at the nodes, of the point spread and of the bias.
     pub fn correct(&mut self, gains: &[f64], psf_variance: f64, bias: f64) {
         self.psf_variance += psf_variance;
         self.bias += bias;
@@ -105,7 +117,8 @@ impl Light {
         }
     }
 
-    /// Takes a light from guesses: each node's gain is the mean of the tiles that touch it, and a little of what is usual.
+    /// Takes a light from guesses: the gain of a node is the mean of its adjacent tiles (tile,
+    /// gain) and, with a small weight, of the usual gain.
     pub fn guess(&mut self, bias: f64, psf_variance: f64, usual: f64, tiles: impl Iterator<Item = (u32, f64)>) {
         (self.bias, self.psf_variance) = (bias, psf_variance);
         self.weights.clear();
@@ -123,7 +136,7 @@ impl Light {
     }
 }
 
-/// What is remembered of a light from level to level and from frame to frame.
+/// The part of a light that is kept from level to level and from frame to frame.
 #[derive(Debug, PartialEq)]
 pub struct RememberedLight {
     /// Gain at the nodes, numbered column by column.
@@ -145,7 +158,7 @@ impl Clone for RememberedLight {
         Self { gains: self.gains.clone(), ..*self }
     }
 
-    /// Keeps the list of gains: nothing is allocated where there are no more nodes than before.
+    /// Reuses the list of gains: allocates nothing unless there are more nodes than before.
     fn clone_from(&mut self, other: &Self) {
         self.gains.clone_from(&other.gains);
         (self.nodes, self.bias, self.psf_variance) = (other.nodes, other.bias, other.psf_variance);
@@ -153,14 +166,14 @@ impl Clone for RememberedLight {
 }
 
 impl RememberedLight {
-    /// Takes what a light is now.
+    /// Remembers a light as it is now.
     pub fn take(&mut self, light: &Light) {
         self.gains.clear();
         self.gains.extend_from_slice(&light.gains);
         (self.nodes, self.bias, self.psf_variance) = (light.grid.nodes(), light.bias, light.psf_variance);
     }
 
-    /// In the kernel's own unit.
+    /// Returns the variance added by the point spread, in the kernel's unit.
     pub fn psf_variance(&self) -> f64 {
         self.psf_variance
     }

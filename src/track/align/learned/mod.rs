@@ -1,10 +1,11 @@
 //! What alignment learns over many frames: light, noise, exposure, gradient gain. With `body` this
-//! is the only memory of the tracker; a frame changes it only through `SlowEstimates::learn`.
+//! is the only memory of the tracker. A frame changes it only through `SlowEstimates::learn`, after
+//! its pose was accepted.
 //!
-//! - `light`, `noise`, `gradient_gain`: the slow estimates of one kind each
+//! - `light`, `noise`, `gradient_gain`: one slow estimate each
 //! - `exposure`, `exposure_watch`: the exposure, learnt or checked
 //! - `slow_estimates`: all of them together
-//! - `clue`: what one frame says of such an unknown
+//! - `clue`: a frame's estimate of an unknown it did not solve for
 //!
 //! Uses `frame`.
 

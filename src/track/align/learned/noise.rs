@@ -1,50 +1,51 @@
-//! How noisy a camera is, learnt from what its frames leave unexplained.
+//! Learns how noisy a camera is from the residuals of its frames.
 //!
-//! The variance of a pixel is a part that is always there (reading, rounding, compression), a part that grows with the light (shot
-//! noise), and the error of the prediction, which grows with how steep the picture is there. The squared residuals of the finest level
-//! tell all three apart: they are fitted by a straight line in grey and squared slope, frame after frame (weighted least squares,
-//! as for the photon transfer curve: Janesick 2007).
+//! The variance of a pixel has three parts: a constant one (read noise, rounding, compression), one
+//! proportional to the grey (shot noise), and the error of the prediction, proportional to the
+//! squared gradient. The squared residuals of the finest level separate them: they are fitted as a
+//! linear function of grey and squared gradient, over many frames (weighted least squares, as for
+//! the photon transfer curve: Janesick 2007).
 
 use nalgebra::{Matrix3, Vector3};
 
-/// Taken until frames tell more: variance of a usual camera's pixel at black, grey levels² (read noise 1.5 levels, and rounding); its
-/// growth per grey level; error of the prediction, pixels of the level. Assumed, and replaced within a few sharp frames. Raised, first
-/// covariances are wider.
+/// Initial noise: variance at black, grey levels²; its growth per grey level; error of the
+/// prediction, pixels of the level. Raised, first covariances are wider.
 const USUAL_DARK: f64 = 2.25 + 1.0 / 12.0;
 const USUAL_SHOT: f64 = 0.03;
 const USUAL_MODEL_PX: f64 = 0.02;
-/// Least variance at black, grey levels²: that of rounding to whole levels. Raised, quiet cameras are believed less than they deserve.
+/// Minimum variance at black, grey levels²: that of rounding to whole levels. Raised, quiet cameras
+/// are trusted less than they deserve.
 const MIN_DARK: f64 = 1.0 / 12.0;
-/// Least error of the prediction, pixels of the level: below the 0.005 to 0.012 that rendered clips show. Raised, a still camera scatters
-/// more.
+/// Minimum error of the prediction, pixels of the level. Raised, the pose of a still camera
+/// scatters more.
 const MIN_MODEL_PX: f64 = 0.003;
-/// Least error of the prediction while the camera moves, pixels of the finest level, and of those above. What is wrong at an edge is wrong
-/// all along it and in the next frames too: weights by the bare scatter made d-steep and d-handheld worse by a tenth. Raised, edges count
-/// less beside flat texture, and covariances are wider. The second is chosen, twice the first.
+/// Minimum error of the prediction for a moving camera, pixels of the level: at the finest level,
+/// and above it. Raised, edges weigh less beside flat texture, and covariances are wider.
 const MOVING_MODEL_PX: f64 = 0.02;
 const COARSE_MODEL_PX: f64 = 0.04;
-/// Of what is remembered this share fades with every frame: a memory of 200 frames. Chosen, not tuned. Raised, the noise follows chance;
-/// lowered, a change of the camera's gain is learnt later.
+/// Fraction of the memory that fades per frame. Raised, the estimate is noisier; lowered, a change
+/// of the camera's gain is learnt later.
 const FADES: f64 = 0.005;
-/// Weight of the usual noise, pixels, so that what a frame cannot tell apart stays near it. Chosen: less than a tenth of what a single
-/// frame tells (`ROUGH_PIXELS` in `level_problem`). Raised, the noise is learnt later.
+/// Weight of the initial noise as a prior, pixels; it holds what frames cannot determine. Raised,
+/// the noise is learnt later.
 const USUAL_PIXELS: f64 = 200.0;
-/// Of what is remembered this share stays where the frames are asked with another model. Raised, what a wrong lens or a fold left counts as noise for many rounds; with
-/// 0, the first frames of a round are judged by a usual camera.
+/// Fraction of the memory kept when the model changes. Raised, residuals of a wrong lens or fold
+/// count as noise for many passes; at 0, the first frames of a pass are judged by a usual camera.
 const KEPT_OF_OTHER_MODEL: f64 = 0.1;
 
-/// What the noise of a pixel is made of, at one level of the frame.
+/// The parts of a pixel's noise, at one level of the frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Noise {
-    /// Variance at black, and its growth per grey level, of one pixel of the level.
+    /// Variance at black of one pixel of the level, grey levels².
     pub dark: f32,
-    /// See `dark`.
+    /// Growth of the variance per grey level.
     pub per_intensity: f32,
     /// Error of the prediction, pixels of the level.
     pub model_px: f32,
 }
 
-/// Sums over pixels for the fit: of what the variance may be made of (1, grey, squared slope) by each other, and by the squared residual.
+/// Sums over pixels for the fit: products of the regressors (1, grey, squared gradient) with each
+/// other, and with the squared residual.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NoiseSums {
     pub(in crate::track::align) by_each_other: Matrix3<f64>,
@@ -63,18 +64,19 @@ pub struct CameraNoise {
     /// The finest level.
     level: usize,
     sums: NoiseSums,
-    /// At black, per grey level, per squared slope.
+    /// Variance at black, per grey level, and per squared gradient.
     variance: Vector3<f64>,
 }
 
 impl CameraNoise {
-    /// A usual camera's, with what frames tell at a level.
+    /// Returns the noise of a usual camera. `level`: the finest one, whose frames it will learn
+    /// from.
     pub fn usual(level: usize) -> Self {
         let n = f64::from(1u32 << (2 * level));
         Self { level, sums: NoiseSums::default(), variance: Vector3::new(USUAL_DARK / n, USUAL_SHOT / n, USUAL_MODEL_PX.powi(2)) }
     }
 
-    /// The noise of a pixel of a level.
+    /// Returns the noise of a pixel of a level, for a moving camera.
     pub fn at(&self, level: usize) -> Noise {
         let smaller = 0.25_f64.powi(level as i32 - self.level as i32);
         let least_px = if level == self.level { MOVING_MODEL_PX } else { COARSE_MODEL_PX };
@@ -85,29 +87,32 @@ impl CameraNoise {
         }
     }
 
-    /// The noise of a pixel of the finest level while nothing moves: the prediction's error stays as it is, and scatters nothing.
+    /// Returns the noise of a pixel of the finest level while nothing moves. The prediction's error
+    /// is then the same in all frames and adds no scatter, so it has no minimum.
     pub fn of_still(&self) -> Noise {
         Noise { model_px: self.variance.z.sqrt() as f32, ..self.at(self.level) }
     }
 
-    /// Pixels that it is learnt from, of those that are remembered.
+    /// Returns the total weight of the remembered pixels, each weighing the squared inverse of its
+    /// variance. The larger, the better the noise is known.
     pub fn told(&self) -> f64 {
         self.sums.by_each_other[(0, 0)]
     }
 
-    /// What frames left so far, they left of another model.
+    /// Forgets most of the memory, because the frames so far were solved with another model.
     pub fn doubt(&mut self) {
         self.sums.by_each_other *= KEPT_OF_OTHER_MODEL;
         self.sums.by_squared *= KEPT_OF_OTHER_MODEL;
     }
 
-    /// Learns from a frame that was aligned.
+    /// Learns from the sums of an aligned frame.
     pub fn learn(&mut self, frame: &NoiseSums) {
         self.sums.by_each_other = self.sums.by_each_other * (1.0 - FADES) + frame.by_each_other;
         self.sums.by_squared = self.sums.by_squared * (1.0 - FADES) + frame.by_squared;
         let usual = Self::usual(self.level).variance;
         let [least_dark, least_model] = [MIN_DARK / f64::from(1u32 << (2 * self.level)), MIN_MODEL_PX.powi(2)];
-        // As much as that number of pixels of the usual grey and slope would tell of each part alone.
+        // The prior weighs as much as that number of pixels of the usual grey and gradient would,
+        // in each part alone.
         let weight = USUAL_PIXELS * Vector3::from(usual.map(|v| (v * v).recip())).component_mul(&self.share_of(&usual));
         let mut a = self.sums.by_each_other;
         let mut b = self.sums.by_squared;
@@ -121,14 +126,16 @@ impl CameraNoise {
         }
     }
 
-    /// How large each part of the usual variance is beside all of it, squared, at grey 100 and a slope of 30 grey levels a pixel.
+    /// Returns the squared ratio of each part of the usual variance to their sum, at grey 100 and a
+    /// gradient of 30 grey levels per pixel.
     fn share_of(&self, usual: &Vector3<f64>) -> Vector3<f64> {
         let parts = usual.component_mul(&Vector3::new(1.0, 100.0, 900.0));
         (parts / parts.sum()).map(|share| share * share)
     }
 }
 
-/// The least-squares solution with no entry below its least: an entry that would be is held there, and the others are solved again.
+/// Returns the least-squares solution with no entry below its minimum: an entry below is fixed
+/// there, and the others are solved again.
 fn at_least(a: &Matrix3<f64>, b: &Vector3<f64>, least: &Vector3<f64>) -> Option<Vector3<f64>> {
     let mut held = [false; 3];
     for _ in 0..4 {
@@ -161,7 +168,7 @@ mod tests {
     use super::*;
     use crate::track::align::kernel::noise_sums::{KEPT_VARIANCE, MAX_SQUARED};
 
-    /// Sums over pixels of random grey and slope whose variance is known.
+    /// Sums over pixels of random grey and gradient with a known variance.
     fn sums(truth: &Vector3<f64>, weights: &CameraNoise, random: &mut Pcg64Mcg) -> NoiseSums {
         let mut sums = NoiseSums::default();
         for _ in 0..3000 {
@@ -188,7 +195,7 @@ mod tests {
             for _ in 0..40 {
                 learnt.learn(&sums(&truth, &learnt, &mut random));
             }
-            // The whole variance of dark and bright, flat and steep pixels.
+            // The total variance of dark and bright, flat and steep pixels.
             for regressors in [[1.0, 20.0, 0.0], [1.0, 200.0, 0.0], [1.0, 100.0, 900.0], [1.0, 50.0, 3000.0]] {
                 let regressors = Vector3::from(regressors);
                 let ratio = learnt.variance.dot(&regressors) / truth.dot(&regressors);
@@ -201,7 +208,8 @@ mod tests {
     fn what_a_wrong_model_left_is_soon_forgotten() {
         let mut random = Pcg64Mcg::seed_from_u64(8);
         let [wrong, right] = [[20.0, 0.3, 2e-3], [0.6, 0.01, 1e-4]].map(Vector3::from);
-        // How many times too large the variance still is after three rounds of a better model.
+        // Returns the ratio of the learnt to the true variance after three rounds with a better
+        // model.
         let mut too_large = |doubts: bool| {
             let mut learnt = CameraNoise::usual(1);
             for _ in 0..30 {
@@ -226,7 +234,7 @@ mod tests {
         let mut learnt = usual.clone();
         learnt.learn(&NoiseSums::default());
         assert!((learnt.variance - usual.variance).norm() < 1e-9);
-        // Pixels of one grey and slope: their variance is met, and nothing vanishes.
+        // Pixels of one grey and gradient determine only their total variance; no part vanishes.
         let regressors = Vector3::new(1.0, 128.0, 400.0);
         let w = usual.variance.dot(&regressors).powi(-2) * 3000.0;
         for _ in 0..20 {

@@ -1,7 +1,9 @@
-//! What is learnt slowly, over many frames: of the camera, of the light, of how the pictures are shown, and of how the body moves.
+//! What is learnt slowly, over many frames: about the camera, the light, how the pictures are
+//! shown, and how the body moves.
 //!
-//! A frame is solved with the estimates as they stand, and collects what it would teach them ([`Lessons`]). They learn that only when its
-//! pose is accepted: a frame that shows something else says nothing of the camera or the light.
+//! A frame is solved with the estimates as they are, and collects what it would teach them
+//! ([`Lessons`]). They learn it only when the frame's pose is accepted: a frame that shows
+//! something else has no information about the camera or the light.
 
 use super::clue::Clue;
 use super::exposure::{USUAL_EXPOSURE_S, UnknownExposure};
@@ -13,73 +15,76 @@ use crate::camera::Shutter;
 use crate::motion::UniformMotion;
 use crate::track::frame::frame_levels::FINEST;
 
-/// Share of the difference to a sharp frame's point spread that is taken over each frame: a memory of some ten frames. Raised, it follows
-/// noise; lowered, a change of focus is learnt later.
+/// Fraction of the difference to a sharp frame's point spread that is applied per frame. Raised, it
+/// follows noise; lowered, a change of focus is learnt later.
 const PSF_VARIANCE_SHARE: f64 = 0.2;
-/// The decaying maximum of the start error keeps this share a frame. Raised, the search stays wide longer after a jump, and costs a level more.
+/// Factor per frame of the decaying maximum of the start error. Raised, the search stays wide
+/// longer after a jump, and costs one more level.
 const START_ERROR_KEPT: f64 = 0.8;
-/// The decaying maximum of the start error at first, pixels of the frame: the basin of the coarsest level, from which the first frames so
-/// begin. Raised, they do so for more frames; lowered, a pose from features may lie outside of the first level's basin and is solved twice.
+/// Initial start error, pixels of the frame. Raised, more frames start at the coarsest level;
+/// lowered, a pose from features may start outside the first level's basin and is solved twice.
 const FIRST_START_ERROR_PX: f64 = 40.0;
-/// One sigma of an exposure that was told, as a share of it. Chosen: drivers tell it in steps. Raised, the speed of a body that was just found is less sure.
+/// Relative sigma of a configured exposure. Raised, the speed of a newly found body is less
+/// certain.
 const KNOWN_EXPOSURE_SIGMA: f64 = 0.03;
-/// Accepted frames between trials of how the picture was enlarged, and before the first, so that light and noise are known. A trial costs
-/// about 1 ms in one frame of 32. Raised, a wrong way stays longer; lowered, frames cost more.
+/// Accepted frames between trials of the enlarged pictures, and before the first trial. Raised, a
+/// wrong choice stays longer; lowered, frames cost more.
 pub(in crate::track::align) const TRIAL_FRAMES: u32 = 32;
 pub(in crate::track::align) const FIRST_TRIAL: u32 = 3;
 
 /// The slow estimates of one body's alignment.
 #[derive(Debug, Clone)]
 pub struct SlowEstimates {
-    /// The shutter, with the exposure as known or learnt.
+    /// The shutter, with the exposure as configured or learnt.
     pub shutter: Shutter,
-    /// Follows an unknown exposure; `None` where it is known.
+    /// Follows an unknown exposure; `None` where it is configured.
     exposure: Option<UnknownExposure>,
-    /// What frames say of a configured exposure.
+    /// Compares a configured exposure with the frames' blur.
     exposure_watch: ExposureWatch,
     /// The camera's noise.
     pub noise: CameraNoise,
-    /// How much of the slopes over samples is real.
+    /// The fraction of the sampled gradients that is real.
     pub gradient_gain: GradientGain,
-    /// Variance of the point spread function, in the kernel's unit.
+    /// Variance added by the point spread, in the kernel's unit.
     pub psf_variance: f64,
     /// The light of the last accepted frame.
     pub light: RememberedLight,
-    /// Whether the enlarged copies of the pictures are what the frame shows.
+    /// Whether predictions may use the enlarged copies of the pictures.
     pub is_enlarged: bool,
-    /// Accepted frames since that was tried.
+    /// Accepted frames since the last trial of `is_enlarged`.
     pub(in crate::track::align) since_trial: u32,
-    /// The line that the last accepted poses lie on.
+    /// The constant-velocity line through the last accepted poses.
     pub line: Option<UniformMotion>,
-    /// Decaying maximum of the start error, pixels of the frame.
+    /// Decaying maximum of the start error: how far the prediction was off, pixels of the frame.
     pub start_error_px: f64,
-    /// Share of the tiles that took part in the last accepted frame.
+    /// Fraction of the tiles that took part in the last accepted frame.
     pub open_share: f64,
 }
 
-/// What a frame would teach.
+/// What a frame would teach the estimates.
 #[derive(Debug)]
 pub struct Lessons {
-    /// What the last descent's steps changed in the prediction, and what they should have changed.
+    /// Predicted and real change of the prediction by the steps of the last descent.
     pub changes: ChangeSums,
-    /// Variance of the point spread function; `None` where the frame is blurred.
+    /// Variance added by the point spread; `None` where the frame is blurred.
     pub psf_variance: Option<f64>,
-    /// What the blur says of the exposure, and its length in pixels of the frame.
+    /// The clue of the blur on the exposure, and the length of the blur in pixels of the frame.
     pub exposure: Option<(Clue, f64)>,
-    /// Squared residuals, where the frame is sharp and leaves no doubt.
+    /// Sums of the squared residuals, where the frame is sharp and its pose conclusive.
     pub noise: Option<NoiseSums>,
-    /// The start error, pixels of the frame, and the share of the tiles that took part; `None` where nothing moved.
+    /// The start error, pixels of the frame, and the fraction of the tiles that took part; `None`
+    /// where nothing moved.
     pub start: Option<(f64, f64)>,
-    /// The line of the last poses, with this one.
+    /// The constant-velocity line through the last poses and this one.
     pub line: Option<UniformMotion>,
-    /// Whether the enlarged copies of the pictures are what the frame shows.
+    /// Whether the enlarged copies of the pictures fit the frame better.
     pub is_enlarged: bool,
-    /// Whether that was tried.
+    /// Whether that was tried in this frame.
     pub has_tried: bool,
 }
 
 impl Lessons {
-    /// Before a frame is solved.
+    /// Returns the lessons of a frame before it is solved: none.
     pub fn none(slow: &SlowEstimates) -> Self {
         Self {
             changes: ChangeSums::default(),
@@ -95,7 +100,8 @@ impl Lessons {
 }
 
 impl SlowEstimates {
-    /// Nothing learnt yet. An exposure of 0 in `shutter` is learnt from blurred frames.
+    /// Returns the estimates before any frame. An exposure of 0 in `shutter` is unknown, and learnt
+    /// from blurred frames.
     pub fn new(shutter: Shutter) -> Self {
         let is_known = shutter.exposure_s > 0.0;
         Self {
@@ -114,18 +120,19 @@ impl SlowEstimates {
         }
     }
 
-    /// Takes the shutter as given from now on.
+    /// Sets the shutter and stops learning the exposure.
     pub fn fix_shutter(&mut self, shutter: Shutter) {
         self.exposure = None;
         self.shutter = shutter;
     }
 
-    /// One sigma of the exposure, as a share of it.
+    /// Returns the relative sigma of the exposure.
     pub fn exposure_sigma(&self) -> f64 {
         self.exposure.as_ref().map_or(KNOWN_EXPOSURE_SIGMA, UnknownExposure::sigma)
     }
 
-    /// Begins with an exposure that an earlier session learnt, known to one sigma, seconds; a configured one stays.
+    /// Starts from an exposure that an earlier session learnt, with one sigma, both in seconds; a
+    /// configured exposure stays.
     pub fn take_learnt_exposure(&mut self, exposure_s: f64, sigma_s: f64) {
         if let Some(unknown) = &mut self.exposure {
             *unknown = UnknownExposure::known_to(sigma_s / exposure_s);
@@ -133,20 +140,23 @@ impl SlowEstimates {
         }
     }
 
-    /// The exposure and one sigma, seconds, where it is learnt and frames told of it.
+    /// Returns the exposure and one sigma, seconds, where it is learnt and frames have determined
+    /// it.
     pub fn learnt_exposure(&self) -> Option<(f64, f64)> {
         let unknown = self.exposure.as_ref().filter(|unknown| unknown.is_told())?;
         Some((self.shutter.exposure_s, unknown.sigma() * self.shutter.exposure_s))
     }
 
-    /// The configured exposure and the one that fits, seconds, where frames contradict it.
+    /// Returns the configured exposure and the one that fits, seconds, where the frames contradict
+    /// the configured one.
     pub fn contradicted_exposure(&self) -> Option<[f64; 2]> {
         let configured_s = self.shutter.exposure_s;
         let ratio = self.exposure_watch.contradiction().filter(|_| self.exposure.is_none())?;
         Some([configured_s, ratio * configured_s])
     }
 
-    /// Takes what another body has learnt of the camera that both are seen by, where it knows that better: the exposure, and the noise.
+    /// Takes the exposure and the noise that another body of the same camera has learnt, each where
+    /// that body knows it better.
     pub fn take_camera(&mut self, other: &Self) {
         if let (Some(own), Some(others)) = (&mut self.exposure, &other.exposure)
             && own.sigma() > others.sigma()
@@ -159,12 +169,12 @@ impl SlowEstimates {
         }
     }
 
-    /// Whether it is time to try how the pictures were enlarged.
+    /// Whether a trial of the enlarged pictures is due.
     pub fn is_trial_due(&self) -> bool {
         self.since_trial + 1 >= TRIAL_FRAMES
     }
 
-    /// Learns what a frame taught whose pose was accepted. `light`: that it was solved in.
+    /// Learns from a frame whose pose was accepted. `light`: the light it was solved in.
     pub fn learn(&mut self, lessons: &Lessons, light: &RememberedLight) {
         self.light.clone_from(light);
         self.line = lessons.line;
