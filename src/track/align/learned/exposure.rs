@@ -16,9 +16,8 @@ const MIN_EXPOSURE_S: f64 = 5e-4;
 /// Maximum learnt exposure, seconds: the frame interval at 25 per second. Raised, misleading frames
 /// can do more harm.
 const MAX_EXPOSURE_S: f64 = 0.04;
-/// Blur that a frame needs for a clue, and below which its weight falls with the fourth power of
-/// the blur, pixels of the frame. `MIN_BLUR_PX` lowered, point spread passes for motion;
-/// `TELLING_BLUR_PX` raised, a slow camera learns later.
+/// Blur that a frame needs for a clue, and for full weight, pixels of the frame. `MIN_BLUR_PX`
+/// lowered, point spread passes for motion; `TELLING_BLUR_PX` raised, a slow camera learns later.
 const MIN_BLUR_PX: f64 = 0.8;
 pub const TELLING_BLUR_PX: f64 = 1.5;
 /// Fraction of a frame's clue that is applied, once the first frames, which count more, are in.

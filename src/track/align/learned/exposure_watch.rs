@@ -13,9 +13,8 @@ const MIN_FRAMES: f64 = 30.0;
 /// Minimum factor between the fitted and the configured exposure, up or down. Raised, smaller
 /// errors pass; lowered, rounding by drivers and strong sharpening contradict right exposures.
 const MIN_CHANGE: f64 = 1.5;
-/// Minimum ratio of fitted to configured exposure that is reported; below it nearly no blur is
-/// left, as in a camera that sharpens. Raised, an exposure configured too long passes; lowered,
-/// sharpening contradicts right ones.
+/// Minimum reported ratio of fitted to configured exposure. Raised, an exposure configured too long
+/// passes; lowered, sharpening contradicts right ones.
 const MIN_RATIO: f64 = 0.3;
 /// Minimum distance of the mean from zero, standard errors, and consecutive frames that count as
 /// one, because their errors are alike. Raised, wrong exposures are reported later.

@@ -17,9 +17,9 @@ const TO_AN_INTERVAL: usize = 4;
 /// would do.
 const STEP: f64 = 0.25;
 
-/// Rows of a paraboloid: value and derivative by x; derivative by y and by xx; by xy and by yy.
-/// Each half row has four numbers: the offsets along x, y and z, and a zero. Rows of eight numbers
-/// of eight points transpose to columns in a few instructions.
+/// Rows of a paraboloid: value and slope by x; slope by y and by xx; by xy and by yy. Half a row
+/// has the offsets along x, y and z, and a zero, so that the rows of eight points transpose
+/// quickly.
 const ROWS: usize = 3;
 type Parabola = [[f32; LANES]; ROWS];
 /// Length of half a row.

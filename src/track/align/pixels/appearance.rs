@@ -1,12 +1,14 @@
-//! What the camera should see at each chosen pixel, and how that changes with its pose: the one kernel in which
-//! alignment spends its time.
+//! Predicts what the camera should see at each chosen pixel, and how that changes with its pose.
+//! This is the kernel in which alignment spends most of its time.
 //!
-//! A pixel's ray meets its surface at a texel; the pixel's own square covers a small quadrilateral of texels there.
-//! Five by five samples (three by three above the finest level), at the copy of the picture whose texels are a seventh of a
-//! pixel wide, give the mean grey over that square, its gradient, and - by the curvature of the parabola that fits them
-//! best - how it would change with a wider point spread. (Fewer samples, or larger texels, leave errors of a grey level and more, which pull the pose of
-//! a still camera aside by more than its noise; measured in docs/alignment.md.) While the shutter is open the texel
-//! moves along a short curve; under motion blur the samples are shared out along it.
+//! A pixel's ray meets its surface at a texel, and the pixel's square covers a small quadrilateral
+//! of texels there. Five by five samples (three by three above the finest level), from the copy of
+//! the picture whose texels are a seventh of a pixel wide, yield the mean grey over that square,
+//! its gradient, and, by the curvature of the best-fitting parabola, its change with a wider point
+//! spread. (Fewer samples or larger texels leave errors of a grey level and more, which bias the
+//! pose of a still camera by more than its noise; measured in docs/alignment.md.) While the shutter
+//! is open the texel moves along a short curve; under motion blur the samples are distributed along
+//! it.
 
 use super::level_spec::LevelSpec;
 use super::runs::Pixels;
@@ -18,57 +20,57 @@ use crate::track::align::picture::surface::AlignSurface;
 use crate::track::align::picture::texture::TILE_STEP;
 use crate::track::scene::rectangle::Rectangle;
 
-/// Fewest samples across a sharp pixel of a surface tilted beyond this cosine (53 degrees), where a pixel covers many texels in one
-/// direction. Chosen, not tuned: as many as the finest level takes anyway. `TILTED_SIDE` raised costs by its square; `TILTED_COSINE` raised
-/// reaches more views.
+/// Minimum samples across a sharp pixel of a surface tilted beyond this cosine (53 degrees).
+/// `TILTED_SIDE` raised, the cost grows with its square; `TILTED_COSINE` raised, more views pay it.
 const TILTED_SIDE: usize = 5;
 const TILTED_COSINE: f64 = 0.6;
-/// Under blur: most places along it that are sampled nine times each, and five times each; at more places, three times. With three times
-/// everywhere the median error of d-steep was 0.126 mm instead of 0.101, of d-whip 0.30 instead of 0.24. Raised, blurred frames cost more.
+/// Maximum number of places along a blur that get nine samples each, and five each; beyond, three.
+/// Raised, blurred frames cost more; lowered, errors grow.
 const NINE_SAMPLES: usize = 3;
 const FIVE_SAMPLES: usize = 5;
-/// Offset across and down, pixels, of four of five samples (4/5 c² = 1/12) and of the outer two of three (2/3 c² = 1/12): the variance of
-/// all is that of the pixel's square. Raised, the prediction is more blurred than the pixel.
+/// Offset across and down, pixels, of four of five samples and of the outer two of three. Raised,
+/// the prediction is more blurred than the pixel; lowered, less.
 const CORNER_SAMPLE: f32 = 0.3227;
 const DIAGONAL_SAMPLE: f32 = 0.3536;
-/// Unit of the point spread: variance that it adds across and down, pixels². That of the pixel's own square; estimates and sigmas of the
-/// point spread are multiples of it.
+/// Unit of the point spread: variance that it adds across and down, pixels². Estimates and sigmas
+/// of the point spread are multiples of it.
 const PSF_VARIANCE_UNIT: f32 = 1.0 / 12.0;
-/// Groups of pixels by which texels are prefetched ahead, and how far from a pixel's middle that goes, pixels: as far as the outer of five
-/// samples. Their addresses follow no order that the processor could guess; without, three quarters of the prediction were spent waiting.
-/// `AHEAD` lowered, texels come too late; raised, they may have left the cache again.
+/// Groups of pixels by which texels are prefetched ahead, and reach of that around a pixel, pixels.
+/// `AHEAD` lowered, texels arrive too late; raised, they may have left the cache.
 const AHEAD: usize = 2;
 const OUTER_SAMPLE: f32 = 0.4;
-/// log2 of the size of a texel that suits a sample, pixels: a seventh; an eleventh on tilted surfaces; a quarter under blur, which hides
-/// finer detail. At 0.27 pixels a still frame was left with a residual of 1.16 grey levels, at 0.14 with 0.67 (docs/alignment.md). Raised,
-/// the prediction loses detail; lowered, samples step over texels between them.
+/// log2 of the texel size that suits a sample, pixels: sharp, tilted, blurred. Raised, the
+/// prediction loses detail; lowered, samples skip texels.
 const TEXEL_LOG2: f32 = -2.8;
 const TILTED_TEXEL_LOG2: f32 = -3.5;
 const BLURRED_TEXEL_LOG2: f32 = -1.9;
 
-/// The prediction at each pixel, in the order of [`Pixels`].
+/// The prediction at each pixel, in the order of [`Pixels`]. Grey is in grey levels of the
+/// reference, before the gain of the light.
 #[derive(Debug, Default)]
 pub struct Appearance {
     /// Grey of the reference.
     pub intensity: Vec<f32>,
-    /// Change of grey with a wider point spread.
+    /// Derivative of grey by the variance of the point spread, per unit of a twelfth of a square
+    /// pixel.
     pub psf_variance: Vec<f32>,
-    /// Grey without motion blur less grey with it.
+    /// Grey without motion blur minus grey with it.
     pub sharper: Vec<f32>,
-    /// Derivative of grey by the camera's position (3, the body's axes, per metre) and rotation (3, the camera's axes, per
-    /// radian).
+    /// Derivative of grey by the camera's position (3, body axes, per metre) and rotation (3,
+    /// camera axes, per radian).
     pub by_pose: [Vec<f32>; 6],
-    /// Derivative of grey by pixels of the level, across and down.
+    /// Derivative of grey across, per pixel of the level.
     pub across: Vec<f32>,
-    /// See `across`.
+    /// Derivative of grey down, per pixel of the level.
     pub down: Vec<f32>,
-    /// Derivative of grey by the camera's velocity and turn rate (axes as in `by_pose`, per metre and radian a second) about the instant of the pixel's row: what
-    /// motion blur alone tells. Filled by [`predict_by_velocity`] alone.
+    /// Derivative of grey by the camera's velocity and angular velocity about the instant of the
+    /// pixel's row (axes as in `by_pose`, per m/s and rad/s): only the effect through motion blur.
+    /// Only [`predict_by_velocity`] fills it.
     pub by_velocity: [Vec<f32>; 6],
 }
 
 impl Appearance {
-    /// Makes room for `n` pixels; a whole number of lanes.
+    /// Makes room for `n` pixels, a whole number of lanes.
     pub fn resize(&mut self, n: usize) {
         let by_pose = self.by_pose.iter_mut();
         for v in by_pose.chain([&mut self.intensity, &mut self.psf_variance, &mut self.sharper, &mut self.across, &mut self.down]) {
@@ -76,7 +78,7 @@ impl Appearance {
         }
     }
 
-    /// Makes room for `by_velocity`, of as many pixels as the others.
+    /// Makes room for `by_velocity`, for as many pixels as the other lists have.
     pub fn make_room_for_velocity(&mut self) {
         let n = self.intensity.len();
         self.by_velocity.iter_mut().for_each(|v| resize_with_room(v, n, 0.0));
@@ -86,15 +88,15 @@ impl Appearance {
 /// A surface as one frame sees it, in the numbers of the kernel.
 struct View {
     path: SightPath,
-    /// Surface axes to body axes.
+    /// Rotation from surface axes to body axes, row-major.
     to_body: [f32; 9],
     texels_per_m: [f32; 2],
     middle_texel: [f32; 2],
     first_level: f32,
     last_level: f32,
-    /// Level of the texture that suits a footprint of one picture pixel.
+    /// Texture level, as a real number, that suits a pixel which covers one pixel of the picture.
     level_offset: f32,
-    /// Half of the exposure, seconds.
+    /// Half of the exposure, seconds; 0 where blur is not predicted.
     half_exposure_s: f32,
     /// Samples across a sharp pixel.
     side: usize,
@@ -133,13 +135,13 @@ impl View {
 pub struct Predicted<'a> {
     /// The surface that they lie on.
     pub surface: &'a AlignSurface,
-    /// How the camera moves.
+    /// The camera's motion.
     pub motion: &'a Motion,
-    /// The level.
+    /// The task of the level.
     pub spec: &'a LevelSpec<'a>,
     /// The pixels of the level.
     pub pixels: &'a Pixels,
-    /// First of these, and one beyond the last: whole lanes.
+    /// First of these, and one past the last: whole lanes.
     pub range: [usize; 2],
 }
 
@@ -149,7 +151,8 @@ dispatch! {
 }
 
 dispatch! {
-    /// Predicts the pixels of one surface, and how they change with the velocity that blurs them; there must be room for that.
+    /// Predicts the pixels of one surface, and their derivatives by the velocity that blurs them,
+    /// for which there must be room.
     predict_by_velocity, predict_by_velocity_lanes, (what: &Predicted, out: &mut Appearance)
 }
 
@@ -157,12 +160,13 @@ dispatch! {
 #[derive(Clone, Copy)]
 struct Hit<L> {
     texel: [L; 2],
-    /// Ray in surface axes over its depth component.
+    /// Ray in surface axes, divided by its depth component.
     slope: [L; 2],
     depth: L,
 }
 
-/// Of a flat surface; of a bent one in the frame of the planes that touch it.
+/// Returns the camera's pose at `t` in the frame of the surface or, with a map, in the frames of
+/// the planes that touch it.
 #[inline(always)]
 fn sight_at<L: Lanes>(view: &View, t: L, map: Option<&MapLanes<L>>) -> Sight<L> {
     let sight = view.path.at(t);
@@ -189,7 +193,7 @@ fn hit<L: Lanes>(view: &View, sight: &Sight<L>, x: L, y: L) -> Hit<L> {
     }
 }
 
-/// A level of the texture, for each lane its own.
+/// A level of the texture, one for each lane.
 struct LevelLanes<L: Lanes> {
     scale: L,
     last_column: L,
@@ -198,12 +202,12 @@ struct LevelLanes<L: Lanes> {
     base: L::Index,
 }
 
-/// The copy whose texels are nearest in size to what suits a sample.
+/// Returns the copy of the picture whose texels are nearest in size to what suits a sample.
 #[inline(always)]
 fn level_for<L: Lanes>(surface: &AlignSurface, view: &View, by_pixel: &[L; 4]) -> LevelLanes<L> {
     let area = by_pixel[0].mul(by_pixel[3]).sub(by_pixel[1].mul(by_pixel[2]));
     let area = area.max(L::splat(0.0).sub(area)).max(L::splat(1e-9));
-    // One half more, so that rounding down is rounding.
+    // One half more, so that truncation rounds to nearest.
     let level = area.rough_log2().mul_add(L::splat(0.5), L::splat(view.level_offset + 0.5));
     let l = level.max(L::splat(view.first_level)).min(L::splat(view.last_level)).to_index();
     let t = &surface.texture;
@@ -216,7 +220,8 @@ fn level_for<L: Lanes>(surface: &AlignSurface, view: &View, by_pixel: &[L; 4]) -
     }
 }
 
-/// Where in the tiles the texel above and left of picture pixel (u, v) is, and how far from it that lies.
+/// Returns the address of the texel above and left of picture pixel (u, v), and the offset from
+/// that texel, texels.
 #[inline(always)]
 fn address<L: Lanes>(level: &LevelLanes<L>, u: L, v: L) -> (L::Index, [L; 2]) {
     let (half, zero) = (L::splat(0.5), L::splat(0.0));
@@ -224,14 +229,14 @@ fn address<L: Lanes>(level: &LevelLanes<L>, u: L, v: L) -> (L::Index, [L; 2]) {
     let v = v.add(half).mul_add(level.scale, L::splat(-0.5)).max(zero).min(level.last_row);
     let (i, j) = (u.floor(), v.floor());
     let step = TILE_STEP.map(|step| 1.0 / step as f32);
-    // Half a texel keeps whole numbers clear of the rounding of the division.
+    // Half a texel more keeps whole numbers clear of the rounding error of the division.
     let column = i.mul_add(L::splat(step[0]), L::splat(0.5 * step[0])).floor();
     let row = j.mul_add(L::splat(step[1]), L::splat(0.5 * step[1])).floor();
     let in_row = column.mul_add(L::splat((size_of::<Tile>() - TILE_STEP[0]) as f32), j.mul_add(L::splat(TILE_COLUMNS as f32), i));
     (L::address(row.to_index(), level.stride, in_row.to_index(), level.base), [u.sub(i), v.sub(j)])
 }
 
-/// The grey at picture pixel (u, v).
+/// Returns the grey at picture pixel (u, v), interpolated linearly.
 #[inline(always)]
 fn sample<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, u: L, v: L) -> L {
     let (address, [a, b]) = address(level, u, v);
@@ -241,7 +246,8 @@ fn sample<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, u: L, v: L) -> L {
     lower.sub(upper).mul_add(b, upper)
 }
 
-/// Asks for the tiles that the samples at later pixels will need: the middles and corners of squares like `by_pixel`.
+/// Prefetches the tiles that the samples at later pixels will need: the middles and corners of
+/// squares like `by_pixel`.
 #[inline(always)]
 fn prefetch<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4]) {
     for [x, y] in [[0.0, 0.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]] {
@@ -252,7 +258,7 @@ fn prefetch<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2], by_
     }
 }
 
-/// Texels by pixels of the level: [uu, uv, vu, vv].
+/// Returns the derivative of picture pixels by pixels of the level: [uu, uv, vu, vv].
 #[inline(always)]
 fn footprint<L: Lanes>(view: &View, a: &[L; 9], middle: &Hit<L>, pixels: &Pixels, k: usize) -> [L; 4] {
     let across = L::splat(view.texels_per_m[0]).mul(middle.depth);
@@ -266,20 +272,21 @@ fn footprint<L: Lanes>(view: &View, a: &[L; 9], middle: &Hit<L>, pixels: &Pixels
     [ux.mul_add(xu, uy.mul(yu)), ux.mul_add(xv, uy.mul(yv)), vx.mul_add(xu, vy.mul(yu)), vx.mul_add(xv, vy.mul(yv))]
 }
 
-/// What a pixel's samples come to. Gradients are slopes over the samples: slopes inside single texels change from texel to texel, and their
-/// scatter would pass for information.
+/// The results of a pixel's samples. Gradients are slopes fitted over all samples: gradients inside
+/// single texels vary from texel to texel, and their scatter would pass for information.
 struct Sampled<L> {
     intensity: L,
     psf_variance: L,
     sharper: L,
-    /// By pixels of the level.
+    /// Derivative of grey by pixels of the level.
     across: L,
     down: L,
-    /// Means of these times the instant of their place, in halves of the exposure. Where nobody asks for them, they are not computed: all this is compiled into its caller.
+    /// Means of the gradient times the instant of its place, in halves of the exposure. Not
+    /// computed where unused, because all this is inlined into its caller.
     by_instant: [L; 2],
 }
 
-/// `side` x `side` samples at a sharp pixel.
+/// Takes `side` x `side` samples at a sharp pixel.
 #[inline(always)]
 fn sharp_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4], side: usize) -> Sampled<L> {
     let zero = L::splat(0.0);
@@ -308,7 +315,7 @@ fn sharp_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2]
     let samples = n * n;
     let intensity = sum.mul(L::splat(1.0 / samples));
     let slope = L::splat(1.0 / (samples * mean));
-    // The curvature of the parabola that fits best: what a wider spread of a given variance adds is half of it per variance.
+    // Curvature of the best-fitting parabola: a wider point spread adds half of it per variance.
     let curved = squared.sub(sum.mul(L::splat(2.0 * mean)));
     Sampled {
         intensity,
@@ -320,7 +327,7 @@ fn sharp_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2]
     }
 }
 
-/// The way of a pixel's middle over the picture while the shutter is open.
+/// The path of a pixel's middle over the picture while the shutter is open, a parabola in time.
 #[derive(Clone, Copy)]
 struct BlurPath<L> {
     middle: [L; 2],
@@ -339,7 +346,7 @@ impl<L: Lanes> BlurPath<L> {
         }
     }
 
-    /// The n-th of several places.
+    /// Returns the `n`th of several places along the path.
     #[inline(always)]
     fn place(&self, n: usize, places: usize) -> [L; 2] {
         let e = L::splat(instant(n, places));
@@ -350,13 +357,14 @@ impl<L: Lanes> BlurPath<L> {
     }
 }
 
-/// The instant of the n-th of several places along a blur, in halves of the exposure from its middle. They are as far apart as gives them the variance of the whole
-/// way: a third.
+/// Returns the instant of the `n`th of several places along a blur, in halves of the exposure from
+/// its middle. Their spacing gives them the variance of the whole path: a third.
 fn instant(n: usize, places: usize) -> f32 {
     (2.0 * n as f32 + 1.0 - places as f32) / ((places * places - 1) as f32).sqrt()
 }
 
-/// Samples at `places` (odd, 3 at least) along the blur: nine or five at each where these are few, else three.
+/// Takes samples at `places` (odd, at least 3) along the blur: nine or five at each where these are
+/// few, else three.
 #[inline(always)]
 fn blurred_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurPath<L>, by_pixel: &[L; 4], places: usize) -> Sampled<L> {
     if places > FIVE_SAMPLES {
@@ -384,7 +392,7 @@ fn blurred_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurPa
     mean
 }
 
-/// A sample at the middle of a pixel and four towards its corners.
+/// Takes one sample at the middle of a pixel and four towards its corners.
 #[inline(always)]
 fn five_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, [u, v]: [L; 2], by_pixel: &[L; 4]) -> Sampled<L> {
     let step = L::splat(CORNER_SAMPLE);
@@ -409,7 +417,7 @@ fn five_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, [u, v]: [L; 2],
     }
 }
 
-/// Three samples at each of `places`, on alternating diagonals.
+/// Takes three samples at each of `places`, on alternating diagonals.
 #[inline(always)]
 fn diagonal_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurPath<L>, by_pixel: &[L; 4], places: usize) -> Sampled<L> {
     let step = L::splat(DIAGONAL_SAMPLE);
@@ -420,7 +428,7 @@ fn diagonal_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurP
     let zero = L::splat(0.0);
     let (mut outer, mut middles, mut unblurred) = (zero, zero, zero);
     let mut differences = [zero; 2];
-    // Differences times their instants, and the squares of these, of each diagonal.
+    // Differences times their instants, and the squares of the instants, of each diagonal.
     let (mut by_instant, mut squared_instants) = ([zero; 2], [0.0; 2]);
     for n in 0..places {
         let [u, v] = way.place(n, places);
@@ -439,17 +447,18 @@ fn diagonal_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurP
     }
     let intensity = outer.add(middles).mul(L::splat(1.0 / (3.0 * places as f32)));
     let middles = middles.mul(L::splat(1.0 / places as f32));
-    // Slopes along both diagonals: their half sum and half difference are those across and down.
+    // From slopes along both diagonals: half the sum is across, half the difference is down.
     let [falling, rising] = [differences[0], differences[1]];
     let falling = falling.mul(L::splat(0.25 / (DIAGONAL_SAMPLE * places.div_ceil(2) as f32)));
     let rising = rising.mul(L::splat(0.25 / (DIAGONAL_SAMPLE * (places / 2) as f32)));
-    // Along either diagonal every other place is seen: the line through its differences gives the mean over all, as the instants' variance is a third.
+    // Each diagonal has every other place. The line fitted through its differences yields the mean
+    // over all places, because the instants have a variance of a third.
     let [falling_by_instant, rising_by_instant] =
         std::array::from_fn(|d| by_instant[d].mul(L::splat(0.25 / (3.0 * DIAGONAL_SAMPLE * squared_instants[d].max(f32::MIN_POSITIVE)))));
     Sampled {
         intensity,
         psf_variance: intensity.sub(middles).mul(L::splat(1.5 * PSF_VARIANCE_UNIT / (DIAGONAL_SAMPLE * DIAGONAL_SAMPLE))),
-        // Between middle samples alone: the outer ones lie on other diagonals from place to place.
+        // From middle samples only: the outer ones alternate between diagonals.
         sharper: unblurred.sub(middles),
         across: falling.add(rising),
         down: falling.sub(rising),
@@ -457,11 +466,13 @@ fn diagonal_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurP
     }
 }
 
+/// Does the work of [`predict`], for one type of lanes.
 #[inline(always)]
 pub fn predict_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
     predict_surface::<L, false>(what, out);
 }
 
+/// Does the work of [`predict_by_velocity`], for one type of lanes.
 #[inline(always)]
 pub fn predict_by_velocity_lanes<L: Lanes>(what: &Predicted, out: &mut Appearance) {
     predict_surface::<L, true>(what, out);
@@ -469,7 +480,7 @@ pub fn predict_by_velocity_lanes<L: Lanes>(what: &Predicted, out: &mut Appearanc
 
 #[inline(always)]
 fn predict_surface<L: Lanes, const BY_VELOCITY: bool>(what: &Predicted, out: &mut Appearance) {
-    // Compiled for each: a flat surface costs nothing of what a bent one does.
+    // Compiled separately, so that a flat surface does not pay for a bent one.
     if what.surface.rectangle.shape.is_flat() || what.pixels.planes.is_empty() {
         predict_pixels::<L, false, BY_VELOCITY>(what, out);
     } else {
@@ -492,7 +503,7 @@ fn predict_pixels<L: Lanes, const IS_BENT: bool, const BY_VELOCITY: bool>(what: 
         let level = level_for(surface, view, &by_pixel);
         let ahead = k + AHEAD * LANES;
         if ahead < range[1] {
-            // The plane of the surface is near enough to fetch by.
+            // The plane of the surface is accurate enough to prefetch by.
             let later = view.path.at(load_at::<L>(&pixels.delay_s, ahead));
             let later = hit(view, &later, load_at::<L>(&pixels.x, ahead), load_at::<L>(&pixels.y, ahead));
             prefetch(tiles, &level, later.texel, &by_pixel);
@@ -518,7 +529,7 @@ fn predict_pixels<L: Lanes, const IS_BENT: bool, const BY_VELOCITY: bool>(what: 
             store_at(&mut out.by_pose[n], k, derivatives[n]);
         }
         if BY_VELOCITY {
-            // A place is where the velocity has taken the camera from the instant of its row.
+            // A place is where the velocity has taken the camera since the instant of its row.
             let gain = gradient_gain.mul(L::splat(view.half_exposure_s));
             let [across, down] = sampled.by_instant.map(|slope| slope.mul(gain));
             let by_velocity = by_pose(view, &sight.rotation, &middle, [x, y], by_texel(&by_pixel, across, down), map.as_ref());
@@ -530,7 +541,7 @@ fn predict_pixels<L: Lanes, const IS_BENT: bool, const BY_VELOCITY: bool>(what: 
     }
 }
 
-/// The gradient by picture pixels from that by pixels of the level.
+/// Converts a gradient by pixels of the level to one by picture pixels.
 #[inline(always)]
 fn by_texel<L: Lanes>(by_pixel: &[L; 4], across: L, down: L) -> [L; 2] {
     let [uu, uv, vu, vv] = *by_pixel;
@@ -538,14 +549,16 @@ fn by_texel<L: Lanes>(by_pixel: &[L; 4], across: L, down: L) -> [L; 2] {
     [across.mul(vv).sub(down.mul(vu)).mul(inverse), down.mul(uu).sub(across.mul(uv)).mul(inverse)]
 }
 
-/// dP/dp = R_s q and dP/dθ = depth (ray x Aᵀ q), with q the gradient that moving the camera in the surface's frame shows.
+/// Returns the derivative by the pose: dP/dp = R_s q and dP/dθ = depth (ray x Aᵀ q), where q is the
+/// gradient by a motion of the camera in the surface's frame.
 #[inline(always)]
 fn by_pose<L: Lanes>(view: &View, a: &[L; 9], hit: &Hit<L>, ray: [L; 2], gradient: [L; 2], map: Option<&MapLanes<L>>) -> [L; 6] {
     let gx = gradient[0].mul(L::splat(view.texels_per_m[0]));
     let gy = gradient[1].mul(L::splat(-view.texels_per_m[1]));
     let gz = L::splat(0.0).sub(gx.mul_add(hit.slope[0], gy.mul(hit.slope[1])));
     let mut out = [gx; 6];
-    // Not `map_or`: what its closure does would not be compiled for the wider registers of the function around it.
+    // No `map_or`: its closure would not be compiled for the wider registers of the function around
+    // it.
     let [sx, sy, sz] = match map {
         Some(map) => map.gradient([gx, gy, gz]),
         None => [gx, gy, gz],

@@ -1,4 +1,6 @@
-//! What a level has to do: with which pixels, against how much noise and blur.
+//! The task of one level of one frame: which surfaces and camera, how many pixels and samples, how
+//! much noise and blur. The other modules here and the solver take it as their input. Also the time
+//! of a tile, because a rolling shutter exposes rows one after the other.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -11,87 +13,91 @@ use crate::track::align::picture::surface::AlignSurface;
 use crate::track::frame::frame_levels::{FINEST, LEVELS};
 use crate::track::frame::rays::CameraRays;
 
-/// Frames with less motion blur than this, pixels of the frame, tell of the point spread, of the noise, and by what their patches leave of the model. Chosen, not tuned: such blur is
-/// no wider than a pixel. Raised, blur passes for point spread; lowered, a camera that always moves never teaches its noise.
+/// Blur below which a frame is sharp, pixels of the frame. Raised, blur passes for point spread;
+/// lowered, a camera that always moves never informs its noise.
 pub const SHARP_FRAME_PX: f64 = 1.0;
 
-/// Powers of time that a motion acts by: position, velocity, acceleration.
+/// Powers of time in a motion: position, velocity, acceleration.
 pub const POWERS: usize = 3;
 
-/// Times of a tile: what a change of motion means for its pose.
+/// The time of a tile, which maps a change of motion to a change of its pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TileTime {
-    /// Seconds from the stamp.
+    /// Seconds from the frame's stamp to mid-exposure at the middle of the tile.
     pub delay_s: f64,
-    /// Mean square of the times at which the tile's pixels were open, s².
+    /// Mean square of the times at which the tile's pixels were exposed, s².
     pub mean_square_s2: f64,
 }
 
 impl TileTime {
-    /// What the powers of a motion (position, velocity, acceleration) do to the pose at the middle of the tile.
+    /// Returns the derivatives of the pose at the middle of the tile by position (1), velocity (s)
+    /// and acceleration (s²).
     pub fn factors(&self) -> [f64; POWERS] {
         [1.0, self.delay_s, 0.5 * self.mean_square_s2]
     }
 
-    /// And to how it grows from row to row, per second.
+    /// Returns the derivatives of these factors by time, per second: how they change from row to
+    /// row.
     pub fn rates(&self) -> [f64; POWERS] {
         [0.0, 1.0, self.delay_s]
     }
 }
 
-/// Pixels asked at each level, from full size down, of a frame 1280 pixels wide; wider ones are asked more in proportion. Median errors
-/// with 4,000 to 30,000 are in docs/alignment.md ("How many pixels"): with 8,000 instead of 15,000, d-1080p is 0.027 instead of 0.023 mm
-/// off. Raised, the cost of a frame grows in proportion. Level 0 is never asked; coarser levels only lead to the basin of the next.
+/// Pixels per level, from full size down, of a frame [`USUAL_WIDTH_PX`] wide; wider frames use more
+/// in proportion. Raised, frames cost more in proportion; lowered, errors grow.
 const PIXELS: [usize; LEVELS] = [10_000, 10_000, 4000, 1500, 500];
 const USUAL_WIDTH_PX: f64 = 1280.0;
-/// Samples across a pixel of the levels above the finest, and of that. With 5 instead of 3 the median error of d-dolly is 0.071 mm instead
-/// of 0.083, for a fifth more time. Raised, the cost grows by the square.
+/// Samples across a pixel: above the finest level, and at it. Raised, the cost grows with the
+/// square; lowered, the prediction is less accurate.
 const COARSE_SIDE: usize = 3;
 const SIDE: usize = 5;
-/// Samples along a blur path: (length below which they do, pixels of the level; their number, odd). [`MAX_PLACES`] for longer ones.
-/// Chosen, from a prototype: a place to half a pixel or so. Lengths raised, the blur is predicted as ghosts; lowered, blurred frames cost
-/// more.
+/// Samples along a blur: (length below which they suffice, pixels of the level; number, odd), and
+/// beyond. Lengths raised, blur is predicted as ghost images; lowered, frames cost more.
 const PLACES: [(f64, usize); 4] = [(0.4, 1), (1.5, 3), (3.0, 5), (5.5, 9)];
 const MAX_PLACES: usize = 15;
-/// Blur with as many places or fewer is no hindrance to a level above the finest. Raised, such a level does not come to rest under longer blur; lowered, it costs more without need.
+/// Places along a blur up to which a coarse level converges without more. Raised, it does not
+/// converge under longer blur; lowered, it costs more without need.
 const SHORT_BLUR_PLACES: usize = 3;
 
-/// Time over which a picture's speed is taken, seconds: as long as usual exposures. It hardly matters, as a motion is smooth.
+/// Time over which the speed of the picture is measured, seconds. Hardly matters, as motion is
+/// smooth.
 const SPEED_OVER_S: f64 = 0.005;
 
-/// What a level works for.
+/// The task of one level of one frame.
 #[derive(Clone, Copy)]
 pub struct LevelSpec<'a> {
     /// The body's surfaces.
     pub surfaces: &'a [AlignSurface],
-    /// The camera.
+    /// The camera's rays, at all levels.
     pub rays: &'a CameraRays,
-    /// Its shutter.
+    /// The camera's shutter.
     pub shutter: &'a Shutter,
-    /// The level.
+    /// The level: 0 is the frame itself, each further one has half the size.
     pub level: usize,
     /// Noise of its pixels.
     pub noise: Noise,
-    /// Pixels wanted.
+    /// Number of pixels wanted.
     pub count: usize,
-    /// Whether pixels are chosen densely, so that none that is steep is passed over.
+    /// Whether pixels are chosen by texels of half the size, so that no steep pixel is missed.
     pub is_dense: bool,
-    /// Whether they are where fewer than half of those wanted are found otherwise: of a body that is seen small.
+    /// Whether to choose so where fewer than half of the wanted pixels are found otherwise: for a
+    /// body that appears small.
     pub fills_up: bool,
     /// Length of the motion blur, pixels of the level.
     pub blur_px: f64,
-    /// Places along the blur that are sampled; 1 for none, else odd.
+    /// Sampled places along the blur: 1 for none, else odd.
     pub places: usize,
-    /// Samples across a sharp pixel, odd; surfaces that are tilted get more.
+    /// Samples across a sharp pixel, odd. Tilted surfaces get more.
     pub side: usize,
-    /// Whether the enlarged copies of the pictures may be used.
+    /// Whether predictions may use the enlarged copies of the pictures.
     pub is_enlarged: bool,
-    /// What slopes over samples are multiplied with.
+    /// The learnt [`GradientGain`](crate::track::align::learned::gradient_gain::GradientGain), by
+    /// which gradients are multiplied.
     pub gradient_gain: f32,
 }
 
 impl<'a> LevelSpec<'a> {
-    /// What a level has to do at a motion, with what is known of the camera by now.
+    /// Returns the task of a level at a motion, with what is known of the camera so far.
     pub fn new(
         surfaces: &'a [AlignSurface],
         slow: &'a SlowEstimates,
@@ -120,47 +126,49 @@ impl<'a> LevelSpec<'a> {
         spec.with_places()
     }
 
-    /// With as many samples along the blur as its length asks for.
+    /// Sets the number of samples along the blur by its length.
     pub fn with_places(mut self) -> Self {
         let at_blur = PLACES.iter().find(|(longest_px, _)| self.blur_px < *longest_px);
         self.places = at_blur.map_or(MAX_PLACES, |(_, places)| *places);
         self
     }
 
-    /// With as many samples as the blur of a motion asks for, where that is long, and never with fewer.
+    /// Returns the spec for the blur of a motion, where that blur is long and needs more samples;
+    /// otherwise a copy of itself.
     pub fn blurred_by(&self, motion: &Motion) -> Self {
         let blurred = Self { blur_px: self.blur_of(motion), ..*self }.with_places();
         if blurred.places > self.places.max(SHORT_BLUR_PLACES) { blurred } else { *self }
     }
 
-    /// Length of the blur of a motion, pixels of the level.
+    /// Returns the length of the blur of a motion, pixels of the level.
     pub fn blur_of(&self, motion: &Motion) -> f64 {
         let half = 0.5 * self.shutter.exposure_s;
         self.moved_px(&motion.after(-half), &motion.after(half))
     }
 
-    /// How fast the picture moves through the frame, pixels of the frame per second.
+    /// Returns how fast the picture moves through the frame, pixels of the frame per second.
     pub fn speed_px_s(&self, motion: &Motion) -> f64 {
         self.moved_px(motion, &motion.after(SPEED_OVER_S)) * self.frame_px() / SPEED_OVER_S
     }
 
-    /// Pixels of the frame to a pixel of the level, along each axis.
+    /// Returns the size of a pixel of the level along each axis, pixels of the frame.
     pub fn frame_px(&self) -> f64 {
         f64::from(1u32 << self.level)
     }
 
-    /// How far a row of the level is below the upper edge of the frame, pixels of the frame.
+    /// Returns the distance of the middle of a row of the level from the upper edge of the frame,
+    /// pixels of the frame.
     pub fn frame_y(&self, row: f64) -> f64 {
         f64::from(1u32 << self.level) * (row + 0.5)
     }
 
-    /// The time of every tile, where all rows are exposed together.
+    /// Returns the time that all tiles share with a global shutter; `None` with a rolling shutter.
     pub fn same_time(&self) -> Option<TileTime> {
         self.shutter.is_global().then(|| TileTime { delay_s: 0.0, mean_square_s2: self.shutter.exposure_s.powi(2) / 12.0 })
     }
 
-    /// How far the picture moves between two motions, in the middle and towards the corners of the frame: the most, in pixels of the
-    /// level.
+    /// Returns how far the picture moves between two motions: the maximum over the middle of the
+    /// frame and four points halfway to its corners, pixels of the level.
     pub fn moved_px(&self, before: &Motion, after: &Motion) -> f64 {
         let table = self.rays.table(self.level);
         let focal = self.rays.camera().intrinsics().fx / f64::from(1u32 << self.level);
@@ -175,7 +183,8 @@ impl<'a> LevelSpec<'a> {
     }
 }
 
-/// How far, at depth 1, the point of a surface that a ray meets moves when the camera does; `None` where it is not in front.
+/// Returns how far the point of a surface that a ray meets moves in the normalised picture (at
+/// depth 1) when the camera moves; `None` where it is not in front of the camera.
 pub fn moved(surface: &AlignSurface, ray: &Vector3<f64>, before: &Pose<Body, Camera>, after: &Pose<Body, Camera>) -> Option<f64> {
     let normal = surface.rectangle.rotation.column(2);
     let direction = before.rotation * ray;

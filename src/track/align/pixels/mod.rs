@@ -1,7 +1,7 @@
-//! Which pixels are compared, and what they should show.
+//! Which pixels are compared, and what they should show. For each level of a frame, in this order:
 //!
-//! - `level_spec`: one level of one frame: rays, shutter, noise, and the motion about which all is
-//!   linearised
+//! - `level_spec`: the task of one level of one frame: surfaces, camera, shutter, noise, blur, and
+//!   how many pixels and samples
 //! - `selection`, `runs`: pixels are chosen where the reference is steep, and laid out in runs
 //! - `touching_planes`: a bent surface as the planes that touch it
 //! - `appearance`: the predicted grey of every chosen pixel, with its derivatives

@@ -1,8 +1,9 @@
-//! The chosen pixels of a level, laid out for the kernels: surface by surface and tile by tile, whole lanes to a
-//! run, with their rays, what the camera saw there, and the light that it saw them in.
+//! The chosen pixels of a level, laid out for the kernels. They are sorted by surface and tile into
+//! runs, each filled up to whole lanes, with their rays, the grey that the camera saw, and the
+//! light.
 //!
-//! Runs, tiles and light belong together, and are made anew together, by [`Pixels::arrange`] alone: there is no run
-//! without its four nodes of the light.
+//! Runs, tiles and light belong together and are only created together, by [`Pixels::arrange`]. So
+//! every run has the four nodes of its light.
 
 use super::level_spec::LevelSpec;
 use super::touching_planes::{Rays, TouchingPlanes};
@@ -12,38 +13,38 @@ use crate::track::align::learned::light::{Light, RememberedLight, TileLight};
 use crate::track::frame::frame_levels::Level;
 use crate::track::frame::tile_grid::{Chosen, TileGrid};
 
-/// A level's grey from which on it counts as burnt out, and up to which as drowned. Below 255, for the mean of pixels of which some are
-/// clipped, and for JPEG's ringing; above 0 likewise. Chosen, not tuned. `BRIGHTEST` raised, clipped pixels pull the gain and the pose;
-/// lowered, white parts of a bright stage are not asked.
+/// Grey levels above which a pixel is burnt out, and below which drowned in black. `BRIGHTEST`
+/// raised, clipped pixels bias the pose; lowered, white parts of a bright stage are not used.
 const BRIGHTEST: f32 = 252.0;
 const DARKEST: f32 = 0.5;
 
-/// A run of pixels of one surface in one tile: whole lanes, the last of which may repeat a pixel that then counts nothing.
+/// A run of pixels of one surface in one tile: whole lanes. The last lanes may repeat a pixel; a
+/// repeated one has no weight.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Run {
-    /// Surface index in the body.
+    /// Index of the surface in the body.
     pub surface: u32,
-    /// Tile number.
+    /// Number of the tile in the grid.
     pub tile: u32,
     /// First pixel.
     pub start: u32,
-    /// One beyond the last, repeated ones included.
+    /// One past the last, including repeated ones.
     pub end: u32,
 }
 
 impl Run {
-    /// The places of its pixels.
+    /// Returns the places of its pixels in the lists of [`Pixels`].
     pub fn range(&self) -> std::ops::Range<usize> {
         self.start as usize..self.end as usize
     }
 }
 
-/// Chosen pixels, each a place in all of the lists.
+/// Chosen pixels. All lists of pixels have the same order and length.
 #[derive(Debug, Default)]
 pub struct Pixels {
-    /// Ray at depth 1.
+    /// Ray at depth 1: x.
     pub x: Vec<f32>,
-    /// Ray at depth 1.
+    /// Ray at depth 1: y.
     pub y: Vec<f32>,
     /// Derivative of the ray by pixels of the level.
     pub x_across: Vec<f32>,
@@ -55,11 +56,11 @@ pub struct Pixels {
     pub y_down: Vec<f32>,
     /// Seconds from the frame's stamp to the middle of the row's exposure.
     pub delay_s: Vec<f32>,
-    /// Grey that the camera saw.
+    /// Grey that the camera saw, 0 to 255.
     pub seen: Vec<f32>,
-    /// 1 where that tells something, 0 where it is burnt out, drowned, or padding.
+    /// 1 where that counts; 0 where it is burnt out, drowned in black, or padding.
     pub counts: Vec<f32>,
-    /// Place in the cell of the light grid, 0 to 1.
+    /// Place in the cell of the light grid, 0 to 1 across and down.
     pub cell: [Vec<f32>; 2],
     /// Column and row of the level.
     pub place: [Vec<f32>; 2],
@@ -69,21 +70,21 @@ pub struct Pixels {
     runs: Vec<Run>,
     /// Ranges of the surfaces, whole lanes: (surface, start, end).
     pub groups: Vec<(u32, u32, u32)>,
-    /// Of bent surfaces.
+    /// Maps to the tangent planes of bent surfaces.
     pub planes: TouchingPlanes,
-    /// On the grid whose tiles the runs are of.
+    /// The light, on the grid that the tiles of the runs belong to.
     light: Light,
-    /// See [`TileGrid::places`]; where the next pixel of each surface's tile goes.
+    /// Buffers: see [`TileGrid::places`]; where the next pixel of each tile of each surface goes.
     columns: Vec<(u16, f32)>,
     rows: Vec<(u16, f32)>,
     next: Vec<u32>,
-    /// Which of the chosen pixels goes to each place, and which places repeat one.
+    /// Which of the chosen pixels goes to each place; which places repeat one.
     order: Vec<u32>,
     repeats: Vec<u32>,
 }
 
 impl Pixels {
-    /// Lays out a choice, in the light that is remembered.
+    /// Lays out a choice of pixels, with the remembered light on its grid.
     pub fn arrange(&mut self, chosen: &[Chosen], spec: &LevelSpec, level: &Level, light: &RememberedLight) {
         let (table, height) = (spec.rays.table(spec.level), spec.rays.camera().height());
         let grid = TileGrid::covering(chosen);
@@ -97,7 +98,8 @@ impl Pixels {
         }
         resize_with_room(&mut self.index, n, 0);
         let [left, top] = grid.origin();
-        // List by list, in the order of their places: short loops wait for many of a table's entries at a time.
+        // List by list, in the order of the places: in short loops many loads from the table
+        // overlap.
         for (index, k) in self.index.iter_mut().zip(&self.order) {
             let [u, v] = chosen[*k as usize].place.map(usize::from);
             *index = (v * table.width + u) as u32;
@@ -117,13 +119,13 @@ impl Pixels {
         }
     }
 
-    /// Finds where the pixels see bent surfaces from a motion.
+    /// Finds the tangent planes of bent surfaces at the pixels, as seen from a motion.
     pub fn touch(&mut self, spec: &LevelSpec, motion: &Motion) {
         let Self { x, y, delay_s, groups, planes, .. } = self;
         planes.find(&Rays { x, y, delay_s, groups }, spec, motion);
     }
 
-    /// Takes what a frame shows at the pixels.
+    /// Takes the grey that a frame shows at the pixels.
     pub fn see(&mut self, l: usize, level: &Level) {
         let to_grey = 1.0 / f32::from(1u16 << (2 * l));
         for ((seen, counts), index) in self.seen.iter_mut().zip(&mut self.counts).zip(&self.index) {
@@ -135,33 +137,33 @@ impl Pixels {
         }
     }
 
-    /// Whether place `k` repeats another's pixel.
+    /// Whether place `k` repeats another place's pixel.
     #[cfg(test)]
     pub fn is_repeat(&self, k: u32) -> bool {
         self.repeats.binary_search(&k).is_ok()
     }
 
-    /// Pixels, padding included.
+    /// Returns the number of pixels, padding included.
     pub fn len(&self) -> usize {
         self.x.len()
     }
 
-    /// The runs in order.
+    /// Returns the runs in order.
     pub fn runs(&self) -> &[Run] {
         &self.runs
     }
 
-    /// The light on the grid of the runs.
+    /// Returns the light on the grid of the runs.
     pub fn light(&self) -> &Light {
         &self.light
     }
 
-    /// The light of one of the runs.
+    /// Returns the light of one of the runs.
     pub fn light_of(&self, run: &Run) -> TileLight {
         self.light.of_tile(run.tile)
     }
 
-    /// Goes back to a light that is remembered.
+    /// Resets the light to a remembered one, on the same grid.
     pub fn recall_light(&mut self, light: &RememberedLight) {
         self.light.spread_over(*self.light.grid(), light);
     }
@@ -171,12 +173,12 @@ impl Pixels {
         self.light.correct(gains, psf_variance, bias);
     }
 
-    /// Takes a light from guesses: `gains` of tiles, near the usual one.
+    /// Takes a light from guesses: `gains` of tiles, pulled towards the usual gain.
     pub fn guess_light(&mut self, bias: f64, psf_variance: f64, usual: f64, gains: impl Iterator<Item = (u32, f64)>) {
         self.light.guess(bias, psf_variance, usual, gains);
     }
 
-    /// Finds the runs and groups of a choice, and which of it goes where.
+    /// Finds the runs and groups of a choice, and the place of each pixel.
     fn sort(&mut self, chosen: &[Chosen], surfaces: usize, grid: &TileGrid) {
         let tiles = grid.len();
         let [left, top] = grid.origin();
@@ -214,7 +216,7 @@ impl Pixels {
             self.order[*next as usize] = k as u32;
             *next += 1;
         }
-        // Runs are never empty: there is a pixel before each of these.
+        // A run is never empty, so a place that repeats has a pixel before it.
         for &k in &self.repeats {
             self.order[k as usize] = self.order[k as usize - 1];
         }
@@ -227,7 +229,7 @@ impl Pixels {
     }
 }
 
-/// 1 for a grey that is neither burnt out nor drowned.
+/// Returns 1 for a grey that is neither burnt out nor drowned in black, else 0.
 fn tells_something(intensity: f32) -> f32 {
     if intensity > DARKEST && intensity < BRIGHTEST { 1.0 } else { 0.0 }
 }

@@ -1,8 +1,10 @@
-//! Which pixels of a level are asked: those where the reference, seen from the predicted pose, is steepest.
+//! Chooses the pixels of a level: those where the reference, seen from the predicted pose, is
+//! steepest.
 //!
-//! Candidates were ranked block by block when the picture was loaded. A block that comes into view gives its best
-//! ones, so that they are spread over the frame as the stage is; each is put at its nearest pixel. The choice never
-//! looks at the camera's picture: what stands in front of the stage must not choose.
+//! Candidates were ranked block by block when the picture was loaded. Each block in view
+//! contributes its best ones, so that the pixels are spread over the frame as the stage is. Each
+//! candidate is put at its nearest pixel. The choice never depends on the camera's picture: what
+//! stands in front of the stage must not choose.
 
 use nalgebra::Vector3;
 
@@ -15,46 +17,46 @@ use crate::track::frame::rays::RayTable;
 use crate::track::frame::tile_grid::Chosen;
 use crate::track::scene::rectangle::SeenPoint;
 
-/// Pixels of a level that lie nearer than this to a border of their surface are left out: what lies beyond is unknown. Chosen: a pixel with
-/// its point spread and a start that is a pixel off. Raised, surfaces seen small have fewer pixels; lowered, the surroundings pull the
-/// pose.
+/// Margin inside the border of a surface where no pixel is chosen, pixels of the level. Raised,
+/// surfaces seen small have fewer pixels; lowered, the surroundings bias the pose.
 const BORDER_PX: f64 = 3.0;
-/// Surfaces are not read where they are seen flatter than this (cosine of the tilt: 86.6 degrees). Chosen, not tuned: a pixel is then as
-/// long as 17 on the surface, and samples step over texels. Raised, steep views lose their pixels; lowered, their predictions are wrong.
+/// Minimum cosine of the tilt at which a surface is used (86.6 degrees). Raised, steep views lose
+/// their pixels; lowered, their predictions are wrong.
 const MIN_COSINE: f64 = 0.06;
 
-/// Chooses pixels; keeps its buffers.
+/// Chooses pixels; reuses its buffers.
 #[derive(Debug, Default)]
 pub struct Selector {
     blocks: Vec<VisibleBlock>,
-    /// One bit a pixel of the level: set where it may not be asked, or is taken.
+    /// One bit per pixel of the level: set where it is masked or already chosen.
     taken: Vec<u64>,
     chosen: Vec<Chosen>,
 }
 
+/// A block of texels in view, and the affine map of its texels to pixels of the level.
 #[derive(Debug, Clone, Copy)]
 struct VisibleBlock {
     surface: u32,
     texture_level: u32,
     column: u32,
     row: u32,
-    /// Pixel of the block's first texel, and pixels per texel.
+    /// Pixel of the block's first texel; then pixels per texel of a column step and of a row step.
     origin: [f32; 2],
     by_column: [f32; 2],
     by_row: [f32; 2],
-    /// Offsets that stay clear of the surface's border.
+    /// First and last offsets that stay clear of the surface's border.
     columns: [u8; 2],
     rows: [u8; 2],
 }
 
 impl Selector {
-    /// With room for all blocks of the surfaces that may come into view at once.
+    /// Reserves room for all blocks of the surfaces that may come into view at once.
     pub fn with_room_for(surfaces: &[AlignSurface]) -> Self {
         let most = |s: &AlignSurface| s.texture.candidates.iter().map(|c| c.columns * c.rows).max().unwrap_or(0);
         Self { blocks: Vec::with_capacity(surfaces.iter().map(most).sum()), ..Self::default() }
     }
 
-    /// Chooses at most about `count` different pixels.
+    /// Chooses about `count` different pixels at most.
     pub fn choose(&mut self, spec: &LevelSpec, motion: &Motion) -> &[Chosen] {
         self.choose_by(spec, motion);
         if spec.fills_up && !spec.is_dense && self.chosen.len() < spec.count / 2 {
@@ -77,9 +79,9 @@ impl Selector {
         taken.clone_from(&table.closed);
         let (mut first, mut count) = (0, 0);
         let mut share = spec.count / blocks.len() + 1;
-        // What blocks with little detail leave is taken up by the others.
+        // Blocks with little detail leave room, which the others fill in further rounds.
         for _ in 0..3 {
-            // Room for all that the blocks may give.
+            // Room for all that the blocks may contribute.
             chosen.resize(count + share * blocks.len(), Chosen::default());
             for block in &*blocks {
                 count += take(block, spec.surfaces, first..first + share, table, taken, &mut chosen[count..]);
@@ -94,16 +96,18 @@ impl Selector {
         chosen.truncate(count);
     }
 
-    /// The last choice.
+    /// Returns the last choice.
     pub fn chosen(&self) -> &[Chosen] {
         &self.chosen
     }
 }
 
-/// Chooses the free pixels at a range of a block's places, and says how many these are; `chosen` has room for all of the range.
+/// Chooses the free pixels of a range of a block's candidates, and returns their number; `chosen`
+/// has room for the whole range.
 ///
-/// Whether a pixel is free is as good as chance, and a processor that guesses it wrongly loses more than the rest takes. So nothing is branched upon: every pixel is
-/// written, and the next one takes the place of one that does not count.
+/// Whether a pixel is free is unpredictable, and a mispredicted branch costs more than the rest of
+/// the loop. So there is none: every pixel is written, and the next one overwrites it if it does
+/// not count.
 fn take(
     block: &VisibleBlock,
     surfaces: &[AlignSurface],
@@ -133,6 +137,7 @@ fn take(
     count
 }
 
+/// Appends the blocks of a surface that are in view, clear of its border, and not occluded.
 fn list_blocks(spec: &LevelSpec, index: usize, motion: &Motion, blocks: &mut Vec<VisibleBlock>) {
     let (surface, table) = (&spec.surfaces[index], spec.rays.table(spec.level));
     let Some(level) = texture_level(surface, motion, spec) else { return };
@@ -158,7 +163,7 @@ fn list_blocks(spec: &LevelSpec, index: usize, motion: &Motion, blocks: &mut Vec
             if outside {
                 continue;
             }
-            // Metres that one pixel covers at most, along each axis of the surface.
+            // Maximum metres that one pixel covers, along each axis of the surface.
             let Some(inverse) = seen.by_metres.try_inverse() else { continue };
             let margin = [0, 1].map(|k| (BORDER_PX + 0.5 * spec.blur_px) * (inverse[(k, 0)].abs() + inverse[(k, 1)].abs()));
             let reach_m = [0.5 * BLOCK as f64 * scale / tw, 0.5 * BLOCK as f64 * scale / th];
@@ -182,7 +187,8 @@ fn list_blocks(spec: &LevelSpec, index: usize, motion: &Motion, blocks: &mut Vec
     }
 }
 
-/// The first and last offset in a block centred at `middle` whose texels (of size `step`) stay within +- `limit`.
+/// Returns the first and last offset in a block centred at `middle` whose texels (of size `step`)
+/// stay within +- `limit`.
 fn clear_offsets(middle: f64, limit: f64, step: f64) -> Option<[u8; 2]> {
     let centre = 0.5 * (BLOCK as f64 - 1.0);
     let first = (((-limit - middle) / step + centre).ceil()).max(0.0);
@@ -190,19 +196,22 @@ fn clear_offsets(middle: f64, limit: f64, step: f64) -> Option<[u8; 2]> {
     (first <= last).then_some([first as u8, last as u8])
 }
 
-/// The texture level one of whose texels is nearest in size to a pixel of the level, in the middle of what is seen.
+/// Returns the texture level whose texels are nearest in size to a pixel of the level, at the
+/// middle of what is seen.
 fn texture_level(surface: &AlignSurface, motion: &Motion, spec: &LevelSpec) -> Option<usize> {
     let (own, most) = (surface.texture.own_level(), surface.texture.candidates.len() - 1);
     let table = spec.rays.table(spec.level);
     let size = [table.width as f64, table.height as f64];
     let Some(log2) = surface.rectangle.texels_log2(size, |point| see(surface, motion, spec, point).map(|(seen, _)| seen)) else {
-        // Seen in part at most: any block that shows will do at a level of its own size.
+        // The surface is seen in part at most: any visible block will do, at the picture's own
+        // level.
         return see(surface, motion, spec, [0.0, 0.0]).map(|_| own);
     };
     Some((log2.round().max(0.0) as usize + own).min(most))
 }
 
-/// Where a point of a surface is seen in the level, and from where, at the time of its row.
+/// Returns where a point of a surface is seen in the level at the time of its row, and the camera's
+/// centre then (body axes, metres).
 fn see(surface: &AlignSurface, motion: &Motion, spec: &LevelSpec, point: [f64; 2]) -> Option<(SeenPoint, Vector3<f64>)> {
     let scale = spec.frame_px();
     let place = surface.at(point);
@@ -215,7 +224,8 @@ fn see(surface: &AlignSurface, motion: &Motion, spec: &LevelSpec, point: [f64; 2
     if tau == 0.0 { Some(at_rest) } else { from(&motion.after(tau).pose) }
 }
 
-/// Whether another surface of the body stands between the camera and any corner of a patch of +- `reach` around a point.
+/// Whether another surface of the body hides the middle or a corner of a patch of +- `reach` around
+/// a point from the camera.
 fn occluded(surfaces: &[AlignSurface], own: usize, camera: &Vector3<f64>, middle: [f64; 2], reach: [f64; 2]) -> bool {
     if surfaces.len() == 1 {
         return false;
@@ -239,7 +249,7 @@ mod tests {
     use crate::track::align::CameraRays;
     use crate::track::synthetic::{cloth, lens};
 
-    /// What [`take`] does, said plainly.
+    /// Does the same as [`take`], in plain code.
     fn take_plainly(block: &VisibleBlock, offsets: &[[u8; 2]], table: &RayTable, taken: &mut [u64], chosen: &mut Vec<Chosen>) {
         for [dx, dy] in offsets.iter().copied() {
             let [x, y] = [dx, dy].map(f32::from);
@@ -274,7 +284,7 @@ mod tests {
                 texture_level: level as u32,
                 column: within(0.0, candidates.columns as f32) as u32,
                 row: within(0.0, candidates.rows as f32) as u32,
-                // Some lie outside, in part or wholly.
+                // Some lie partly or wholly outside.
                 origin: [within(-30.0, 350.0), within(-30.0, 270.0)],
                 by_column: [within(-1.0, 1.0), within(-1.0, 1.0)],
                 by_row: [within(-1.0, 1.0), within(-1.0, 1.0)],

@@ -1,10 +1,13 @@
 //! The planes that touch a bent surface where the pixels of a level see it.
 //!
-//! The kernel knows planes alone. A bent surface is near each pixel as flat as a plane that touches it there, up to a part of a millimetre
-//! within centimetres; and no pixel moves that far before it is chosen anew. So each pixel of a bent surface brings its own map from the surface's frame to
-//! the frame of its plane, whose x and y are those of the picture and whose points have z = 0. In it the surface is flat again: rays are mapped, and the rest stays.
+//! The prediction kernel only handles planes. Near each pixel a bent surface equals its tangent
+//! plane, up to a fraction of a millimetre within centimetres, and no pixel moves further before it
+//! is chosen anew. So each pixel of a bent surface has its own affine map from the surface's frame
+//! to the frame of its plane, whose x and y are those of the picture and whose points have z = 0.
+//! There the surface is flat: rays are mapped, and all else stays the same.
 //!
-//! All of it is done in `f32`: of places metres away it keeps half a micrometre, a thousandth of what a pixel covers, and the kernel takes the maps so.
+//! Everything is `f32`, as the kernel takes the maps. A place metres away is then known to half a
+//! micrometre, a thousandth of what a pixel covers.
 
 use super::level_spec::LevelSpec;
 use crate::motion::Motion;
@@ -13,28 +16,30 @@ use crate::track::align::picture::plane_table::{PlaneTable, TablePoint};
 use crate::track::align::picture::sight::{Sight, SightPath};
 use crate::track::align::picture::surface::AlignSurface;
 
-/// Steps by which a ray's meeting point is found: each squares what is left. Raised, nothing is gained; lowered to 1, steep views of deep folds are off by a part of a millimetre.
+/// Maximum iterations for where a ray meets the surface; each squares the error. At 1, steep views
+/// of deep folds are off by a fraction of a millimetre; raised, nothing is gained.
 const MEETING_STEPS: usize = 3;
-/// A plane that touches the surface within this of where the ray meets it is the one that touches it there, metres: in between, folds part from it by a micrometre.
-/// Raised, steep views of sharp folds are off by more; lowered, each pixel of a bent surface costs another look at its shape.
+/// Distance from a ray's meeting point within which the plane counts as tangent there, metres.
+/// Raised, steep views of sharp folds are off by more; lowered, each pixel costs another lookup.
 const SAME_PLANE_M: f32 = 2e-3;
-/// Numbers of a map: two rows of the linear part by the surface's x and y, the third's, and the shift. (The linear part's third column is 0, 0, 1.)
+/// Numbers of a map: the linear part's first two columns, row by row, and the shift. (Its third
+/// column is 0, 0, 1.)
 const NUMBERS: usize = 9;
-/// Of a ray that meets nothing: the surface's own plane.
+/// The map for a ray that meets nothing: the surface's own plane.
 const NO_MAP: [f32; NUMBERS] = [1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 
-/// A map for each pixel; of no pixels where all surfaces are flat.
+/// A map for each pixel; empty where all surfaces are flat.
 #[derive(Debug, Default)]
 pub struct TouchingPlanes {
     maps: [Vec<f32>; NUMBERS],
 }
 
-/// The pixels of a level as their planes need them: in lists of the same order.
+/// The pixels of a level, as far as their planes need them: lists in the same order.
 #[derive(Debug, Clone, Copy)]
 pub struct Rays<'a> {
-    /// Ray at depth 1.
+    /// Ray at depth 1: x.
     pub x: &'a [f32],
-    /// See `x`.
+    /// Ray at depth 1: y.
     pub y: &'a [f32],
     /// Seconds from the frame's stamp to the middle of the row's exposure.
     pub delay_s: &'a [f32],
@@ -42,14 +47,14 @@ pub struct Rays<'a> {
     pub groups: &'a [(u32, u32, u32)],
 }
 
-/// The maps of a few pixels at a time.
+/// The maps of several pixels.
 #[derive(Clone, Copy)]
 pub struct MapLanes<L> {
     numbers: [L; NUMBERS],
 }
 
 impl TouchingPlanes {
-    /// Finds the planes for pixels that were arranged, seen from a motion.
+    /// Finds the planes for arranged pixels, as seen from a motion.
     pub fn find(&mut self, pixels: &Rays, spec: &LevelSpec, motion: &Motion) {
         let is_bent = |surface: u32| !spec.surfaces[surface as usize].rectangle.shape.is_flat();
         let n = if pixels.groups.iter().any(|(surface, ..)| is_bent(*surface)) { pixels.x.len() } else { 0 };
@@ -61,12 +66,12 @@ impl TouchingPlanes {
         }
     }
 
-    /// Whether there are maps.
+    /// Whether there are no maps.
     pub fn is_empty(&self) -> bool {
         self.maps[0].is_empty()
     }
 
-    /// The maps from pixel `k` on.
+    /// Returns the maps from pixel `k` on.
     #[inline(always)]
     pub fn load<L: Lanes>(&self, k: usize) -> MapLanes<L> {
         debug_assert!(k + LANES <= self.maps[0].len());
@@ -78,13 +83,13 @@ impl TouchingPlanes {
     }
 }
 
-/// Whose planes are sought.
+/// The pixels of one surface whose planes are computed.
 pub struct Touched<'a> {
     /// Of the surface.
     table: &'a PlaneTable,
     path: SightPath,
     pixels: &'a Rays<'a>,
-    /// First of its pixels, and one beyond the last: whole lanes.
+    /// First of its pixels, and one past the last: whole lanes.
     range: [usize; 2],
 }
 
@@ -96,7 +101,8 @@ dispatch! {
 #[inline(always)]
 fn find_planes_lanes<L: Lanes>(what: &Touched, maps: &mut [Vec<f32>; NUMBERS]) {
     let Touched { table, path, pixels, range } = what;
-    // The folds put a pixel as far from where a flat picture would be seen as the one before it, which is mostly beside it.
+    // Start from the offset, from the flat picture to the folds, of the previous pixels, which are
+    // mostly adjacent.
     let mut off = [L::splat(0.0); 2];
     let mut k = range[0];
     while k < range[1] {
@@ -116,7 +122,8 @@ fn find_planes_lanes<L: Lanes>(what: &Touched, maps: &mut [Vec<f32>; NUMBERS]) {
     }
 }
 
-/// The maps to the planes that touch a surface where rays meet it, found from points nearby; these points of the picture; and whether all rays meet it.
+/// Returns the maps to the planes that touch a surface where rays meet it, starting from points
+/// nearby; these points of the picture; and whether all rays meet the surface.
 #[inline(always)]
 fn touching<L: Lanes>(table: &PlaneTable, start: [L; 2], from: &[L; 3], direction: &[L; 3]) -> (MapLanes<L>, [L; 2], bool) {
     let mut point = start;
@@ -135,21 +142,22 @@ fn touching<L: Lanes>(table: &PlaneTable, start: [L; 2], from: &[L; 3], directio
     (map, met, moved.is_finite())
 }
 
-/// The squared distances of all lanes, together.
+/// Returns the sum of the squared distances of all lanes.
 #[inline(always)]
 fn squared<L: Lanes>(a: [L; 2], b: [L; 2]) -> f32 {
     let (x, y) = (a[0].sub(b[0]), a[1].sub(b[1]));
     total(x.mul_add(x, y.mul(y)))
 }
 
-/// Where rays meet the plane of x and y.
+/// Returns where rays meet the plane z = 0.
 #[inline(always)]
 fn meet<L: Lanes>(from: &[L; 3], direction: &[L; 3]) -> [L; 2] {
     let depth = L::splat(0.0).sub(from[2].div(direction[2]));
     [depth.mul_add(direction[0], from[0]), depth.mul_add(direction[1], from[1])]
 }
 
-/// Of some pixels, of which one runs along the surface: its plane is the surface's own.
+/// Replaces the maps of those pixels of a group that are not finite, because their ray runs along
+/// the surface, by the surface's own plane.
 #[cold]
 fn drop_unmet(maps: &mut [Vec<f32>; NUMBERS], first: usize) {
     for k in first..first + LANES {
@@ -160,7 +168,8 @@ fn drop_unmet(maps: &mut [Vec<f32>; NUMBERS], first: usize) {
 }
 
 impl<L: Lanes> MapLanes<L> {
-    /// To the planes that touch a surface at points of its picture; no numbers where the picture is folded to a line there.
+    /// Returns the maps to the planes that touch a surface at points of its picture; not finite
+    /// where the picture is folded to a line.
     #[inline(always)]
     fn touching(at: &TablePoint<L>, point: [L; 2]) -> Self {
         let one = L::splat(1.0);
@@ -177,14 +186,14 @@ impl<L: Lanes> MapLanes<L> {
         Self { numbers: [xx, xy, yx, yy, zx, zy, shift[0], shift[1], shift[2]] }
     }
 
-    /// Where rays meet the planes, points of the picture.
+    /// Returns where rays meet the planes, as points of the picture.
     #[inline(always)]
     fn meet(&self, from: &[L; 3], direction: &[L; 3]) -> [L; 2] {
         let [[x], [y], [z]] = self.rows(&direction.map(|v| [v]));
         meet(&self.point(*from), &[x, y, z])
     }
 
-    /// What the pixels see, in the frames of the planes.
+    /// Transforms the camera's pose to the frames of the planes.
     #[inline(always)]
     pub fn sight(&self, sight: &Sight<L>) -> Sight<L> {
         let [a, b, c, d, e, f, g, h, i] = sight.rotation;
@@ -192,7 +201,8 @@ impl<L: Lanes> MapLanes<L> {
         Sight { centre: self.point(sight.centre), rotation: [a, b, c, d, e, f, g, h, i] }
     }
 
-    /// A direction, or each column of a matrix of three rows of `W` entries.
+    /// Applies the linear part to a direction, or to each column of a matrix of three rows of `W`
+    /// entries.
     #[inline(always)]
     fn rows<const W: usize>(&self, rows: &[[L; W]; 3]) -> [[L; W]; 3] {
         let [xx, xy, yx, yy, zx, zy, ..] = self.numbers;
@@ -206,14 +216,14 @@ impl<L: Lanes> MapLanes<L> {
         out
     }
 
-    /// A point.
+    /// Transforms a point.
     #[inline(always)]
     fn point(&self, point: [L; 3]) -> [L; 3] {
         let [[x], [y], [z]] = self.rows(&point.map(|v| [v]));
         [x.add(self.numbers[6]), y.add(self.numbers[7]), z.add(self.numbers[8])]
     }
 
-    /// A gradient by the plane's coordinates as one by the surface's.
+    /// Returns a gradient by the surface's coordinates from one by the plane's.
     #[inline(always)]
     pub fn gradient(&self, [x, y, z]: [L; 3]) -> [L; 3] {
         let [xx, xy, yx, yy, zx, zy, ..] = self.numbers;
@@ -233,7 +243,8 @@ mod tests {
     use crate::track::scene::surface::SurfaceSpec;
     use crate::track::synthetic::{cloth, facing};
 
-    /// The map to the plane that touches a surface at a point of its picture: linear part and shift, in `f64`.
+    /// Returns the map to the plane that touches a surface at a point of its picture: linear part
+    /// and shift, in `f64`.
     fn plain_map(at: &ShapePoint, point: Vector2<f64>) -> (Matrix3<f64>, Vector3<f64>) {
         let [a, b] = at.by_picture;
         let linear = Matrix3::from_columns(&[a, b, Vector3::z()]).try_inverse().unwrap();
@@ -245,7 +256,7 @@ mod tests {
         (from - direction * (from.z / direction.z)).xy()
     }
 
-    /// The map that was found for a pixel.
+    /// Returns the map that was found for a pixel.
     fn found_map(maps: &[Vec<f32>; NUMBERS], k: usize) -> (Matrix3<f64>, Vector3<f64>) {
         let [xx, xy, yx, yy, zx, zy, x, y, z] = [0, 1, 2, 3, 4, 5, 6, 7, 8].map(|n| f64::from(maps[n][k]));
         (Matrix3::new(xx, xy, 0.0, yx, yy, 0.0, zx, zy, 1.0), Vector3::new(x, y, z))
@@ -260,7 +271,7 @@ mod tests {
         for off in [Vector2::zeros(), Vector2::new(0.002, -0.001), Vector2::new(-0.01, 0.005)] {
             let near = [point[0] + off.x, point[1] + off.y];
             let met = plain_meet(&map, &from, &(shape.at(near).place - from));
-            // What a plane misses within a centimetre of folds of 12 mm, a metre long.
+            // What a plane misses within a centimetre, for folds of 12 mm, a metre long.
             assert!((met - Vector2::from(near)).norm() < 1e-7 + 2.0 * off.norm_squared(), "{off}");
         }
     }
@@ -295,14 +306,15 @@ mod tests {
             let met = plain_meet(&found, &from, &direction);
             let right = Vector2::from(shape.meet(&from, &direction).unwrap());
             assert!((met - right).norm() < 1e-5, "{k}: {met} {right}");
-            // Touching where the ray meets the table's surface, with twice as many digits: what folds part within SAME_PLANE_M, seen aslant.
+            // The map must be tangent where the ray meets the table's surface, computed in `f64`:
+            // within what folds deviate over SAME_PLANE_M, seen aslant.
             let twin = plain_map(&table.at(met), met);
             assert!((plain_meet(&twin, &from, &direction) - met).norm() < 6e-6, "{k}");
             assert!((found.0 - twin.0).norm() < 6e-3, "{k}: {found:?} {twin:?}");
         }
     }
 
-    /// A camera on its way, 3 m in front of the cloth.
+    /// Returns the motion of a camera that passes 3 m in front of the cloth.
     fn passing() -> Motion {
         Motion {
             velocity: Vector3::new(0.3, -0.2, 0.1),
