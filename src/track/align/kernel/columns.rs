@@ -1,23 +1,24 @@
-//! The columns of a tile's normal equations, and the sums of their products.
+//! The unknowns of a tile: the columns of its normal equations, and the sums of the products of
+//! these columns.
 
-/// Columns of a tile: those of the pose, then the light's: point spread, bias, gain at the four corners of its cell.
+/// Columns of a tile: those of the pose, then those of the light.
 pub const COLUMNS: usize = POSE + LIGHT;
 /// Columns of the pose, which come first: position, then rotation.
 pub const POSE: usize = 6;
-/// Columns of the light: point spread, bias, four gains.
+/// Columns of the light: point spread, bias, and the gains at the four corners of the tile's cell.
 pub const LIGHT: usize = 6;
-/// The column of the point spread's variance.
+/// Column of the variance of the point spread.
 pub const PSF_VARIANCE: usize = POSE;
-/// The column of the bias.
+/// Column of the bias.
 pub const BIAS: usize = POSE + 1;
-/// The first of the four columns of the gains.
+/// First of the four columns of the gains.
 pub const GAINS: usize = POSE + 2;
-/// Columns and the residual, which comes last.
+/// Number of the columns and the residual, which comes last.
 pub const ALL: usize = COLUMNS + 1;
 /// Entries of the upper triangle of the pose's columns.
 pub const POSE_ENTRIES: usize = POSE * (POSE + 1) / 2;
 
-/// Weighted sums over one run of pixels.
+/// Weighted sums of products of columns, over one run of pixels.
 #[derive(Debug, Clone, Copy)]
 pub struct TileSums {
     sums: [f32; Self::ENTRIES],
@@ -33,23 +34,24 @@ impl TileSums {
     /// Entries of the upper triangle of the columns and the residual.
     pub const ENTRIES: usize = ALL * (ALL + 1) / 2;
 
-    /// From the upper triangle, row by row.
+    /// Takes the upper triangle, row by row.
     pub fn new(sums: [f32; Self::ENTRIES]) -> Self {
         Self { sums }
     }
 
-    /// Where the product of columns i <= j is.
+    /// Returns the index of the product of columns i <= j.
     pub const fn entry(i: usize, j: usize) -> usize {
         i * ALL - i * (i + 1) / 2 + j
     }
 
-    /// Sum of w a_i a_j; column [`COLUMNS`] is the residual.
+    /// Returns the sum of w a_i a_j; column [`COLUMNS`] is the residual.
     #[inline(always)]
     pub fn product(&self, i: usize, j: usize) -> f64 {
         f64::from(self.sums[if i <= j { Self::entry(i, j) } else { Self::entry(j, i) }])
     }
 
-    /// [`product`](Self::product) for the columns of the pose: the upper triangle, row by row.
+    /// Returns [`product`](Self::product) for the columns of the pose: the upper triangle, row by
+    /// row.
     #[inline(always)]
     pub fn of_pose(&self) -> [f64; POSE_ENTRIES] {
         let mut triangle = [0.0; POSE_ENTRIES];
@@ -63,13 +65,13 @@ impl TileSums {
         triangle
     }
 
-    /// The products by a step's columns, summed: what of the right side it explains.
+    /// Returns the normal matrix times a step: the part of the right side that the step explains.
     pub fn by_step(&self, step: &[f32; COLUMNS]) -> [f64; COLUMNS] {
         let step = step.map(f64::from);
         let mut sums = [0.0; COLUMNS];
         let mut first = 0;
         for i in 0..COLUMNS {
-            // Each entry of the triangle stands for two of the full square, but on the diagonal.
+            // An entry off the diagonal stands for two of the full matrix.
             let row = &self.sums[first..first + COLUMNS - i];
             sums[i] += f64::from(row[0]) * step[i];
             for (j, product) in (i + 1..COLUMNS).zip(&row[1..]) {
@@ -83,7 +85,8 @@ impl TileSums {
     }
 }
 
-/// Where entry (i, j) of a symmetric matrix of the pose's columns is, in its upper triangle row by row.
+/// Returns the index of entry (i, j) of a symmetric matrix of the pose's columns in its upper
+/// triangle, row by row.
 pub const fn entry(i: usize, j: usize) -> usize {
     let (i, j) = if i <= j { (i, j) } else { (j, i) };
     i * POSE - i * (i + 1) / 2 + j

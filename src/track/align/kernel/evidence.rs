@@ -1,36 +1,43 @@
-//! What each run of pixels shows at the solution: how well it agrees, how far off its patch lies, and what it says of the blur.
+//! What each run of pixels shows at the solution: how well it agrees with the prediction, how far
+//! its patch is displaced, and what its blur says about the exposure.
 
 use super::columns::{COLUMNS, PSF_VARIANCE};
 use super::normal::{RobustWeighting, RunView, columns, less_step, weight};
 use crate::track::align::lanes::{LANES, Lanes, dispatch, load_at, total};
 
-/// What a run shows at the solution, for the judgement and for correspondences.
+/// What a run shows at the solution, for the verdict and for correspondences. r is the residual
+/// (seen minus predicted grey) and w its robust weight times its information.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RunEvidence {
-    /// Pixels that tell something.
+    /// Number of pixels that are neither burnt out, drowned in black, nor padding.
     pub count: f64,
-    /// Of these, with a robust weight above one half.
+    /// Number of these with a robust weight above one half.
     pub inliers: f64,
-    /// Sum of squared residuals, and of squared residuals over squared gradient (pixels²), of the inliers.
+    /// Sum over the inliers of the squared residual divided by the squared gradient (at least 1),
+    /// pixels².
     pub squared_px: f64,
-    /// Sums of seen, predicted, their squares and their product.
+    /// Sums over the pixels of seen, predicted, seen², predicted², seen times predicted.
     pub moments: [f64; 5],
-    /// Sum of the noise variance.
+    /// Sum of the noise variance, grey levels².
     pub noise: f64,
-    /// Weighted sums of across², across down, down², across r, down r (gradients of the predicted frame).
+    /// Sums of w times across², across down, down², across r, down r, where across and down are the
+    /// gradients of the predicted frame per pixel of the level.
     pub shift: [f64; 5],
-    /// Weighted sums of the pixel's place: weight, column, row.
+    /// Sums of v, v column, v row, where v is w times the squared gradient (at least 1): the place
+    /// of the patch.
     pub place: [f64; 3],
-    /// Weighted sums of spread², spread sharper, sharper², spread r, sharper r.
+    /// Sums of w times p², p s, s², p r, s r, where p is the derivative by the point spread and s
+    /// the sharpening (see `Appearance::sharper`).
     pub blur: [f64; 5],
 }
 
 dispatch! {
-    /// Looks at a run again after `step`.
+    /// Evaluates a run after `step` (in the columns of its tile).
     evidence, evidence_lanes,
     (view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) -> RunEvidence
 }
 
+/// Does the work of [`evidence`], for one type of lanes.
 #[inline(always)]
 pub fn evidence_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) -> RunEvidence {
     let RunView { pixels, run, appearance, light, residuals } = *view;

@@ -1,9 +1,10 @@
-//! The inner loops: residuals and their products, summed per tile.
+//! The inner loops: residuals and their products, summed per run of pixels (one surface in one
+//! tile). Eight pixels are handled at a time.
 //!
 //! - `columns`, `rows`: the unknowns of a tile, and how they change from row to row
-//! - `normal`: residuals and robust weights
+//! - `normal`: residuals, their derivatives and robust weights
 //! - `tile_equations`, `tile_products`: the normal equations of a tile
-//! - `evidence`, `noise_sums`: what the residuals say of the pose and of the noise
+//! - `evidence`, `noise_sums`: what the residuals say about the pose and the noise
 //!
 //! Uses `align::pixels`.
 

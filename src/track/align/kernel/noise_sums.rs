@@ -1,4 +1,5 @@
-//! What the pixels of a frame say of the camera's noise: their squared residuals, by what the variance may be made of.
+//! What the pixels of a frame say about the camera's noise: their squared residuals, as a function
+//! of grey and gradient. [`NoiseSums`] are the sums of that linear fit.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -7,13 +8,15 @@ use super::normal::{RobustWeighting, RunView, columns, less_step};
 use crate::track::align::lanes::{LANES, Lanes, dispatch, load_at, total};
 use crate::track::align::learned::noise::NoiseSums;
 
-/// Largest squared residual that counts as noise, squared scales: three sigmas. Raised, pixels that show something else count as noise.
+/// Maximum squared residual that counts as noise, in squared robust sigmas. Raised, pixels that
+/// show something else count as noise; lowered, [`KEPT_VARIANCE`] falls too.
 pub const MAX_SQUARED: f32 = 9.0;
-/// Variance of a standard normal distribution that is cut at three sigmas. It follows from [`MAX_SQUARED`].
+/// Variance of a standard normal distribution that is cut off at three sigmas, as [`MAX_SQUARED`]
+/// does.
 pub const KEPT_VARIANCE: f64 = 0.9733;
 
 impl NoiseSums {
-    /// Adds a run as `step` leaves it.
+    /// Adds the residuals of a run after `step`.
     pub fn add(&mut self, view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) {
         let [aa, ag, as_, gg, gs, ss, ra, rg, rs] = noise_sums(view, step, weighting).map(f64::from);
         self.by_each_other += Matrix3::new(aa, ag, as_, ag, gg, gs, as_, gs, ss);
@@ -22,12 +25,13 @@ impl NoiseSums {
 }
 
 dispatch! {
-    /// Sums over a run as `step` leaves it, weighted by the inverse square of the variance: 1, grey, slope² by each other (six), and by
-    /// the squared residual (three).
+    /// Sums over a run after `step`, weighted by the squared inverse of the variance: products of
+    /// 1, grey and squared gradient with each other (six), and with the squared residual (three).
     noise_sums, noise_sums_lanes,
     (view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) -> [f32; 9]
 }
 
+/// Does the work of [`noise_sums`], for one type of lanes.
 #[inline(always)]
 pub fn noise_sums_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) -> [f32; 9] {
     let RunView { pixels, run, appearance, light, residuals } = *view;
@@ -39,7 +43,7 @@ pub fn noise_sums_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighti
         let r = less_step(load_at::<L>(&residuals.intensity, k), &columns, step);
         let information = load_at::<L>(&residuals.information, k);
         let squared = r.mul(r);
-        // One where the residual is small enough to be noise, and the pixel tells anything.
+        // 1 where the residual is small enough to be noise and the pixel counts, else 0.
         let is_noise = largest.sub(squared.mul(information)).mul(L::splat(1e9)).max(zero).min(one).mul(load_at(&pixels.counts, k));
         let w = information.mul(information).mul(is_noise);
         let intensity = load_at::<L>(&pixels.seen, k).sub(r).max(zero);

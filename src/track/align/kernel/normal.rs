@@ -1,5 +1,8 @@
-//! The columns of one alignment step, pixel by pixel: how the residuals of a tile's pixels change with the
-//! pose at the tile's rows, with the light of the tile's corners, the bias and the point spread. `tile_products` sums their products.
+//! The residuals of a tile's pixels, their derivatives and their robust weights.
+//!
+//! The derivatives are the columns of one alignment step: how the predicted grey changes with the
+//! pose at the tile's rows, the gains at the tile's corners, the bias and the point spread.
+//! `tile_products` sums their products.
 
 use super::columns::{BIAS, COLUMNS, GAINS, PSF_VARIANCE};
 use crate::geometry::robust_kernel;
@@ -9,34 +12,37 @@ use crate::track::align::learned::noise::Noise;
 use crate::track::align::pixels::appearance::Appearance;
 use crate::track::align::pixels::runs::{Pixels, Run};
 
-/// The limit of Tukey's biweight, as everywhere ([`robust_kernel::TUKEY`]): residuals beyond this many robust sigmas count nothing.
+/// Tukey's biweight: residuals beyond this many robust sigmas have no weight. See
+/// [`robust_kernel::TUKEY`].
 const TUKEY: f32 = robust_kernel::TUKEY as f32;
-/// Cauchy's weight in a first pass falls to one half at this many sigmas, and never vanishes. Near the 2.385 that are 95 % as efficient as
-/// least squares. Raised, outliers pull the first step more; lowered, fewer pixels lead back a start that is off.
+/// Cauchy's weight in a first pass is one half at this many sigmas, and never 0. Raised, outliers
+/// bias the first step more; lowered, fewer pixels correct a start that is off.
 const FIRST_PASS: f32 = 2.7;
 
-/// How residuals are weighed.
+/// How residuals are weighted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RobustWeighting {
     /// Robust standard deviation of the whitened residuals.
     pub scale: f64,
-    /// Weights that never vanish instead of Tukey's: for a start that may be far off.
+    /// Whether to use Cauchy's weights, which never vanish, instead of Tukey's: for a start that
+    /// may be far off.
     pub is_first_pass: bool,
-    /// Stride over groups of [`LANES`] pixels: a rough step to take weights from needs only some of them.
+    /// Only one group of [`LANES`] pixels in `stride` is used: a rough step, needed only for the
+    /// weights, does with some of them.
     pub stride: usize,
 }
 
-/// Per-pixel numbers that the step owns.
+/// Residuals and their information at the linearisation, per pixel.
 #[derive(Debug, Default)]
 pub struct Residuals {
-    /// Seen less predicted grey, at the state of the linearisation.
+    /// Seen minus predicted grey, grey levels.
     pub intensity: Vec<f32>,
-    /// Inverse of the variance that noise and model explain; 0 where a pixel tells nothing.
+    /// Inverse of the variance by noise and model error; 0 where a pixel does not count.
     pub information: Vec<f32>,
 }
 
 impl Residuals {
-    /// Makes room for `n` pixels, none of which tells anything yet.
+    /// Makes room for `n` pixels, none of which counts yet.
     pub fn resize(&mut self, n: usize) {
         for list in [&mut self.intensity, &mut self.information] {
             list.clear();
@@ -46,7 +52,7 @@ impl Residuals {
 }
 
 dispatch! {
-    /// Residuals of a run at the linearisation, and their informations.
+    /// Computes the residuals of a run at the linearisation, and their information.
     residuals, residuals_lanes,
     (pixels: &Pixels, run: &Run, appearance: &Appearance, light: &TileLight, noise: &Noise, out: &mut Residuals)
 }
@@ -54,19 +60,19 @@ dispatch! {
 /// A run with all that is known of its pixels at the linearisation.
 #[derive(Clone, Copy)]
 pub struct RunView<'a> {
-    /// The pixels.
+    /// All pixels of the level.
     pub pixels: &'a Pixels,
-    /// Which of them.
+    /// The range of the run.
     pub run: &'a Run,
-    /// What they should look like.
+    /// The prediction of all pixels.
     pub appearance: &'a Appearance,
-    /// In this light.
+    /// The light of the run's tile.
     pub light: &'a TileLight,
-    /// What they say.
+    /// The residuals of all pixels.
     pub residuals: &'a Residuals,
 }
 
-/// How much the gain at each corner of its cell counts at a pixel.
+/// Returns the weights, at each pixel, of the gains at the corners of its cell.
 #[inline(always)]
 fn corner_weights<L: Lanes>(pixels: &Pixels, k: usize) -> [L; 4] {
     let (a, b) = (load_at::<L>(&pixels.cell[0], k), load_at::<L>(&pixels.cell[1], k));
@@ -105,7 +111,8 @@ fn residuals_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance
     }
 }
 
-/// The columns of [`LANES`] pixels: how the predicted grey changes; and the gain there.
+/// Returns the columns of [`LANES`] pixels (the derivatives of the predicted grey), and the gain
+/// there.
 #[inline(always)]
 pub fn columns<L: Lanes>(pixels: &Pixels, appearance: &Appearance, light: &TileLight, k: usize) -> ([L; COLUMNS], L) {
     let corners = corner_weights::<L>(pixels, k);
@@ -124,7 +131,7 @@ pub fn columns<L: Lanes>(pixels: &Pixels, appearance: &Appearance, light: &TileL
     (columns, g)
 }
 
-/// The residual that a step leaves.
+/// Returns the residual after a step.
 #[inline(always)]
 pub fn less_step<L: Lanes>(mut r: L, columns: &[L; COLUMNS], step: &[f32; COLUMNS]) -> L {
     for c in 0..COLUMNS {
@@ -133,7 +140,7 @@ pub fn less_step<L: Lanes>(mut r: L, columns: &[L; COLUMNS], step: &[f32; COLUMN
     r
 }
 
-/// The robust weight of a squared whitened residual.
+/// Returns the robust weight of a squared whitened residual.
 #[inline(always)]
 pub fn weight<L: Lanes>(squared: L, weighting: &RobustWeighting) -> L {
     let (zero, one) = (L::splat(0.0), L::splat(1.0));
@@ -147,7 +154,8 @@ pub fn weight<L: Lanes>(squared: L, weighting: &RobustWeighting) -> L {
 }
 
 dispatch! {
-    /// Sums over the pixels of a run that tell something: their number, predicted, seen, predicted², seen², predicted seen.
+    /// Sums over the counting pixels of a run: their number, predicted, seen, predicted², seen²,
+    /// predicted times seen.
     moments, moments_lanes, (pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 6]
 }
 
@@ -170,7 +178,8 @@ fn moments_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance) 
 }
 
 dispatch! {
-    /// Adds the squared whitened residuals that `step` leaves, of one group of [`LANES`] pixels in `stride`, to `squares`.
+    /// Appends to `squares` the squared whitened residuals after `step`, of one group of [`LANES`]
+    /// pixels in `stride`.
     squares_after, squares_after_lanes,
     (view: &RunView, step: &[f32; COLUMNS], stride: usize, squares: &mut Vec<f32>)
 }

@@ -1,42 +1,44 @@
-//! The normal equations of one tile, in its own columns and in those that its rows' times add.
+//! The normal equations of one tile, in its own columns and in those that the times of its rows
+//! add.
 
 use super::columns::{COLUMNS, POSE, POSE_ENTRIES, TileSums, entry};
 use super::rows::RowSums;
 
-/// What a tile says, linearised: its sums, and those of the times of its rows.
+/// The linearised information of a tile: its sums, and those of the times of its rows.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct TileEquations {
-    /// Over its pixels.
+    /// Sums over its pixels.
     pub sums: TileSums,
-    /// How they differ in time; `None` where all are exposed together, or are taken to be.
+    /// Sums by the times of its rows; `None` where all are exposed together, or treated so.
     pub rows: Option<RowSums>,
 }
 
-/// A change of everything that a tile sees.
+/// A change of all unknowns of a tile.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct TileStep {
-    /// Of its columns, at its middle.
+    /// Change of its columns, at its middle.
     pub columns: [f32; COLUMNS],
-    /// How the change of the pose grows from row to row, per second.
+    /// Growth of the change of the pose from row to row, per second.
     pub rate: [f32; POSE],
 }
 
-/// One number for each column, and for each column of the pose times the seconds from the middle of the tile.
+/// One number for each column, and for each column of the pose times the seconds from the middle of
+/// the tile.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TileScore {
     /// By column.
     pub columns: [f64; COLUMNS],
-    /// By column of the pose and time.
+    /// By column of the pose, times the seconds.
     pub timed: [f64; POSE],
 }
 
-/// A symmetric matrix of the pose's columns times a vector.
+/// Returns a symmetric matrix of the pose's columns times a vector.
 fn times(triangle: &[f64; POSE_ENTRIES], vector: &[f64; POSE]) -> [f64; POSE] {
     std::array::from_fn(|i| (0..POSE).map(|j| triangle[entry(i, j)] * vector[j]).sum())
 }
 
 impl TileEquations {
-    /// The normal matrix times a step: what of the right side it explains.
+    /// Returns the normal matrix times a step: the part of the right side that the step explains.
     pub fn explained(&self, step: &TileStep) -> TileScore {
         let mut columns = self.sums.by_step(&step.columns);
         let Some(rows) = &self.rows else { return TileScore { columns, timed: [0.0; POSE] } };
@@ -58,7 +60,7 @@ impl TileEquations {
         TileScore { columns, timed }
     }
 
-    /// What of the right side a step leaves.
+    /// Returns the right side that remains after a step.
     pub fn left_by(&self, step: &TileStep) -> TileScore {
         let explained = self.explained(step);
         let by_residual = |i: usize| self.rows.as_ref().map_or(0.0, |rows| rows.by_other(i, COLUMNS));

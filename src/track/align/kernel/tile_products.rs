@@ -1,8 +1,9 @@
-//! The kernel of the normal equations: weighted products of the columns of a run's pixels, summed over the run.
+//! The kernel of the normal equations: weighted products of the columns of a run's pixels, summed
+//! over the run.
 //!
-//! A tile has few pixels, so that what is done once for a run counts as much as what is done for each of its pixels. The columns of
-//! a run are laid out in a buffer that is kept and never cleared, their products are summed block by block in registers, and
-//! eight sums of lanes are added across at a time.
+//! A tile has few pixels, so work per run costs as much as work per pixel. The columns of a run are
+//! laid out in a buffer that is reused and never cleared. Their products are summed block by block
+//! in registers, and at the end eight sums at a time are added across their lanes.
 
 use super::columns::{ALL, COLUMNS, POSE, TileSums};
 use super::normal::{RobustWeighting, RunView, columns, less_step, weight};
@@ -10,15 +11,16 @@ use super::rows::RowSums;
 use super::tile_equations::TileEquations;
 use crate::track::align::lanes::{LANES, Lanes, dispatch, load_at};
 
-/// Groups of [`LANES`] pixels that are laid out before their products are summed: as many as most runs have. Raised, the buffer leaves
-/// the first cache.
+/// Groups of [`LANES`] pixels that are laid out before their products are summed. Raised, the
+/// buffer leaves the first-level cache; lowered, long runs take more rounds.
 const CHUNK: usize = 16;
-/// Where the factors of the pose times the seconds from the tile's middle begin, where those times their squares do, and how many there
-/// are: the first are all of [`ALL`], weighted.
+/// First of the factors by time, and by squared time, and number of all factors. The first [`ALL`]
+/// are the weighted columns.
 const TIMED: usize = ALL;
 const SQUARED: usize = TIMED + POSE;
 const FACTORS: usize = SQUARED + POSE;
-/// Sums are kept for the tile, from `ROW_SUMS` on for its rows, each filled up to whole [`LANES`]; how many there are.
+/// Index of the first sum for the rows, after those for the tile, each padded to whole [`LANES`];
+/// and number of all sums.
 const ROW_SUMS: usize = TileSums::ENTRIES.next_multiple_of(LANES);
 const SUMS: usize = ROW_SUMS + RowSums::ENTRIES.next_multiple_of(LANES);
 
@@ -27,7 +29,8 @@ const SUMS: usize = ROW_SUMS + RowSums::ENTRIES.next_multiple_of(LANES);
 #[repr(align(32))]
 struct Group([f32; LANES]);
 
-/// The columns of a chunk and the sums of the chunks before it. Nothing in it is read that was not written for the same run.
+/// The columns of a chunk, and the sums of the chunks before it. Nothing is read that was not
+/// written for the same run.
 #[derive(Debug)]
 pub struct ProductBuffer {
     factors: [[Group; CHUNK]; FACTORS],
@@ -43,12 +46,14 @@ impl Default for ProductBuffer {
 }
 
 dispatch! {
-    /// Sums of a run at the linearisation; weights are those of the residuals as `step` (the tile's columns) leaves them. `delay_s`: when
-    /// the tile is taken to be exposed, seconds from the frame's stamp, where the times of its rows are to be summed as well.
+    /// Sums a run at the linearisation, with the weights of the residuals after `step` (in the
+    /// tile's columns). `delay_s`: the time at which the tile counts as exposed, seconds from the
+    /// frame's stamp, where the sums by the times of its rows are wanted too.
     tile_equations, tile_equations_lanes,
     (view: &RunView, delay_s: Option<f32>, step: &[f32; COLUMNS], weighting: &RobustWeighting, buffer: &mut ProductBuffer) -> TileEquations
 }
 
+/// Does the work of [`tile_equations`], for one type of lanes.
 #[inline(always)]
 pub fn tile_equations_lanes<L: Lanes>(
     view: &RunView,
@@ -97,7 +102,7 @@ fn put<L: Lanes>(column: &mut [Group; CHUNK], n: usize, value: L) {
     value.store(&mut column[n].0);
 }
 
-/// Adds the products of the first `n` groups of a chunk to the sums, or begins them.
+/// Adds the products of the first `n` groups of a chunk to the sums, or starts the sums.
 #[inline(always)]
 fn add_products<L: Lanes>(buffer: &mut ProductBuffer, n: usize, is_first: bool, has_rows: bool) {
     macro_rules! blocks {
@@ -106,7 +111,8 @@ fn add_products<L: Lanes>(buffer: &mut ProductBuffer, n: usize, is_first: bool, 
         };
     }
     const { assert!(POSE == 6 && COLUMNS == 12, "the blocks are laid out for these columns and the residual: lay them out anew") }
-    // Blocks of three factors by four columns: their sums stay in registers while a chunk is walked through.
+    // Blocks of three factors by four columns: their sums stay in registers while the chunk is
+    // read.
     blocks!(3 x 4: [0, 0] [0, 4] [0, 8] [3, 3] [3, 7] [6, 6] [9, 9]);
     blocks!(3 x 1: [0, 12] [3, 11] [3, 12] [6, 10] [6, 11] [6, 12]);
     blocks!(1 x 1: [12, 12]);
@@ -117,7 +123,7 @@ fn add_products<L: Lanes>(buffer: &mut ProductBuffer, n: usize, is_first: bool, 
     }
 }
 
-/// The products of `R` factors from the `I`th with `C` columns from the `J`th.
+/// Adds the products of `R` factors from the `I`th with `C` columns from the `J`th.
 #[inline(always)]
 fn add_block<L: Lanes, const R: usize, const C: usize, const I: usize, const J: usize>(
     buffer: &mut ProductBuffer,
@@ -147,7 +153,8 @@ fn add_block<L: Lanes, const R: usize, const C: usize, const I: usize, const J: 
     }
 }
 
-/// Where the sum of a factor's products with a column is kept; `None` where the column comes first, for symmetric products are kept once.
+/// Returns the index of the sum of a factor's products with a column; `None` where the column comes
+/// first, because symmetric products are stored once.
 #[inline(always)]
 const fn place(factor: usize, column: usize) -> Option<usize> {
     if factor < TIMED {
@@ -167,7 +174,7 @@ const fn place(factor: usize, column: usize) -> Option<usize> {
     }
 }
 
-/// The sums across the lanes of each.
+/// Returns each sum added up across its lanes.
 #[inline(always)]
 fn totals<L: Lanes, const N: usize>(sums: &[Group]) -> [f32; N] {
     let mut totals = [0.0; N];

@@ -48,7 +48,9 @@ pub struct Noise {
 /// other, and with the squared residual.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NoiseSums {
+    /// Products of the regressors with each other.
     pub(in crate::track::align) by_each_other: Matrix3<f64>,
+    /// Products of the regressors with the squared residual.
     pub(in crate::track::align) by_squared: Vector3<f64>,
 }
 

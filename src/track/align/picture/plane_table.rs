@@ -18,8 +18,7 @@ const TO_AN_INTERVAL: usize = 4;
 const STEP: f64 = 0.25;
 
 /// Rows of a paraboloid: value and slope by x; slope by y and by xx; by xy and by yy. Half a row
-/// has the offsets along x, y and z, and a zero, so that the rows of eight points transpose
-/// quickly.
+/// has the offsets along x, y and z, and a zero: so the rows of eight points transpose cheaply.
 const ROWS: usize = 3;
 type Parabola = [[f32; LANES]; ROWS];
 /// Length of half a row.
