@@ -1,4 +1,5 @@
-//! The kernels against differences and against their plain twins.
+//! Tests of the kernels: their derivatives against finite differences, and the AVX2 versions
+//! against the plain ones.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -40,12 +41,12 @@ impl Scene {
     }
 }
 
-/// A moving camera with a rolling shutter, and the pixels that it would ask at half size.
+/// Returns a moving camera with a rolling shutter, and the pixels that it would use at half size.
 fn scene() -> Scene {
     scene_of(cloth(1))
 }
 
-/// The same of a flat cloth and of one in folds.
+/// Returns the same for a flat cloth and for a folded one.
 fn scenes() -> [Scene; 2] {
     [scene(), scene_of(SurfaceSpec { shape: folds(), ..cloth(1) })]
 }
@@ -86,10 +87,10 @@ fn predicted<'a>(scene: &'a Scene, motion: &'a Motion, spec: &'a LevelSpec<'a>) 
     Predicted { surface: &scene.surfaces[0], motion, spec, pixels: &scene.pixels, range: [0, scene.pixels.len()] }
 }
 
-/// How far slopes over samples may be from the derivative.
+/// Maximum relative error of gradients fitted over samples against the derivative.
 const SLOPE_ERROR: f64 = 0.04;
 
-/// Slope and correlation of `y` over `x`.
+/// Returns slope and correlation of `y` over `x`.
 fn line(x: &[f64], y: &[f64]) -> (f64, f64) {
     let sum = |f: &dyn Fn(f64, f64) -> f64| x.iter().zip(y).map(|(a, b)| f(*a, *b)).sum::<f64>();
     let (xx, yy, xy) = (sum(&|a, _| a * a), sum(&|_, b| b * b), sum(&|a, b| a * b));
@@ -109,7 +110,8 @@ fn derivatives_by_the_pose_agree_with_differences() {
                 plus.intensity.iter().zip(&minus.intensity).map(|(p, m)| f64::from(p - m) / (2.0 * step[k])).collect();
             let derivatives: Vec<f64> = at.by_pose[k].iter().map(|v| f64::from(*v)).collect();
             let (slope, correlation) = line(&derivatives, &differences);
-            // Derivatives are slopes over a pixel's samples: of the finest detail they are some percent too steep.
+            // Derivatives are slopes over a pixel's samples: for the finest detail they are some
+            // percent too steep.
             assert!((slope - 1.0).abs() < SLOPE_ERROR && correlation > 0.99, "places {places}, {k}: {slope} {correlation}");
         }
     }
@@ -132,7 +134,7 @@ fn velocity_acts_through_the_time_of_the_row() {
     }
 }
 
-/// The prediction with its derivatives by the velocity.
+/// Returns the prediction with its derivatives by the velocity.
 fn appearance_by_velocity(scene: &Scene, places: usize, predict: impl Fn(&Predicted, &mut Appearance)) -> Appearance {
     let mut out = Appearance::default();
     out.resize(scene.pixels.len());
@@ -144,7 +146,7 @@ fn appearance_by_velocity(scene: &Scene, places: usize, predict: impl Fn(&Predic
 #[test]
 fn derivatives_of_the_blur_by_the_velocity_agree_with_differences() {
     for (mut scene, places) in scenes().into_iter().map(|scene| (scene, 5)).chain([3, 9, 15].map(|places| (scene(), places))) {
-        // Some pixels of blur. What moves so fast and turns as well is seen along a curve.
+        // Some pixels of blur. A point that moves this fast and rotates as well follows a curve.
         scene.slow.shutter.exposure_s = 0.04;
         let at = appearance_by_velocity(&scene, places, predict_by_velocity);
         let same = appearance(&scene, &scene.motion, places);
@@ -154,13 +156,14 @@ fn derivatives_of_the_blur_by_the_velocity_agree_with_differences() {
             step[6 + k] = if k < 3 { 0.04 } else { 0.01 };
             let plus = appearance(&scene, &scene.motion.corrected(&step), places);
             let minus = appearance(&scene, &scene.motion.corrected(&-step), places);
-            // Later rows also see the picture elsewhere, which is no blur.
+            // Later rows also see another part of the picture, which is not blur.
             let by_row = at.by_pose[k].iter().zip(&scene.pixels.delay_s).map(|(v, t)| f64::from(v * t));
             let differences = plus.intensity.iter().zip(&minus.intensity).map(|(p, m)| f64::from(p - m) / (2.0 * step[6 + k]));
             let differences: Vec<f64> = differences.zip(by_row).map(|(all, by_row)| all - by_row).collect();
             let derivatives: Vec<f64> = at.by_velocity[k].iter().map(|v| f64::from(*v)).collect();
             let (slope, correlation) = line(&derivatives, &differences);
-            // Where a place is sampled along one diagonal alone, the other is guessed from its neighbours.
+            // Where a place is sampled along one diagonal only, the other is taken from its
+            // neighbours.
             let (slope_error, least) = if places <= 5 { (SLOPE_ERROR, 0.99) } else { (1.5 * SLOPE_ERROR, 0.97) };
             assert!((slope - 1.0).abs() < slope_error && correlation > least, "places {places}, {k}: {slope} {correlation}");
         }
@@ -293,7 +296,7 @@ fn assert_near(fast: &[f64], plain: &[f64]) {
     }
 }
 
-/// The sums as they are defined: pixel by pixel.
+/// Compares the sums with their definition, pixel by pixel.
 fn assert_products(view: &RunView, delay_s: f64, step: &[f32; COLUMNS], weighting: &RobustWeighting, found: &TileEquations) {
     // By the power of time.
     let mut sums = [[[0.0; COLUMNS + 1]; COLUMNS + 1]; 3];
@@ -352,7 +355,7 @@ fn every_run_is_whole_and_no_pixel_comes_twice() {
             assert!(!is_repeat || scene.pixels.counts[k as usize] == 0.0);
         }
     }
-    // A camera that turned away sees none of the surface.
+    // A camera that faces away sees nothing of the surface.
     let away = Motion::still(crate::geometry::Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, 0.0, 3.0)));
     assert!(Selector::default().choose(&scene.spec(), &away).is_empty());
 }
@@ -381,7 +384,7 @@ fn sums_of_the_rows_are_products_of_the_columns_and_their_times() {
             assert_products(&view, f64::from(delay_s), &step, &weighting, &plain);
         }
     }
-    // Nothing of one run is left to the next.
+    // Nothing of one run leaks into the next.
     let none = Run { end: all.start, ..all };
     let light = scene.pixels.light_of(&all);
     let view = RunView { pixels: &scene.pixels, run: &none, appearance: &at, light: &light, residuals: &found };

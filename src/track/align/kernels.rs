@@ -1,4 +1,6 @@
-//! The kernels of alignment one by one, on one frame of one surface: for benches, which cannot reach them otherwise.
+//! The kernels of alignment, one by one, on one frame of one surface. Benches use this, because
+//! they cannot reach the kernels otherwise. Call the methods in the order in which they appear
+//! here.
 
 use image::GrayImage;
 
@@ -21,10 +23,11 @@ use crate::track::frame::frame_levels::{FINEST, FrameLevels};
 use crate::track::frame::rays::CameraRays;
 use crate::track::scene::surface::SurfaceSpec;
 
-/// Exposure of a frame with blur, seconds; the benches' alone. What a prediction costs depends on its number of places, not on this.
+/// Exposure of a blurred frame in benches, seconds. No effect on the time: that depends on the
+/// number of places.
 const EXPOSURE_S: f64 = 0.01;
 
-/// A frame, a surface and all that alignment makes of them, step by step.
+/// A frame, a surface and all that alignment computes from them, step by step.
 #[derive(Debug)]
 pub struct AlignKernels {
     frame: GrayImage,
@@ -41,7 +44,7 @@ pub struct AlignKernels {
 }
 
 impl AlignKernels {
-    /// A frame that shows the surface from a pose. Nothing is chosen or predicted yet.
+    /// Prepares a frame that shows the surface from a pose. Nothing is chosen or predicted yet.
     pub fn new(frame: GrayImage, camera: CameraModel, surface: &SurfaceSpec, t_camera_body: &Pose<Camera, Body>) -> Self {
         let mut levels = FrameLevels::default();
         levels.update(&frame);
@@ -65,13 +68,13 @@ impl AlignKernels {
         self.levels.update(&self.frame);
     }
 
-    /// Chooses about `count` pixels; gives their number.
+    /// Chooses about `count` pixels at most; returns their number.
     pub fn choose(&mut self, count: usize) -> usize {
         let Self { surfaces, slow, rays, motion, selector, .. } = self;
         selector.choose(&LevelSpec { count, ..LevelSpec::new(surfaces, slow, rays, true, FINEST, motion) }, motion).len()
     }
 
-    /// Lays the chosen pixels out in runs; the number of runs.
+    /// Lays out the chosen pixels in runs; returns the number of runs.
     pub fn lay_out(&mut self) -> usize {
         let spec = LevelSpec::new(&self.surfaces, &self.slow, &self.rays, true, FINEST, &self.motion);
         self.pixels.arrange(self.selector.chosen(), &spec, self.levels.level(FINEST), &RememberedLight::default());
@@ -80,7 +83,8 @@ impl AlignKernels {
         self.pixels.runs().len()
     }
 
-    /// Predicts all pixels, with `side` samples across a sharp one, or at `places` along a blur (more than one).
+    /// Predicts all pixels: with `side` samples across a sharp one, or at `places` along a blur (if
+    /// more than one).
     pub fn predict(&mut self, side: usize, places: usize) {
         let Self { surfaces, slow, rays, motion, pixels, .. } = self;
         let spec = &LevelSpec { side, places, ..LevelSpec::new(surfaces, slow, rays, true, FINEST, motion) };
@@ -88,7 +92,7 @@ impl AlignKernels {
         predict(&what, &mut self.appearance);
     }
 
-    /// Residuals of all runs.
+    /// Computes the residuals of all runs.
     pub fn residuals(&mut self) {
         let noise = self.slow.noise.at(FINEST);
         for run in self.pixels.runs() {
@@ -97,7 +101,8 @@ impl AlignKernels {
         }
     }
 
-    /// The normal equations of all runs, with the times of their rows or without; the sum of their weighted squared residuals.
+    /// Computes the normal equations of all runs, with or without the times of their rows; returns
+    /// the sum of their weighted squared residuals.
     pub fn tile_equations(&mut self, has_rows: bool) -> f64 {
         let mut products = std::mem::take(&mut self.products);
         let delay_s = has_rows.then_some(0.0);
@@ -108,12 +113,12 @@ impl AlignKernels {
         sum
     }
 
-    /// What all runs show; the number of pixels that fit.
+    /// Computes the evidence of all runs; returns the number of inliers.
     pub fn evidence(&self) -> f64 {
         self.each(|view, weighting| evidence(view, &[0.0; COLUMNS], weighting).inliers)
     }
 
-    /// What all runs say of the noise; the sum of the first of them.
+    /// Computes the noise sums of all runs; returns the sum of the first of them.
     pub fn noise_sums(&self) -> f64 {
         self.each(|view, weighting| f64::from(noise_sums(view, &[0.0; COLUMNS], weighting)[0]))
     }

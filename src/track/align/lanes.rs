@@ -1,74 +1,80 @@
-//! Eight numbers at a time: the arithmetic that the alignment kernels are written in, once for AVX2 and once
-//! in plain Rust.
+//! Arithmetic on eight numbers at a time, in which the alignment kernels are written once: with
+//! AVX2 instructions, or in plain Rust. Also the layout of the texture tiles, because reading
+//! texels is such an instruction.
 //!
-//! A kernel is a generic function over [`Lanes`]; which of the two runs is decided at run time. Both do the
-//! same steps in the same order, so that the plain one is the other's test.
+//! A kernel is a generic function over [`Lanes`]; which of the two types runs is decided at run
+//! time (`dispatch`). Both take the same steps in the same order, so that the plain one tests the
+//! other.
 
-/// Numbers handled side by side: as many `f32` as a register of AVX2 holds.
+/// Numbers handled side by side: as many `f32` as an AVX2 register holds.
 pub const LANES: usize = 8;
 
-/// Columns and rows of texels in a tile: together the 64 bytes of a cache line. Neighbouring tiles share a column or a row, so that a texel
-/// and its neighbours lie in one. With four columns, two rows of a quad lie within eight bytes, which one load reads.
+/// Columns of texels in a tile, which fills a cache line of 64 bytes with its rows. At four, two
+/// rows of a quad lie within eight bytes, which one load reads.
 pub const TILE_COLUMNS: usize = 4;
-/// See [`TILE_COLUMNS`].
+/// Rows of texels in a tile. Neighbouring tiles share a column or a row, so that a texel and its
+/// right and lower neighbours lie in one tile.
 pub const TILE_ROWS: usize = 16;
 
-/// Texels that lie close together in a picture, row by row: a cache line.
+/// Texels that are close together in a picture, row by row: one cache line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(C, align(64))]
 pub struct Tile(pub [u8; TILE_COLUMNS * TILE_ROWS]);
 
-/// Bytes that the look at a quad reads: two rows of four texels, of which it uses two each.
+/// Bytes that the load of a quad reads: two rows of four texels, of which it uses two each.
 const QUAD_BYTES: usize = 8;
 
 /// Eight `f32` values with lane-wise arithmetic.
 pub trait Lanes: Copy {
     /// Eight `i32` values.
     type Index: Copy;
-    /// The same value in every lane.
+    /// Returns the same value in every lane.
     fn splat(value: f32) -> Self;
-    /// Lane-wise from an array.
+    /// Returns the values of an array.
     fn load(values: &[f32; LANES]) -> Self;
-    /// Into an array.
+    /// Writes the lanes to an array.
     fn store(self, values: &mut [f32; LANES]);
-    /// `self + other`.
+    /// Returns `self + other`.
     fn add(self, other: Self) -> Self;
-    /// `self - other`.
+    /// Returns `self - other`.
     fn sub(self, other: Self) -> Self;
-    /// `self * other`.
+    /// Returns `self * other`.
     fn mul(self, other: Self) -> Self;
-    /// `self / other`.
+    /// Returns `self / other`.
     fn div(self, other: Self) -> Self;
-    /// `self * factor + summand`.
+    /// Returns `self * factor + summand`.
     fn mul_add(self, factor: Self, summand: Self) -> Self;
-    /// The smaller of both.
+    /// Returns the smaller of both; `other` where either is NaN.
     fn min(self, other: Self) -> Self;
-    /// The larger of both; the other where `self` is not a number.
+    /// Returns the larger of both; `other` where either is NaN.
     fn max(self, other: Self) -> Self;
-    /// Largest whole number below or at.
+    /// Returns the largest whole number at or below each value.
     fn floor(self) -> Self;
-    /// log2 of positive normal numbers, straight between the powers of two (continuous, at most 0.09 low).
+    /// Returns log2 of positive normal numbers, linear between powers of two (continuous, at most
+    /// 0.09 too low).
     fn rough_log2(self) -> Self;
-    /// The sum of all lanes of each.
+    /// Returns the sums over the lanes of each value: lane k is the total of `values[k]`.
     fn totals(values: [Self; LANES]) -> Self;
-    /// Whole numbers as indices.
+    /// Converts to indices, by truncation.
     fn to_index(self) -> Self::Index;
-    /// One of eight table entries per lane; indices 0 to 7.
+    /// Returns one of eight table entries per lane; indices are 0 to 7.
     fn lookup(table: &[f32; LANES], index: Self::Index) -> Self;
-    /// One of eight table entries per lane; indices 0 to 7.
+    /// Returns one of eight table entries per lane; indices are 0 to 7.
     fn lookup_index(table: &[i32; LANES], index: Self::Index) -> Self::Index;
-    /// `row * stride + column + base`.
+    /// Returns `row * stride + column + base`.
     fn address(row: Self::Index, stride: Self::Index, column: Self::Index, base: Self::Index) -> Self::Index;
-    /// Each lane's row of a table, as columns: the first holds the first number of each. Rows beyond the last are the last one.
+    /// Returns each lane's row of a table, transposed: the first result holds the first number of
+    /// each row. Rows out of range are clamped to the table; an empty table returns zeros.
     fn gather_rows(table: &[[f32; LANES]], row: Self::Index) -> [Self; LANES];
-    /// The bytes at each address, behind it, and both [`TILE_COLUMNS`] further on: a texel and its neighbours right, below, and both.
-    /// Addresses beyond the tiles are those of their first or last bytes.
+    /// Returns the bytes at each address, at the next one, and at both plus [`TILE_COLUMNS`]: a
+    /// texel, its right neighbour, the one below, and the one right below. Addresses out of range
+    /// are clamped to the tiles; no tiles return zeros.
     fn gather_quads(tiles: &[Tile], address: Self::Index) -> [Self; 4];
-    /// Asks for what [`gather_quads`](Self::gather_quads) will read soon.
+    /// Prefetches what [`gather_quads`](Self::gather_quads) will read.
     fn prefetch_quads(tiles: &[Tile], address: Self::Index);
 }
 
-/// Plain Rust.
+/// Eight numbers in plain Rust.
 #[derive(Clone, Copy)]
 pub struct Plain([f32; LANES]);
 
@@ -169,7 +175,8 @@ impl Lanes for Plain {
     fn prefetch_quads(_: &[Tile], _: Self::Index) {}
 }
 
-/// Resizes a list of pixels. Grown, it has room for an eighth more: as tiles are filled up to whole lanes, each frame has a few more or less.
+/// Resizes a list of pixels. When it grows, it reserves an eighth more, because the number of
+/// pixels, with tiles padded to whole lanes, varies a little from frame to frame.
 pub fn resize_with_room<T: Copy>(list: &mut Vec<T>, n: usize, value: T) {
     if n > list.capacity() {
         list.reserve(n + n / 8 - list.len());
@@ -177,7 +184,7 @@ pub fn resize_with_room<T: Copy>(list: &mut Vec<T>, n: usize, value: T) {
     list.resize(n, value);
 }
 
-/// [`LANES`] values from the `k`th.
+/// Loads [`LANES`] values from the `k`th on.
 #[inline(always)]
 pub fn load_at<L: Lanes>(values: &[f32], k: usize) -> L {
     let mut chunk = [0.0; LANES];
@@ -185,7 +192,7 @@ pub fn load_at<L: Lanes>(values: &[f32], k: usize) -> L {
     L::load(&chunk)
 }
 
-/// `v` to the `k`th value and those behind it.
+/// Stores `v` to the [`LANES`] values from the `k`th on.
 #[inline(always)]
 pub fn store_at<L: Lanes>(values: &mut [f32], k: usize, v: L) {
     let mut chunk = [0.0; LANES];
@@ -193,7 +200,7 @@ pub fn store_at<L: Lanes>(values: &mut [f32], k: usize, v: L) {
     values[k..k + LANES].copy_from_slice(&chunk);
 }
 
-/// The sum of all lanes.
+/// Returns the sum of all lanes.
 #[inline(always)]
 pub fn total<L: Lanes>(v: L) -> f32 {
     let mut lanes = [0.0; LANES];
@@ -201,7 +208,7 @@ pub fn total<L: Lanes>(v: L) -> f32 {
     ((lanes[0] + lanes[4]) + (lanes[2] + lanes[6])) + ((lanes[1] + lanes[5]) + (lanes[3] + lanes[7]))
 }
 
-/// One step of an `f32` mantissa: 2^-23 (IEEE 754).
+/// Unit of an `f32` mantissa: 2^-23 (IEEE 754).
 const MANTISSA_STEP: f32 = 1.0 / 8_388_608.0;
 
 #[cfg(target_arch = "x86_64")]
@@ -213,17 +220,18 @@ mod avx2 {
 
     use super::{LANES, Lanes, MANTISSA_STEP, QUAD_BYTES, Tile};
 
-    /// Intrinsics of AVX2 and FMA.
+    /// Wraps intrinsics of AVX2 and FMA.
     macro_rules! avx2 {
         ($($work:tt)*) => {
-            // SAFETY: only `dispatch` names `Avx2` (tests/structure holds that), in functions compiled for AVX2 and FMA that run where both were
-            // detected. What memory the work
-            // reads or writes is given by references, or clamped to the slice beside it.
+            // SAFETY: only `dispatch` names `Avx2` (tests/structure checks that), in functions
+            // compiled for AVX2 and FMA that only run where both were detected. Memory that is read
+            // or written is given by references, or by an address clamped to the slice beside it.
             unsafe { $($work)* }
         };
     }
 
-    /// AVX2 with FMA. Only to be named inside functions compiled for both, called where the processor has them.
+    /// AVX2 with FMA. Only name it inside functions that are compiled for both, and called where
+    /// the processor has them.
     #[derive(Clone, Copy)]
     pub struct Avx2(__m256);
 
@@ -327,12 +335,12 @@ mod avx2 {
             }
             let last = i32::try_from(size_of_val(tiles) - QUAD_BYTES).unwrap_or(i32::MAX);
             let first = tiles.as_ptr().cast::<u8>();
-            // Loads one by one: the gather instruction takes several times as long.
+            // Separate loads: the gather instruction takes several times as long.
             avx2! {
                 let address = _mm256_min_epi32(_mm256_max_epi32(address, _mm256_setzero_si256()), _mm256_set1_epi32(last));
                 let (low, high) = (_mm256_castsi256_si128(address), _mm256_extracti128_si256::<1>(address));
                 let pair = |addresses: i64| {
-                    // Not negative and at most `last`, each half.
+                    // Each half is at least 0 and at most `last`.
                     let at = |k: i64| first.add(k as u32 as usize);
                     let one = _mm_load_sd(at(addresses).cast());
                     _mm_castpd_si128(_mm_loadh_pd(one, at(addresses >> 32).cast()))
@@ -343,7 +351,8 @@ mod avx2 {
                     pair(_mm_cvtsi128_si64(high)),
                     pair(_mm_extract_epi64::<1>(high)),
                 ];
-                // Lanes 0, 1, 4, 5 and 2, 3, 6, 7: in this order their halves fall into place.
+                // Lanes 0, 1, 4, 5 and 2, 3, 6, 7: in this order the shuffles put the halves in
+                // place.
                 let a = _mm256_castsi256_ps(_mm256_inserti128_si256::<1>(_mm256_castsi128_si256(quads[0]), quads[2]));
                 let b = _mm256_castsi256_ps(_mm256_inserti128_si256::<1>(_mm256_castsi128_si256(quads[1]), quads[3]));
                 let upper = _mm256_castps_si256(_mm256_shuffle_ps::<0x88>(a, b));
@@ -357,7 +366,7 @@ mod avx2 {
         #[inline(always)]
         fn prefetch_quads(tiles: &[Tile], address: Self::Index) {
             let first = tiles.as_ptr().cast::<i8>();
-            // Nothing is read: addresses may be anything.
+            // A prefetch reads nothing, so any address is allowed.
             avx2! {
                 let (low, high) = (_mm256_castsi256_si128(address), _mm256_extracti128_si256::<1>(address));
                 let pairs = [_mm_cvtsi128_si64(low), _mm_extract_epi64::<1>(low), _mm_cvtsi128_si64(high), _mm_extract_epi64::<1>(high)];
@@ -370,7 +379,7 @@ mod avx2 {
         }
     }
 
-    /// Four columns of eight rows, from column `from`.
+    /// Returns four columns of eight rows, from column `from`.
     #[inline(always)]
     fn four_columns(rows: &[&[f32; LANES]; LANES], from: usize) -> [Avx2; 4] {
         // Rows 0 to 3 in the lower halves, 4 to 7 in the upper.
@@ -387,7 +396,8 @@ mod avx2 {
         }
     }
 
-    /// Four numbers of row `k` beside those of the fourth row after it.
+    /// Returns four numbers of row `k` (lower half) and of the fourth row after it (upper half),
+    /// from column `from`.
     #[inline(always)]
     fn halves(rows: &[&[f32; LANES]; LANES], k: usize, from: usize) -> __m256 {
         let (low, high) = (&rows[k][from..from + LANES / 2], &rows[k + LANES / 2][from..from + LANES / 2]);
@@ -395,7 +405,8 @@ mod avx2 {
     }
 }
 
-/// Makes a kernel's public function: `$lanes`, generic over [`Lanes`], with AVX2 where the processor has it, else in plain Rust.
+/// Defines a kernel's public function, which runs `$lanes`, generic over [`Lanes`], with AVX2 where
+/// the processor has it, else in plain Rust.
 macro_rules! dispatch {
     ($(#[$doc:meta])* $name:ident, $lanes:ident, ($($arg:ident: $ty:ty),*) $(-> $ret:ty)?) => {
         $crate::simd::multiversion! {
