@@ -298,7 +298,7 @@ fn assert_near(fast: &[f64], plain: &[f64]) {
 
 /// Compares the sums with their definition, pixel by pixel.
 fn assert_products(view: &RunView, delay_s: f64, step: &[f32; COLUMNS], weighting: &RobustWeighting, found: &TileEquations) {
-    // By the power of time.
+    // Indexed by the power of time.
     let mut sums = [[[0.0; COLUMNS + 1]; COLUMNS + 1]; 3];
     let mut longest = 0.0f64;
     for k in view.run.range().step_by(LANES * weighting.stride) {

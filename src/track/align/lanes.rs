@@ -1,6 +1,6 @@
 //! Arithmetic on eight numbers at a time, in which the alignment kernels are written once: with
-//! AVX2 instructions, or in plain Rust. Also the layout of the texture tiles, because reading
-//! texels is such an instruction.
+//! AVX2 instructions, or in plain Rust. Also the layout of the texture tiles, which
+//! [`Lanes::gather_quads`] reads.
 //!
 //! A kernel is a generic function over [`Lanes`]; which of the two types runs is decided at run
 //! time (`dispatch`). Both take the same steps in the same order, so that the plain one tests the
@@ -68,7 +68,7 @@ pub trait Lanes: Copy {
     fn gather_rows(table: &[[f32; LANES]], row: Self::Index) -> [Self; LANES];
     /// Returns the bytes at each address, at the next one, and at both plus [`TILE_COLUMNS`]: a
     /// texel, its right neighbour, the one below, and the one right below. Addresses out of range
-    /// are clamped to the tiles; no tiles return zeros.
+    /// are clamped to the tiles; without tiles it returns zeros.
     fn gather_quads(tiles: &[Tile], address: Self::Index) -> [Self; 4];
     /// Prefetches what [`gather_quads`](Self::gather_quads) will read.
     fn prefetch_quads(tiles: &[Tile], address: Self::Index);

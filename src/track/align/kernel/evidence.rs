@@ -9,7 +9,7 @@ use crate::track::align::lanes::{LANES, Lanes, dispatch, load_at, total};
 /// (seen minus predicted grey) and w its robust weight times its information.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RunEvidence {
-    /// Number of pixels that are neither burnt out, drowned in black, nor padding.
+    /// Number of pixels that are neither saturated, clipped to black, nor padding.
     pub count: f64,
     /// Number of these with a robust weight above one half.
     pub inliers: f64,

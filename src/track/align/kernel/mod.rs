@@ -6,7 +6,7 @@
 //! - `tile_equations`, `tile_products`: the normal equations of a tile
 //! - `evidence`, `noise_sums`: what the residuals say about the pose and the noise
 //!
-//! Uses `align::pixels`.
+//! Uses `align::pixels`, `align::learned` and `align::lanes`.
 
 #[allow(clippy::needless_range_loop)]
 pub mod columns;

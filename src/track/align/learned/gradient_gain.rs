@@ -52,7 +52,7 @@ impl GradientGain {
 /// The latter two are in grey levels².
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ChangeSums {
-    /// Number of pixels that count: not burnt out, not drowned in black, no padding.
+    /// Number of pixels that count: not saturated, not clipped to black, no padding.
     pub count: f64,
     /// Sum of the squared predicted changes.
     pub predicted_squared: f64,

@@ -7,7 +7,7 @@
 //! - `slow_estimates`: all of them together
 //! - `clue`: a frame's estimate of an unknown it did not solve for
 //!
-//! Uses `frame`.
+//! Uses `frame` and `align::lanes`.
 
 pub mod clue;
 pub mod exposure;

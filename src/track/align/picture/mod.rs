@@ -4,7 +4,7 @@
 //! - `texture`, `enlarge`: the picture at all levels, in tiles that share a cache line
 //! - `plane_table`: the tangent planes of a bent surface
 //! - `surface`: a surface with its texture, place and shape
-//! - `sight`: the camera's view of a surface, per row
+//! - `sight`: the camera's pose relative to a surface, per row
 //!
 //! Uses `scene` and `align::lanes`.
 

@@ -85,7 +85,7 @@ impl Appearance {
     }
 }
 
-/// A surface as one frame sees it, in the numbers of the kernel.
+/// A surface as one frame sees it, in `f32` as the kernel needs it.
 struct View {
     path: SightPath,
     /// Rotation from surface axes to body axes, row-major.

@@ -6,7 +6,7 @@
 //! - `touching_planes`: a bent surface as the planes that touch it
 //! - `appearance`: the predicted grey of every chosen pixel, with its derivatives
 //!
-//! Uses `align::picture` and `align::learned`.
+//! Uses `scene`, `frame`, `align::picture`, `align::learned` and `align::lanes`.
 
 #[allow(clippy::needless_range_loop)]
 pub mod appearance;

@@ -13,7 +13,7 @@ use crate::track::align::learned::light::{Light, RememberedLight, TileLight};
 use crate::track::frame::frame_levels::Level;
 use crate::track::frame::tile_grid::{Chosen, TileGrid};
 
-/// Grey levels above which a pixel is burnt out, and below which drowned in black. `BRIGHTEST`
+/// Grey levels above which a pixel is saturated, and below which clipped to black. `BRIGHTEST`
 /// raised, clipped pixels bias the pose; lowered, white parts of a bright stage are not used.
 const BRIGHTEST: f32 = 252.0;
 const DARKEST: f32 = 0.5;
@@ -58,7 +58,7 @@ pub struct Pixels {
     pub delay_s: Vec<f32>,
     /// Grey that the camera saw, 0 to 255.
     pub seen: Vec<f32>,
-    /// 1 where that counts; 0 where it is burnt out, drowned in black, or padding.
+    /// 1 where that counts; 0 where it is saturated, clipped to black, or padding.
     pub counts: Vec<f32>,
     /// Place in the cell of the light grid, 0 to 1 across and down.
     pub cell: [Vec<f32>; 2],
@@ -229,7 +229,7 @@ impl Pixels {
     }
 }
 
-/// Returns 1 for a grey that is neither burnt out nor drowned in black, else 0.
+/// Returns 1 for a grey that is neither saturated nor clipped to black, else 0.
 fn tells_something(intensity: f32) -> f32 {
     if intensity > DARKEST && intensity < BRIGHTEST { 1.0 } else { 0.0 }
 }

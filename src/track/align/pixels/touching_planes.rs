@@ -85,7 +85,7 @@ impl TouchingPlanes {
 
 /// The pixels of one surface whose planes are computed.
 pub struct Touched<'a> {
-    /// Of the surface.
+    /// Tangent planes of the surface.
     table: &'a PlaneTable,
     path: SightPath,
     pixels: &'a Rays<'a>,
