@@ -56,7 +56,7 @@ mod tests {
     static MILLISECONDS: AtomicU64 = AtomicU64::new(100);
 
     #[test]
-    fn a_stopwatch_tells_what_its_clock_went_on_by() {
+    fn a_stopwatch_reports_the_advance_of_its_clock() {
         let clock = ComputeClock::new(|| Duration::from_millis(MILLISECONDS.load(Ordering::Relaxed)));
         let watch = clock.start();
         MILLISECONDS.store(142, Ordering::Relaxed);

@@ -61,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_panic_becomes_its_message_and_the_depth_is_what_it_was() {
+    fn a_contained_panic_returns_its_message_and_restores_depth() {
         let number = std::hint::black_box(7);
         assert_eq!(contained(|| number), Ok(7));
         let inner = contained(|| contained(|| assert!(number < 0, "number {number}")).unwrap_err());

@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn a_racing_reader_sees_rising_numbers_and_the_last() {
+    fn a_concurrent_reader_sees_increasing_entries_and_the_last() {
         let (sender, receiver) = drop_oldest(4);
         let reader = std::thread::spawn(move || receiver.iter().collect::<Vec<u32>>());
         for k in 0..20_000 {

@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_written_as_whole_nanoseconds() {
+    fn timestamps_are_written_as_whole_nanoseconds() {
         for stamp in [MAX, Timestamp::MIN, Timestamp::default(), Timestamp::from_ns(-33_333_333)] {
             assert_eq!(stamp.to_string(), stamp.ns().to_string());
             assert_eq!(serde_json::to_string(&stamp).unwrap(), stamp.ns().to_string());

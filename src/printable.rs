@@ -49,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_terminal_would_obey_is_escaped() {
+    fn terminal_control_characters_are_escaped() {
         for (raw, wanted) in [
             ("\x1b]0;owned\x07", "\\u001b]0;owned\\u0007"),
             ("\u{9b}2J\u{7f}", "\\u009b2J\\u007f"),

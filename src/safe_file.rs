@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_plain_file_is_refused_at_once() {
+    fn non_plain_files_are_refused_at_once() {
         let folder = tempfile::tempdir().unwrap();
         let pipe = folder.path().join("pipe");
         nix::unistd::mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).unwrap();
@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn below_a_folder_no_link_is_followed_and_all_else_is_read() {
+    fn reading_below_a_folder_follows_no_links() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         std::fs::create_dir_all(at("clip/frames/0000")).unwrap();
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_is_taken_by_whatever_has_it() {
+    fn a_name_is_taken_even_by_a_dangling_link() {
         let folder = tempfile::tempdir().unwrap();
         assert_eq!(first_taken(folder.path(), ["a", "b"]), None);
         std::os::unix::fs::symlink("nowhere", folder.path().join("b")).unwrap();
@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn the_bound_is_kept() {
+    fn the_size_limit_is_enforced() {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), [7; 100]).unwrap();
         assert_eq!(read(file.path(), 100).unwrap(), [7; 100]);

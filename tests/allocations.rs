@@ -40,7 +40,7 @@ const WARM_UP: usize = 50;
 const COUNTED: usize = 40;
 
 #[test]
-fn a_followed_frame_allocates_nothing() {
+fn tracking_a_frame_allocates_nothing() {
     let choice = Dolly { width: 640, height: 480, seed: 4, duration_s: 3.0, artwork_width: 1000 };
     let mut camera = VirtualCamera::new(dolly(choice).expect("a scene"), 30.0, (WARM_UP + COUNTED) as u64);
     let rows: Vec<_> = std::iter::from_fn(|| camera.next_entry()).collect();

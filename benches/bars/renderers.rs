@@ -40,7 +40,8 @@ const CAMERA: Intrinsics = Intrinsics {
 const BACKDROP: ([f64; 2], [u32; 2]) = ([3.2, 2.2], [640, 440]);
 /// Texels of a person's clothes: the other renderer brings them to this size.
 const CLOTHES: [u32; 2] = [256, 512];
-/// Clothes are painted this many times smaller than that. Lowered, the renderers' ways to lay them differ.
+/// Clothes are painted this many times smaller than that. Lowered, the renderers' ways to lay them
+/// differ.
 const BLOWN_UP: u32 = 8;
 /// Where the camera is and what it looks at.
 const VIEW: [[f64; 3]; 2] = [[-0.7, -2.9, 0.25], [0.1, 0.0, 0.0]];
@@ -183,8 +184,8 @@ fn folded(mut case: Case) -> Case {
 
 /// A person, and a flat turned aside, both before the backdrop.
 fn peopled(mut case: Case, folder: &Path) -> Result<Case, String> {
-    // Blown up, so that they have no fine detail: the other renderer lays texels half a texel further
-    // out at the sides of the clothes.
+    // Blown up, so that they have no fine detail: the other renderer lays texels half a texel
+    // further out at the sides of the clothes.
     let [width, height] = CLOTHES;
     let coarse = grey(&paint(width / BLOWN_UP, height / BLOWN_UP, 22));
     let (clothes_file, clothes) = kept(folder, "clothes", imageops::resize(&coarse, width, height, FilterType::Triangle))?;

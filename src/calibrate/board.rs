@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn symmetry_is_what_the_colours_leave_open() {
+    fn symmetry_follows_from_the_square_colours() {
         let of = |c, r| Board::new(c, r, 0.02).unwrap().symmetry();
         assert_eq!(of(9, 6), Symmetry::None);
         assert_eq!(of(24, 17), Symmetry::None);

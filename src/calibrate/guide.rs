@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn tilts_have_their_side_and_size() {
+    fn tilts_report_side_and_angle() {
         // About +y the right side moves away from the camera (z grows for negative angles about y).
         let right = view(Vector3::y(), -30.0, 0.0);
         assert!((right.tilt_deg() - 30.0).abs() < 0.5, "{}", right.tilt_deg());
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_view_again_is_worth_nothing_and_another_is() {
+    fn only_a_new_view_is_worth_taking() {
         let mut set = ViewSet::default();
         assert!(set.worth(&view(Vector3::y(), 20.0, 0.0)).is_worth_it());
         set.add(view(Vector3::y(), 20.0, 0.0));

@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn circles_and_markers_are_told_from_chessboards_and_scenes() {
+    fn circle_grids_and_markers_are_recognised_as_other_targets() {
         let dots = seen(|u, v| is_on_board(u, v) && (u.fract() - 0.5).hypot(v.fract() - 0.5) < 0.3);
         assert_eq!(Target::seen_in(&dots), Some(Target::Circles));
         let tags = seen(|u, v| {

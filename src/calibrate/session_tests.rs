@@ -53,7 +53,7 @@ fn rendered_pictures_give_the_camera_they_were_taken_with() {
 }
 
 #[test]
-fn corners_measured_with_the_lens_are_nearer_to_the_truth() {
+fn corners_refined_with_the_lens_are_more_accurate() {
     let distortion = [-0.42, 0.2, 0.0, 0.0, 0.0];
     let intrinsics = Intrinsics { width: 640, height: 480, fx: 380.0, fy: 380.0, cx: 319.5, cy: 239.5, skew: 0.0, distortion };
     let (camera, board) = (BoardPhotographer::new(CameraModel::new(intrinsics).unwrap()), Board::new(7, 5, 0.04).unwrap());
@@ -95,7 +95,7 @@ fn a_view_that_does_not_fit_is_rejected_with_the_reason() {
 }
 
 #[test]
-fn front_on_views_are_not_to_be_used() {
+fn front_on_views_get_the_do_not_use_verdict() {
     let (camera, board) = (camera(), Board::new(9, 6, 0.024).unwrap());
     let pictures = rendered(&camera, &board, 9, 0.04);
     let made = calibrate(&pictures, &board, &CalibrationOptions::default()).unwrap();
@@ -133,7 +133,7 @@ fn seen_wide(board: &Board, nearer: usize, bent: impl Fn(f64) -> f64) -> Vec<Ins
 }
 
 #[test]
-fn a_fisheye_is_named_and_not_to_be_used() {
+fn a_fisheye_is_named_and_gets_the_do_not_use_verdict() {
     let board = Board::new(9, 6, 0.024).unwrap();
     let with_k3 = || {
         let mut options = CalibrationOptions::default();
@@ -190,7 +190,7 @@ fn used(made: &CameraCalibration) -> usize {
 }
 
 #[test]
-fn opencvs_own_pictures() {
+fn opencv_sample_pictures_calibrate_correctly() {
     let board = Board::new(9, 6, 0.025).unwrap();
     let Some(left) = shared("calib-opencv-leftright", "left", &board) else { return };
     assert_eq!(used(&left), 13);
@@ -204,7 +204,7 @@ fn opencvs_own_pictures() {
 }
 
 #[test]
-fn sonys_pictures() {
+fn sony_pictures_calibrate_correctly() {
     let Some(made) = shared("calib-boofcv-sony", "frame", &Board::new(6, 4, 0.03).unwrap()) else { return };
     assert_eq!(used(&made), 13);
     assert!(made.estimate.rms_px <= 0.152, "{}", made.estimate.rms_px);
@@ -267,7 +267,7 @@ fn the_baseline_of_a_stereo_head() {
 }
 
 #[test]
-fn degenerate_pictures_are_not_to_be_used() {
+fn degenerate_pictures_get_the_do_not_use_verdict() {
     let Some(made) = shared("calib-photonvision-picam640-degenerate", "img", &Board::new(7, 7, 0.02).unwrap()) else { return };
     assert_eq!(made.judgement.verdict, Verdict::DoNotUse);
     assert!(made.judgement.sentence().contains("front-on"), "{}", made.judgement.sentence());

@@ -75,7 +75,7 @@ mod tests {
     use crate::camera::Pixel;
 
     #[test]
-    fn the_angle_is_that_between_the_pictures_outer_edges() {
+    fn the_field_of_view_spans_the_pictures_outer_edges() {
         let camera = LensGuess::FieldOfView(60.0).camera(1280, 720).unwrap();
         let ray = |u: f64| camera.unproject(Pixel([u, 359.5].into())).unwrap().0.x.atan().to_degrees();
         assert!((ray(1279.5) - 30.0).abs() < 1e-12 && (ray(-0.5) + 30.0).abs() < 1e-12);

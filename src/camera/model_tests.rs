@@ -34,7 +34,7 @@ fn equations_5_to_10_give_the_golden_numbers() {
 }
 
 #[test]
-fn kk_of_equation_10_is_what_project_does_without_distortion() {
+fn kk_of_equation_10_matches_undistorted_projection() {
     let camera = webcam(0.01, [0.0; 5]);
     let ray = nalgebra::Vector3::new(0.2, -0.3, 1.0);
     let by_matrix = camera.k_matrix() * ray;
@@ -44,7 +44,7 @@ fn kk_of_equation_10_is_what_project_does_without_distortion() {
 }
 
 #[test]
-fn beyond_the_valid_radius_there_is_no_ray() {
+fn unproject_returns_none_beyond_the_valid_radius() {
     let camera = webcam(0.0, [-0.3, 0.0, 0.0, 0.0, 0.0]);
     let limit = (1.0f64 / 0.9).sqrt();
     assert!((camera.valid_radius() - limit).abs() < 1e-12);
@@ -57,7 +57,7 @@ fn beyond_the_valid_radius_there_is_no_ray() {
 }
 
 #[test]
-fn a_fold_far_outside_of_any_picture_is_found() {
+fn the_valid_radius_is_found_far_outside_the_picture() {
     let camera = webcam(0.0, [-1e-3, 0.0, 0.0, 0.0, 0.0]);
     assert!((camera.valid_radius() - (1.0f64 / 3e-3).sqrt()).abs() < 1e-9);
     assert_eq!(camera.unproject(Pixel(Vector2::new(1e6, 0.0))), None);
@@ -66,14 +66,14 @@ fn a_fold_far_outside_of_any_picture_is_found() {
 }
 
 #[test]
-fn a_fold_that_grows_again_counts() {
+fn a_temporary_distortion_fold_limits_the_valid_radius() {
     // 1 - 3 s + 2 s² is negative between s = 0.5 and s = 1 only.
     let camera = webcam(0.0, [-1.0, 0.4, 0.0, 0.0, 0.0]);
     assert!((camera.valid_radius() - 0.5f64.sqrt()).abs() < 1e-12);
 }
 
 #[test]
-fn numbers_that_are_no_camera_are_refused() {
+fn invalid_intrinsics_are_refused() {
     let good = *webcam(0.0, [0.0; 5]).intrinsics();
     let refused = |change: fn(&mut Intrinsics)| {
         let mut bad = good;
@@ -119,7 +119,7 @@ proptest! {
     }
 
     #[test]
-    fn every_ray_inside_comes_back(camera in cameras(), ray in rays()) {
+    fn rays_within_the_valid_radius_round_trip(camera in cameras(), ray in rays()) {
         let ray = Normalized(ray.0 * (0.9 * camera.valid_radius() / ray.0.norm()).min(1.0));
         let back = camera.unproject(camera.project(ray));
         prop_assert!(back.is_some_and(|b| (b.0 - ray.0).norm() < 1e-8), "{ray:?} came back as {back:?}");
@@ -135,7 +135,7 @@ proptest! {
     }
 
     #[test]
-    fn every_pixel_with_a_ray_is_met_again(camera in cameras(), u in -100.0..1400.0, v in -100.0..820.0) {
+    fn unprojected_pixels_project_back(camera in cameras(), u in -100.0..1400.0, v in -100.0..820.0) {
         let pixel = Pixel(Vector2::new(u, v));
         if let Some(ray) = camera.unproject(pixel) {
             prop_assert!((camera.project(ray).0 - pixel.0).norm() < 1e-6);
@@ -144,13 +144,13 @@ proptest! {
     }
 
     #[test]
-    fn any_numbers_end_without_panic(k in prop::array::uniform5(-1e3..1e3f64), u in any::<f64>(), v in any::<f64>()) {
+    fn arbitrary_numbers_never_panic(k in prop::array::uniform5(-1e3..1e3f64), u in any::<f64>(), v in any::<f64>()) {
         let camera = webcam(0.0, k);
         let _ = camera.unproject(Pixel(Vector2::new(u, v)));
     }
 
     #[test]
-    fn undistorted_pixels_and_back(camera in cameras(), ray in rays()) {
+    fn undistorted_pixels_round_trip(camera in cameras(), ray in rays()) {
         let back = camera.from_undistorted_pixel(camera.undistorted_pixel(ray));
         prop_assert!((back.0 - ray.0).norm() < 1e-12);
     }

@@ -33,7 +33,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_way_is_how_the_pixel_moves() {
+    fn each_uncertainty_mode_moves_the_pixel_as_stated() {
         let i = Intrinsics {
             width: 640,
             height: 480,
@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn it_scales_with_the_picture_and_may_be_absent() {
+    fn lens_uncertainty_scales_with_the_picture_or_is_absent() {
         let camera = CameraModel::pinhole(640, 480, 600.0, 600.0, 319.5, 239.5).unwrap();
         assert_eq!(camera.pixel_doubt(Normalized(Vector2::new(0.1, 0.1))), None);
         let uncertainty = IntrinsicsUncertainty { focal_px: [6.0; 2], centre_px: [3.0; 2], ..Default::default() };

@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_camera_has_is_refused_with_what_is_possible() {
+    fn impossible_values_are_refused_with_the_possible_range() {
         assert_eq!(judged(|_| {}), Ok(vec![]));
         let message = |change: fn(&mut Intrinsics)| judged(change).unwrap_err();
         assert_eq!(
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn distortion_that_bends_no_picture_is_refused() {
+    fn implausible_distortion_is_refused() {
         for at in 0..5 {
             for k in [1e6, -1e6, 1e300, -1e300] {
                 let refused = judged(|i| i.distortion[at] = k).unwrap_err();
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_rare_is_said() {
+    fn rare_values_are_reported() {
         let said = |change: fn(&mut Intrinsics)| judged(change).unwrap().join("; ");
         assert!(said(|i| (i.fx, i.fy) = (8000.0, 8000.0)).contains("1.1 degrees across"));
         assert!(said(|i| i.cx = 20.0).contains("far from the middle"));

@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn the_middle_row_has_no_delay_and_the_first_is_half_a_readout_early() {
+    fn the_first_row_is_half_a_readout_before_the_middle_row() {
         let shutter = Shutter { exposure_s: 0.0, readout_s: 0.02 };
         assert_eq!(shutter.delay_s(180.0, 360), 0.0);
         assert!((shutter.delay_s(0.5, 360) + 0.01).abs() < 1e-4 && (shutter.delay_s(359.5, 360) - 0.01).abs() < 1e-4);
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn times_that_no_shutter_has_are_named() {
+    fn impossible_shutter_times_are_named() {
         let named = |exposure_s, readout_s| Shutter { exposure_s, readout_s }.impossible_time().map(|(name, _)| name);
         assert_eq!([named(0.0, 0.0), named(0.01, -0.02)], [None; 2]);
         assert_eq!([-0.1, f64::NAN, f64::INFINITY].map(|exposure_s| named(exposure_s, 0.0)), [Some("exposure_s"); 3]);

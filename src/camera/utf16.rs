@@ -36,7 +36,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn utf_16_of_every_kind_becomes_utf_8_and_all_else_stays() {
+    fn only_utf_16_is_converted_to_utf_8() {
         let text = "image_width: 640 # Bühne 舞台 🎭\n";
         let units: Vec<u16> = text.encode_utf16().collect();
         let bytes = |of: fn(u16) -> [u8; 2], mark: &[u8]| [mark, &units.iter().copied().flat_map(of).collect::<Vec<_>>()].concat();

@@ -41,14 +41,14 @@ fn pictures(bytes: &[u8]) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn pictures_come_out_in_order_and_dropped_ones_are_empty() {
+fn pictures_are_read_in_order_and_dropped_ones_are_empty() {
     let bytes = file(&[b"one", b"", b"three!"]);
     assert_eq!(pictures(&bytes), [&b"one"[..], b"", b"three!"]);
     assert_eq!(AviReader::new(&bytes[..]).unwrap().rate(), FrameRate::from_ratio("30000:1001"));
 }
 
 #[test]
-fn lists_of_records_and_further_segments_are_read() {
+fn rec_lists_and_avix_segments_are_read() {
     let rec = list(b"LIST", b"rec ", &[chunk(b"01db", b"a"), chunk(b"00wb", b"x")]);
     let first = list(b"RIFF", b"AVI ", &[headers(b"mjpg"), list(b"LIST", b"movi", &[rec, chunk(b"ix01", &[0; 9])])]);
     let second = list(b"RIFF", b"AVIX", &[list(b"LIST", b"movi", &[chunk(b"01dc", b"b"), chunk(b"01dc", b"c")])]);
@@ -66,7 +66,7 @@ fn a_file_that_was_never_finished_is_read() {
 }
 
 #[test]
-fn a_cut_file_ends_with_a_row_that_says_so() {
+fn a_truncated_file_ends_with_a_row_that_reports_it() {
     let bytes = file(&[b"one", b"longer picture"]);
     let cut = bytes.windows(6).position(|w| w == b"longer").unwrap() + 6;
     let rows = read(&bytes[..cut]);
@@ -75,7 +75,7 @@ fn a_cut_file_ends_with_a_row_that_says_so() {
 }
 
 #[test]
-fn other_codecs_and_broken_headers_are_told_apart() {
+fn other_codecs_and_broken_headers_get_different_errors() {
     let other = list(b"RIFF", b"AVI ", &[headers(b"XVID"), list(b"LIST", b"movi", &[])]);
     assert_eq!(AviReader::new(&other[..]).unwrap_err(), AviError::NotMjpeg("XVID".to_owned()));
     let no_video = list(b"RIFF", b"AVI ", &[list(b"LIST", b"movi", &[])]);
@@ -86,7 +86,7 @@ fn other_codecs_and_broken_headers_are_told_apart() {
 
 proptest! {
     #[test]
-    fn any_bytes_end_without_panic(bytes in prop::collection::vec(any::<u8>(), 0..300), cut in 0usize..700) {
+    fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..300), cut in 0usize..700) {
         let whole = file(&[b"one", b"two"]);
         let movi = whole.windows(4).position(|w| w == b"movi").unwrap() + 4;
         for start in [&whole[..0], &whole[..4], &whole[..movi], &whole[..cut.min(whole.len())]] {
@@ -97,7 +97,7 @@ proptest! {
     }
 
     #[test]
-    fn what_is_written_is_read(written in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..50), 0..10)) {
+    fn written_data_reads_back(written in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..50), 0..10)) {
         let slices: Vec<&[u8]> = written.iter().map(Vec::as_slice).collect();
         prop_assert_eq!(pictures(&file(&slices)), written);
     }

@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_config_names_is_kept_to_or_refused_with_what_there_is() {
+    fn the_configured_mode_is_used_or_refused_with_alternatives() {
         let wanted = Wanted { width: Some(1280), layout: Some(PixelLayout::Yuyv), ..Wanted::default() };
         assert_eq!(choose(&WEBCAM, &wanted).unwrap(), (WEBCAM[2], "the config's size; the config's format".to_owned()));
         let refusal = choose(&WEBCAM, &Wanted { fps: Some(60.0), ..wanted }).unwrap_err();

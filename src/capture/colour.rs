@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn raw_video_becomes_the_colours_that_its_maker_saw() {
+    fn raw_video_converts_to_the_original_colours() {
         // Pure red, green and blue in BT.601, in both ranges, from the standard's formulas.
         let cases = [
             (false, [81, 90, 240], [255, 0, 0]),

@@ -54,7 +54,7 @@ fn kinds(rows: &[ClipEntry]) -> String {
 }
 
 #[test]
-fn red_green_and_blue_become_grey_as_pictures_do() {
+fn rgb_video_converts_to_grey_like_pictures() {
     let folder = TempDir::new().unwrap();
     let pictures = folder.path().join("%02d.png");
     if !ffmpeg("-pix_fmt rgb24", &pictures) {
@@ -124,7 +124,7 @@ fn with_matrix(path: &Path, [a, b, c, d]: [i32; 4]) {
 }
 
 #[test]
-fn a_video_that_is_to_be_shown_turned_is_read_as_it_lies_and_said() {
+fn a_rotated_video_is_read_unrotated_with_a_remark() {
     let folder = TempDir::new().unwrap();
     let (plain, turned) = (folder.path().join("plain.mp4"), folder.path().join("turned.mp4"));
     if !ffmpeg("-c:v mpeg4 -q:v 2", &plain) {
@@ -154,7 +154,7 @@ fn a_video_that_is_to_be_shown_turned_is_read_as_it_lies_and_said() {
 }
 
 #[test]
-fn a_picture_size_that_changes_costs_the_rows_of_the_other_size_only() {
+fn a_size_change_loses_only_the_rows_of_the_other_size() {
     let folder = TempDir::new().unwrap();
     let part = |name: &str, size: &str| {
         let path = folder.path().join(name);
@@ -187,7 +187,7 @@ fn a_picture_size_that_changes_costs_the_rows_of_the_other_size_only() {
 }
 
 #[test]
-fn what_is_odd_about_a_video_is_said() {
+fn unusual_video_properties_are_reported() {
     let folder = TempDir::new().unwrap();
     let said = |name: &str, arguments: &str| {
         let path = folder.path().join(name);
@@ -217,7 +217,7 @@ fn what_is_odd_about_a_video_is_said() {
 }
 
 #[test]
-fn a_recording_that_was_cut_off_says_so() {
+fn a_truncated_recording_is_reported() {
     let folder = TempDir::new().unwrap();
     let (path, cut) = (folder.path().join("whole.mp4"), folder.path().join("cut.mp4"));
     if !ffmpeg("-c:v mpeg4 -q:v 2", &path) {
@@ -235,7 +235,7 @@ fn a_recording_that_was_cut_off_says_so() {
 }
 
 #[test]
-fn a_still_of_a_phone_is_no_damaged_video() {
+fn a_heic_still_is_not_reported_as_a_damaged_video() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("IMG_0001.mp4");
     fs::write(&path, b"\0\0\0\x18ftypheic\0\0\0\0mif1heic\0\0\0\x08free").unwrap();

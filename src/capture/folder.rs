@@ -179,7 +179,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_that_people_count_otherwise_are_found() {
+    fn file_names_in_non_numeric_order_are_detected() {
         let files = |names: &[&str]| names.iter().map(PathBuf::from).collect::<Vec<_>>();
         assert_eq!(counted_otherwise(&files(&["a/1.png", "a/10.png", "a/2.png"])), Some(("10.png".to_owned(), "2.png".to_owned())));
         assert_eq!(counted_otherwise(&files(&["a/01.png", "a/02.png", "a/10.png"])), None);

@@ -93,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn forms_are_known_by_their_first_bytes() {
+    fn foreign_formats_are_recognised_by_their_first_bytes() {
         let cases: [(&[u8], &str); 12] = [
             (b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", "HEIC"),
             (b"\0\0\0\x18ftypmif1\0\0\0\0mif1heic", "HEIC"),
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_of_a_folder_are_counted_whatever_they_are_called() {
+    fn foreign_pictures_are_counted_whatever_their_extension() {
         let folder = tempfile::tempdir().unwrap();
         assert_eq!(in_folder(folder.path()), None);
         std::fs::write(folder.path().join("a.jpg"), b"BM\x36\x10\0\0").unwrap();

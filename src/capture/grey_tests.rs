@@ -35,7 +35,7 @@ pub(crate) fn exif(orientation: u8) -> Vec<u8> {
 }
 
 #[test]
-fn an_orientation_is_told_and_changes_no_pixel() {
+fn an_exif_orientation_is_reported_and_changes_no_pixel() {
     let picture = textured(40, 24);
     for form in [ImageFormat::Png, ImageFormat::Jpeg] {
         for (number, words) in [(1, None), (3, Some("turned by 180 degrees")), (6, Some("turned by 90 degrees")), (2, Some("mirrored"))] {
@@ -60,7 +60,7 @@ fn an_orientation_is_told_and_changes_no_pixel() {
 }
 
 #[test]
-fn a_picture_of_too_many_pixels_is_said_to_be_so_before_memory_is_taken() {
+fn oversized_pictures_are_refused_before_allocating() {
     let too_large = |bytes: &[u8]| {
         let message = decode_grey(bytes).unwrap_err().to_string();
         assert_eq!(message, "the picture is 16384 x 16384 pixels, the maximum is 67 million; scale it down");
@@ -151,14 +151,14 @@ fn jpeg_without_tables_is_decoded_with_the_standard_ones() {
 }
 
 #[test]
-fn bytes_after_the_end_are_no_fault() {
+fn trailing_bytes_are_not_an_error() {
     let whole = jpeg(&textured(64, 64).into(), 90);
     let stale = [&whole[..], &[0, 1, 0xFF, 0xD8, 0xFF, 0xC4, 9], &whole[30..200]].concat();
     assert_eq!(decode_grey(&stale).unwrap(), decode_grey(&whole).unwrap());
 }
 
 #[test]
-fn a_jpeg_that_is_cut_off_is_no_picture() {
+fn a_truncated_jpeg_is_refused() {
     let whole = jpeg(&textured(200, 160).into(), 90);
     for n in 0..whole.len() {
         assert!(decode_grey(&whole[..n]).is_err(), "{n} of {} bytes", whole.len());
@@ -166,7 +166,7 @@ fn a_jpeg_that_is_cut_off_is_no_picture() {
 }
 
 #[test]
-fn a_jpeg_whose_data_end_early_is_no_picture() {
+fn a_jpeg_whose_data_end_early_is_refused() {
     let whole = jpeg(&textured(200, 160).into(), 90);
     let colour = jpeg(&DynamicImage::from(textured(200, 160)).to_rgb8().into(), 90);
     for whole in [whole, colour] {
@@ -178,7 +178,7 @@ fn a_jpeg_whose_data_end_early_is_no_picture() {
 }
 
 #[test]
-fn a_png_that_is_cut_off_is_no_picture() {
+fn a_truncated_png_is_refused() {
     let whole = png(textured(60, 50));
     for n in 0..whole.len() {
         assert!(decode_grey(&whole[..n]).is_err(), "{n} of {} bytes", whole.len());
@@ -189,7 +189,7 @@ fn a_png_that_is_cut_off_is_no_picture() {
 }
 
 #[test]
-fn what_is_no_picture_says_so() {
+fn non_pictures_are_refused_with_the_reason() {
     assert_eq!(decode_grey(b""), Err(DecodeError::Empty));
     assert_eq!(decode_grey(b"hello there"), Err(DecodeError::UnknownForm));
     assert!(decode_grey(b"GIF89a......").unwrap_err().to_string().starts_with("the picture is not JPEG, PNG or PGM but GIF; convert it"));
@@ -199,7 +199,7 @@ fn what_is_no_picture_says_so() {
 
 proptest! {
     #[test]
-    fn any_bytes_end_without_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+    fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
         for start in [&b""[..], b"P5 4 4 255\n", b"P6 ", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"] {
             let _ = decode_grey(&[start, &bytes].concat());
         }

@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn a_walk_in_pieces_ends_where_a_walk_at_once_does() {
+    fn an_incremental_walk_ends_where_a_single_pass_does() {
         let mut walk = JpegWalk::default();
         for n in 0..WHOLE.len() {
             assert_eq!(walk.advance(&WHOLE[..n]), Walked::Unfinished, "{n} bytes");

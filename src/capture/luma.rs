@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn stale_bytes_behind_a_jpeg_are_cut_and_change_nothing() {
+    fn stale_bytes_after_a_jpeg_are_cut() {
         let (jpeg, clean) = (jpeg(), decode_grey(&jpeg()).unwrap());
         let stale = [&jpeg[..], &[0; 40], &jpeg[30..]].concat();
         let decoded = decode_picture(&picture(stale), PixelLayout::Mjpeg, (32, 16));
@@ -132,14 +132,14 @@ mod tests {
     }
 
     #[test]
-    fn what_the_driver_calls_damaged_is_not_looked_at() {
+    fn frames_flagged_damaged_by_the_driver_are_not_decoded() {
         let decoded = decode_picture(&CapturedPicture { is_damaged: true, ..picture(jpeg()) }, PixelLayout::Mjpeg, (32, 16));
         assert!(decoded.image.is_err() && decoded.received == Received::Damaged);
     }
 
     proptest! {
         #[test]
-        fn any_bytes_end_without_panic(bytes in prop::collection::vec(any::<u8>(), 0..200), which in 0..6_usize, w in 0..9_u32, h in 0..9_u32) {
+        fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..200), which in 0..6_usize, w in 0..9_u32, h in 0..9_u32) {
             use PixelLayout::*;
             let decoded = decode_picture(&picture(bytes), [Mjpeg, Yuyv, Nv12, Grey, Rgb, Bgr][which], (w, h));
             let _ = decoded.content((w, h), Timestamp::default(), 0);

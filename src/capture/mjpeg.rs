@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn whole_pictures_come_out_as_they_went_in() {
+    fn whole_pictures_pass_through_unchanged() {
         let pictures: Vec<_> = (0..5).map(|n| jpeg(n * 40)).collect();
         assert_eq!(split(&pictures.concat()), pictures);
         let padded: Vec<u8> = pictures.iter().flat_map(|p| [p, &[0u8; 5][..]].concat()).collect();
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cut_picture_costs_itself_only() {
+    fn a_truncated_picture_loses_only_itself() {
         let (a, b) = (jpeg(1), jpeg(2));
         let cut = &a[..a.len() - 20];
         assert_eq!(split(&[cut, &b, cut].concat()), [cut.to_vec(), b, cut.to_vec()]);
@@ -154,7 +154,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_bytes_end_without_panic(mut bytes in prop::collection::vec(prop_oneof![any::<u8>(), Just(0xFFu8), Just(0xD8), Just(0xD9), Just(0xDA)], 0..300)) {
+        fn arbitrary_bytes_never_panic(mut bytes in prop::collection::vec(prop_oneof![any::<u8>(), Just(0xFFu8), Just(0xD8), Just(0xD9), Just(0xDA)], 0..300)) {
             let total: usize = split(&bytes).iter().map(Vec::len).sum();
             prop_assert!(total <= bytes.len());
             bytes.splice(0..0, [0xFF, 0xD8, 0xFF]);

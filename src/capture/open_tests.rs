@@ -62,7 +62,7 @@ fn written(format: PictureFormat) -> TempDir {
 }
 
 #[test]
-fn what_the_writer_wrote_is_read() {
+fn clips_from_the_clip_writer_are_read() {
     let wanted: Vec<_> = (0..4).map(|n| EntryContent::Frame(frame(n))).collect();
     assert_eq!(rows(written(PictureFormat::Png), None).into_iter().map(|r| r.content).collect::<Vec<_>>(), wanted);
     assert_eq!(stamps(&rows(written(PictureFormat::Jpeg { quality: 90 }), None)), [1_000, 40_001_000, 80_001_000, 120_001_000]);
@@ -106,7 +106,7 @@ fn every_row_of_a_damaged_folder_keeps_its_number() {
 }
 
 #[test]
-fn names_that_lead_outside_of_the_clip_are_refused_with_their_line() {
+fn names_leading_outside_the_clip_are_refused_with_their_line() {
     let folder = written(PictureFormat::Png);
     let outside = TempDir::new().unwrap();
     fs::copy(folder.path().join("frames/000000.png"), outside.path().join("a.png")).unwrap();
@@ -121,7 +121,7 @@ fn names_that_lead_outside_of_the_clip_are_refused_with_their_line() {
 }
 
 #[test]
-fn a_frame_that_is_no_plain_file_is_a_row_without_a_picture() {
+fn a_frame_that_is_not_a_plain_file_is_undecodable() {
     let folder = written(PictureFormat::Png);
     let frames = folder.path().join("frames");
     nix::unistd::mkfifo(&frames.join("pipe.png"), nix::sys::stat::Mode::S_IRWXU).unwrap();
@@ -138,7 +138,7 @@ fn a_frame_that_is_no_plain_file_is_a_row_without_a_picture() {
 }
 
 #[test]
-fn a_stray_first_picture_does_not_make_all_others_strays() {
+fn an_odd_sized_first_picture_does_not_set_the_clip_size() {
     let folder = written(PictureFormat::Png);
     GrayImage::new(64, 24).save(folder.path().join("frames/000000.png")).unwrap();
     assert_eq!(kinds(&rows(&folder, None)), "SFFF");
@@ -152,7 +152,7 @@ fn a_stray_first_picture_does_not_make_all_others_strays() {
 }
 
 #[test]
-fn a_picture_that_is_to_be_shown_turned_is_tracked_as_it_lies_and_said() {
+fn a_rotated_picture_is_tracked_unrotated_with_a_remark() {
     let folder = TempDir::new().unwrap();
     let mut bytes = Vec::new();
     let mut encoder = image::codecs::jpeg::JpegEncoder::new(&mut bytes);
@@ -179,7 +179,7 @@ fn a_folder_of_pictures_is_read_in_the_order_of_names() {
 }
 
 #[test]
-fn pictures_that_come_twice_are_marked_in_single_pictures_and_not_in_video() {
+fn repeats_are_marked_in_picture_folders_but_not_in_video() {
     let folder = TempDir::new().unwrap();
     fs::create_dir(folder.path().join("frames")).unwrap();
     let mut index = "#timestamp [ns],filename\n".to_owned();
@@ -219,7 +219,7 @@ fn y4m_is_read_at_its_own_rate_or_the_given_one() {
 }
 
 #[test]
-fn mjpeg_is_split_and_its_damage_is_a_row() {
+fn damaged_mjpeg_frames_become_rows_without_a_picture() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("clip.mjpeg");
     let whole = jpeg(3);
@@ -233,7 +233,7 @@ fn mjpeg_is_split_and_its_damage_is_a_row() {
 }
 
 #[test]
-fn what_is_no_clip_says_so() {
+fn non_clips_are_refused_with_the_reason() {
     let folder = TempDir::new().unwrap();
     assert!(matches!(refusal(folder.path()), CaptureError::Empty { .. }));
     assert!(matches!(refusal(folder.path().join("gone")), CaptureError::NotFound { .. }));
@@ -333,7 +333,7 @@ fn frames_of_uneven_rate_keep_their_stamps_and_their_luma() {
 }
 
 #[test]
-fn what_ffmpeg_cannot_read_says_so() {
+fn files_ffmpeg_cannot_read_are_refused_with_the_reason() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("noise.mp4");
     fs::write(&path, [7u8; 1000]).unwrap();

@@ -107,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stamp_that_stands_still_or_goes_back_is_skipped_and_costs_only_itself() {
+    fn a_repeated_or_decreasing_stamp_skips_only_its_own_row() {
         let row = |ns| ClipEntry {
             sequence: 77,
             timestamp: Timestamp::from_ns(ns),
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_in_the_wrong_order_are_skipped_as_before() {
+    fn out_of_order_rows_are_skipped() {
         for sees_ahead in [true, false] {
             assert_eq!(kept(&[0, 2, 1, 3, 3, 4], sees_ahead), [0, 2, 3, 4]);
             assert_eq!(kept(&[0, 1, 2, 4, 5, 3, 6], sees_ahead), [0, 1, 2, 4, 5, 6]);
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_is_set_back_begins_anew() {
+    fn a_clock_set_back_starts_a_new_sequence() {
         let stepped: Vec<i64> = (100_000..100_050).chain(100..150).collect();
         assert_eq!(kept(&stepped, true), stepped);
         let kept = kept(&stepped, false);

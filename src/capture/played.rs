@@ -204,7 +204,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_asks_late_gets_what_is_due_now() {
+    fn a_late_reader_gets_the_frame_due_now() {
         let folder = tempfile::tempdir().unwrap();
         image::GrayImage::new(8, 6).save(folder.path().join("a.png")).unwrap();
         let rows = (0..10_000_i64).map(|n| format!("{},a.png\n", n * 10_000_000));

@@ -47,7 +47,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_rate_is_none() {
+    fn invalid_rates_return_none() {
         assert!(["0:0", "0:1", "30", "a:b", "-1:1"].iter().all(|r| FrameRate::from_ratio(r).is_none()));
         assert!([f64::NAN, 0.0, -30.0, f64::INFINITY, 2e6].iter().all(|fps| FrameRate::new(*fps, 1.0).is_none()));
     }

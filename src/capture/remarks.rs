@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn turns_and_mirrors_have_their_words() {
+    fn rotations_and_mirroring_are_described_in_words() {
         let says = |degrees, is_mirrored, words: &str| {
             let said = shown_turned(degrees, is_mirrored).unwrap();
             assert!(said.starts_with(&format!("the file says to show its pictures {words} (display matrix); ")), "{said}");
@@ -65,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn the_shape_of_a_pixel_is_that_of_the_focal_lengths_turned_over() {
+    fn the_pixel_aspect_is_the_inverse_focal_length_ratio() {
         assert!(pixel_shape((4, 3)).ends_with(
             "4:3 as wide as high (pixel aspect, SAR); pictures are tracked as stored in the file, so the calibration must be of such \
              pictures too: fx / fy = 0.7500"

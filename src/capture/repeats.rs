@@ -34,7 +34,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_that_comes_twice_is_a_repeat_once_pictures_have_changed() {
+    fn a_duplicate_is_a_repeat_only_after_pictures_changed() {
         assert_eq!(repeats("abbbcb"), [false, false, true, true, false, false]);
     }
 

@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn slow_and_fast_cameras_pass() {
+    fn stamps_of_slow_and_fast_cameras_are_accepted() {
         for step in [1_000_000, 2_000_000, 33_333_333, 1_000_000_000, 4_000_000_000, 600_000_000_000, 86_400_000_000_000] {
             assert_eq!(of((0..20).map(|n| n * step)), None, "{step}");
         }

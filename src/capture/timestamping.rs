@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn both_kinds_of_stamp_lead_to_the_same_moment() {
+    fn both_kinds_of_stamp_yield_the_same_instant() {
         // Exposure 10 ms, readout 20 ms: the first row begins at 0, the last one ends at 30 ms, so
         // mid-exposure of the middle row is at 15 ms.
         let (now, shutter) = (Timestamp::from_seconds(2.0), Shutter { exposure_s: 0.01, readout_s: 0.02 });
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stamp_of_another_clock_is_no_stamp() {
+    fn a_stamp_from_another_clock_is_not_trusted() {
         let now = Timestamp::from_seconds(15.0);
         for stamp in [0, -5, 9_000_000_000, 20_000_000_000].map(Timestamp::from_ns) {
             assert_eq!(mid_exposure(DriverStamp::StartOfExposure(stamp), now, &Shutter::default()), (now, false), "{stamp}");
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn a_trusted_driver_may_hand_out_what_was_taken_before_a_long_stop() {
+    fn a_trusted_driver_may_deliver_old_frames_after_a_pause() {
         let mut trust = StampTrust::default();
         let mut at = |stamp, now| {
             let stamp = DriverStamp::StartOfExposure(Timestamp::from_ns(stamp));
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn the_clock_runs() {
+    fn the_monotonic_clock_never_goes_back() {
         let first = monotonic_now();
         assert!(first > Timestamp::default() && monotonic_now() >= first);
     }

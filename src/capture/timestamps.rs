@@ -110,13 +110,13 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_bytes_end_without_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+        fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
             let _ = read_timestamps(&bytes[..]);
             let _ = read_timestamps(&[b"#timestamp [ns],filename\n", &bytes[..]].concat()[..]);
         }
 
         #[test]
-        fn what_is_written_is_read(stamps in prop::collection::vec((any::<i64>(), "[a-z0-9_./-]{1,20}"), 0..20)) {
+        fn written_data_reads_back(stamps in prop::collection::vec((any::<i64>(), "[a-z0-9_./-]{1,20}"), 0..20)) {
             let mut text = "#timestamp [ns],filename\n".to_owned();
             stamps.iter().for_each(|(t, f)| text += &format!("{t},{f}\n"));
             let rows = read_timestamps(text.as_bytes()).unwrap();

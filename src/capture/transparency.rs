@@ -31,7 +31,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_transparent_is_white_and_counted() {
+    fn transparent_pixels_become_white_and_are_counted() {
         let of = |pixels: Vec<u8>| on_white(DynamicImage::ImageRgba8(ImageBuffer::from_raw(2, 1, pixels).unwrap()));
         assert_eq!(of(vec![0, 0, 0, 255, 0, 0, 0, 0]), (GrayImage::from_raw(2, 1, vec![0, 255]).unwrap(), 0.5));
         assert_eq!(of(vec![10, 10, 10, 255, 200, 200, 200, 255]), (GrayImage::from_raw(2, 1, vec![10, 200]).unwrap(), 0.0));
@@ -44,7 +44,7 @@ mod tests {
     }
 
     #[test]
-    fn an_opaque_picture_is_as_it_is_without_alpha() {
+    fn an_opaque_alpha_channel_changes_nothing() {
         let plain = image::RgbImage::from_fn(7, 5, |x, y| image::Rgb([(x * 31) as u8, (y * 47) as u8, (x * y * 5) as u8]));
         let opaque = DynamicImage::ImageRgba8(DynamicImage::ImageRgb8(plain.clone()).into_rgba8());
         assert_eq!(on_white(opaque), (grey_of(DynamicImage::ImageRgb8(plain)), 0.0));

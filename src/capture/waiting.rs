@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn a_writer_may_come_late_and_pause() {
+    fn a_pipe_writer_may_start_late_and_pause() {
         let (_folder, path) = pipe();
         let mut reader = Waiting::named_pipe(&path, || false).unwrap();
         let writer = std::thread::spawn(move || {
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn a_writer_that_says_nothing_is_left_when_the_end_is_asked_for() {
+    fn waiting_for_a_silent_writer_ends_on_request() {
         static STOP: AtomicBool = AtomicBool::new(false);
         let (_folder, path) = pipe();
         let mut reader = Waiting::named_pipe(&path, || STOP.load(Ordering::Relaxed)).unwrap();

@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn every_chroma_form_gives_its_luma() {
+    fn every_chroma_format_yields_its_luma() {
         let forms = [
             ("", 12),
             ("C420", 12),
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn chroma_is_kept_where_it_is_asked_for() {
+    fn chroma_is_kept_on_request() {
         let bytes = stream("C420jpeg", 12, 2);
         let mut reader = Y4mReader::new(&bytes[..]).unwrap();
         let plain = reader.next_luma().unwrap().unwrap();
@@ -227,14 +227,14 @@ mod tests {
     }
 
     #[test]
-    fn a_cut_stream_has_one_undecodable_frame_at_its_end() {
+    fn a_truncated_stream_ends_with_one_undecodable_frame() {
         let bytes = stream("C420", 12, 3);
         let frames = read(&bytes[..bytes.len() - 1]);
         assert_eq!((frames.len(), frames[2].as_ref().unwrap_err().as_str()), (3, "the stream ends in the middle of frame 2"));
     }
 
     #[test]
-    fn what_is_not_read_is_refused_with_its_reason() {
+    fn unsupported_streams_are_refused_with_the_reason() {
         let refused = |header: &str| Y4mReader::new(header.as_bytes()).unwrap_err();
         assert!(refused("YUV4MPEG2 W4 H4 It\n").contains("interlaced"));
         assert!(refused("YUV4MPEG2 W4 H4 C420p10\n").contains("more than 8 bits"));
@@ -247,7 +247,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_bytes_end_without_panic(bytes in prop::collection::vec(any::<u8>(), 0..300), header in "YUV4MPEG2( [WHFIC][0-9a-z:]{0,6}){0,6}\n") {
+        fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..300), header in "YUV4MPEG2( [WHFIC][0-9a-z:]{0,6}){0,6}\n") {
             for bytes in [bytes.clone(), [header.as_bytes(), &bytes].concat()] {
                 if let Ok(mut reader) = Y4mReader::new(&bytes[..]) {
                     while reader.next_luma().is_some() {}

@@ -80,7 +80,7 @@ mod text {
         use crate::capture::v4l2::SizeListing;
 
         #[test]
-        fn a_camera_reads_well() {
+        fn a_listed_camera_is_readable() {
             let control = ControlListing {
                 name: "auto_exposure".into(),
                 id: 1,

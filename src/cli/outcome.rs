@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn one_picture_is_not_told_to_wait_for_another() {
+    fn a_single_picture_gets_no_advice_to_wait_for_another() {
         let said = outcome(0, &[(Reason::Unconfirmed, 1)]).sentences();
         assert!(said.contains("One picture is not enough") && !said.contains("too rarely"), "{said}");
         assert!(!outcome(0, &[(Reason::NotRecognised, 1)]).sentences().contains("One picture"));
@@ -136,13 +136,13 @@ mod tests {
     }
 
     #[test]
-    fn what_was_tracked_throughout_is_one_sentence() {
+    fn a_fully_tracked_clip_is_summed_up_in_one_sentence() {
         assert_eq!(outcome(90, &[]).sentences(), "The picture is tracked in all 90 frames.");
         assert_eq!(outcome(89, &[(Reason::Unconfirmed, 1)]).sentences(), "The picture is recognised in 90 of 90 frames and tracked in 89.");
     }
 
     #[test]
-    fn the_worst_reason_comes_first_with_its_mend() {
+    fn the_most_frequent_reason_comes_first_with_its_hint() {
         let text = outcome(0, &[(Reason::NotRecognised, 34), (Reason::NoPoseFits, 127)]).sentences();
         assert_eq!(
             text,
@@ -154,12 +154,12 @@ mod tests {
     }
 
     #[test]
-    fn no_frames_are_no_division() {
+    fn an_outcome_without_frames_does_not_divide_by_zero() {
         assert_eq!(Outcome::default().sentences(), "No frame came.");
     }
 
     #[test]
-    fn counts_are_keyed_by_words_and_complete() {
+    fn outcome_counts_are_complete_and_keyed_by_reason() {
         let outcome = outcome(2, &[(Reason::TooDark, 3), (Reason::Covered, 1)]);
         let json = serde_json::to_value(outcome.counts()).unwrap();
         assert_eq!(json, serde_json::json!({"too_dark": 3, "covered": 1}));

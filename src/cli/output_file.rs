@@ -149,7 +149,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nothing_waits_for_the_reader_of_a_named_pipe() {
+    fn opening_a_named_pipe_does_not_wait_for_a_reader() {
         let folder = tempfile::tempdir().unwrap();
         let pipe = folder.path().join("pipe");
         nix::unistd::mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).unwrap();
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_there_stays_until_the_output_begins() {
+    fn an_existing_file_stays_until_the_output_begins() {
         let folder = tempfile::tempdir().unwrap();
         let name = folder.path().join("out");
         std::fs::write(&name, "before").unwrap();

@@ -136,7 +136,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_test_pose_goes_round() {
+    fn the_test_pose_repeats_every_twenty_seconds() {
         assert!((test_pose(0.0).translation - test_pose(20.0).translation).norm() < 1e-9);
         let sample = test_sample(3, 5.0, &["cart".to_owned()]);
         let angles = PanTiltRoll::of_rotation(&test_pose(5.0).rotation, 0.0);

@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_known_by_every_name() {
+    fn a_protected_file_is_recognised_through_links() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         fs::write(at("camera.toml"), "kept").unwrap();
@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clip_is_spared_with_its_pictures_and_not_with_what_lies_beside() {
+    fn a_clip_is_protected_but_not_files_beside_it() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         fs::create_dir_all(at("frames/0000")).unwrap();
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn two_outputs_are_not_one() {
+    fn two_outputs_cannot_share_a_file() {
         let folder = tempfile::tempdir().unwrap();
         let new = folder.path().join("new");
         let mut spared = Spared::default();

@@ -108,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_point_is_where_the_homography_puts_it() {
+    fn rendered_points_match_the_homography() {
         let spot = |at: Vector2<f64>| {
             GrayImage::from_fn(160, 120, |x, y| {
                 let d2 = (f64::from(x) - at.x).powi(2) + (f64::from(y) - at.y).powi(2);
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_comes_of_nothing() {
+    fn empty_and_tiny_pictures_keep_their_size() {
         let (view, _) = changed(&GrayImage::new(0, 0), Change::Tilt(50.0), 1);
         assert_eq!(view.dimensions(), (0, 0));
         assert_eq!(changed(&GrayImage::new(3, 1), Change::Roll(30.0), 1).0.dimensions(), (3, 1));

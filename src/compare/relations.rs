@@ -317,7 +317,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn few_matches_off_the_plane_decide_nothing_and_many_decide() {
+    fn only_enough_matches_off_the_plane_decide_the_model() {
         let on_the_plane = 0..200;
         let with = |more: std::ops::Range<usize>| -> Vec<usize> { on_the_plane.clone().chain(more).collect() };
         assert_eq!(verdict_off_the_plane(&with(200..206), &with(206..210)), None);
@@ -327,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plane_before_the_camera_is_seen_more_squarely_than_a_steep_one() {
+    fn a_frontal_plane_has_higher_squareness_than_a_steep_one() {
         let seen: Vec<RayPair> = [-0.2, 0.0, 0.2].map(|x| RayPair { first: Vector2::new(x, 0.0), second: Vector2::new(x, 0.0) }).to_vec();
         let with = |normal: Vector3<f64>| {
             let motion = PlanarMotion {

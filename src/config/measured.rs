@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn lengths_and_points_are_read_by_word_and_by_pixel() {
+    fn measured_points_are_given_by_name_or_pixel() {
         let settings = load(
             "[[survey.distance]]\nsurfaces = [1, 2]\nat = [\"top left\", [-0.5, -0.5]]\nlength_m = 3.25\nsigma_m = 0.001\n\
              [[survey.point]]\nsurface = 2\nat = \"bottom right\"\nposition_m = [1.55, -0.8, -1.5]",
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_a_measurement_is_refused_with_line_and_mend() {
+    fn invalid_measurements_are_refused_with_line_and_hint() {
         let distance = "[[survey.distance]]\nsurfaces = [1, 2]\nat = [\"left\", \"right\"]\nlength_m = 3.0\n";
         let point = "[[survey.point]]\nsurface = 2\nat = \"left\"\nposition_m = [0, 0, 0]\n";
         for (text, from, to, parts) in [

@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn outputs_speak_of_the_filming_camera() {
+    fn outputs_report_the_filming_camera_by_default() {
         let settings = load("[mount]\noffset_m = [0.1, 0.2, 0.3]\nrotation_deg = [0, 90, 0]\ndelay_s = 0.12\n", OUTPUTS).unwrap();
         let mount = settings.mount.unwrap();
         assert_eq!((mount.name.as_str(), mount.mount.carrier, mount.camera), ("film", BodyChoice::Camera, None));
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn an_object_may_carry_it_and_its_doubt_is_kept() {
+    fn an_object_may_carry_the_mount_and_its_sigmas_are_kept() {
         let text = "[mount]\nname = \"crane\"\non = \"cart\"\noffset_m = [0, 0, 1]\ncalibration = \"film.toml\"\n\
             offset_sigma_m = [0.001, 0.002, 0.003]\nrotation_sigma_deg = [1, 2, 3]\n";
         let mount = load(text, &OUTPUTS.replace("film", "crane")).unwrap().mount.unwrap();
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told_with_its_line() {
+    fn mount_errors_are_reported_with_their_line() {
         let cases = [
             ("[mount]\n", "[mount], line 1, has no `offset_m`; add where the filming camera's lens is"),
             ("[mount]\noffset_m = [0, 50, 120]\n", "`offset_m` in [mount], line 2: [0.0, 50.0, 120.0] cannot be used; give metres"),

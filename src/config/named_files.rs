@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn a_copy_is_of_the_config_as_it_was_read_and_loads_alone() {
+    fn a_config_copy_is_as_loaded_and_self_contained() {
         let (home, copied) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         for name in ["backdrop.png", "flat.png", "camera.toml", "stage.toml"] {
             std::fs::copy(format!("{FIXTURE}/{name}"), home.path().join(name)).unwrap();
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn a_copy_names_the_exposure_that_the_config_leaves_open() {
+    fn a_config_copy_states_an_exposure_left_unset() {
         let surface = "[[stage.surface]]\nimage = \"backdrop.png\"\nsize_m = [4.0, 3.0]\n";
         let ways = [
             ("[camera]\n# the lens\ncalibration = \"camera.toml\"\n", 0.008333333333333333),

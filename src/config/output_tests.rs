@@ -25,7 +25,7 @@ const OSC: &str = "[[output]]\nkind = \"osc\"\nto = [\"127.0.0.1:53000\"]\n";
 const JSON: &str = "[[output]]\nkind = \"json\"\nfile = \"-\"\n";
 
 #[test]
-fn defaults_are_those_of_the_documentation() {
+fn defaults_match_the_documentation() {
     let settings = load(&format!("{FREED}{OSC}{JSON}[[object]]\nname = \"cart\"")).unwrap();
     let [freed, osc, json] = &settings.outputs[..] else { panic!("three outputs") };
     assert_eq!((freed.name.as_str(), osc.name.as_str(), json.name.as_str()), ("freed-1", "osc-4", "json-7"));
@@ -63,7 +63,7 @@ fn every_key_reaches_the_settings() {
 }
 
 #[test]
-fn one_text_needs_no_brackets_and_words_any_case() {
+fn single_values_need_no_brackets_and_words_ignore_case() {
     let text = "[[output]]\nkind = \"OSC\"\nto = \"127.0.0.1:53000\"\non_loss = \"Flag\"\nbodies = \"Camera\"\ninvert = \"Tilt\"\nmessages = \"STATUS\"\n\
         rotation_deg = [180, 0, 0]\n[[output]]\nkind = \"FreeD\"\nto = [\"127.0.0.1:40000\", \"127.0.0.1:40001\"]\nspare = \"Sony\"\n\
         [[output]]\nkind = \"OpenTrackIO\"\nencoding = \"CBOR\"\nto = \"127.0.0.1:55555\"\n";
@@ -168,7 +168,7 @@ fn every_wrong_key_of_an_output_is_named_with_its_line() {
 }
 
 #[test]
-fn frames_that_are_stale_before_the_next_one_comes_are_warned_of() {
+fn a_stale_limit_below_the_frame_interval_gets_a_warning() {
     let folder = tempfile::tempdir().unwrap();
     super::tests::fill(folder.path());
     let notes = |camera: &str, safety: &str| {
@@ -187,7 +187,7 @@ fn frames_that_are_stale_before_the_next_one_comes_are_warned_of() {
 }
 
 #[test]
-fn what_the_machine_does_not_give_is_told_with_its_line() {
+fn unavailable_ports_and_files_are_reported_with_their_line() {
     let folder = tempfile::tempdir().unwrap();
     let stage = "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"art.png\"\nsize_m = [4, 3]\n";
     super::tests::fill(folder.path());
@@ -264,7 +264,7 @@ fn what_the_machine_does_not_give_is_told_with_its_line() {
 }
 
 #[test]
-fn the_filter_is_read_and_a_prediction_needs_one() {
+fn filter_settings_are_read_and_prediction_needs_a_filter() {
     let folder = tempfile::tempdir().unwrap();
     super::tests::fill(folder.path());
     let stage = "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nimage = \"art.png\"\nsize_m = [4, 3]\n";
@@ -303,7 +303,7 @@ fn the_examples_for_receivers_are_good() {
 }
 
 #[test]
-fn a_receiver_brings_its_axes_and_units() {
+fn a_receiver_preset_sets_axes_and_units() {
     let placement = |text: &str| load(text).unwrap().outputs[0].placement;
     let unreal = placement(&format!("{OSC}receiver = \"Unreal\"\n"));
     assert_eq!((unreal.order, unreal.scale, unreal.angle_signs), ([1, 0, 2], 100.0, [-1.0, 1.0, 1.0]));

@@ -62,7 +62,7 @@ mod tests {
     use crate::config::as_typed::Config;
 
     #[test]
-    fn what_a_terminal_would_obey_is_refused_with_its_line() {
+    fn terminal_control_characters_are_refused_with_their_line() {
         for (text, parts) in [
             ("[camera]\ncalibration = \"a\\u001b[2J.toml\"\n", ["line 2", "`calibration` in [camera]", "\"a\\u001b[2J.toml\""]),
             ("[log]\n[[object]]\nname = \"p\\u202Eq\"\n", ["line 3", "`name` in [[object]]", "\"p\\u202eq\""]),

@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn the_examples_stand_where_the_documentation_says() {
+    fn the_documented_rotation_examples_are_right() {
         let (right, upstage, up) = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]);
         let back = |[x, y, z]: [f64; 3]| [0.0 - x, 0.0 - y, 0.0 - z];
         assert_eq!(axes([0.0, 0.0, 0.0]), [right, up, back(upstage)], "upright, its face to the audience");
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frames_angles_are_pan_tilt_and_roll() {
+    fn mount_angles_are_pan_tilt_and_roll() {
         let angles = [30.0, -20.0, 10.0];
         let as_receivers_mean = crate::protocols::PanTiltRoll { pan_deg: 30.0, tilt_deg: -20.0, roll_deg: 10.0 };
         assert!(Turned::Mount.by_angles(angles).angle_to(&as_receivers_mean.rotation()) < 1e-12);

@@ -151,14 +151,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_reads_back_to_the_same_bits() {
+    fn a_written_shape_reads_back_bit_for_bit() {
         let (shape, picture, size_m) = shape();
         let text = write(&shape, &picture, size_m);
         assert_eq!(parse(&text, &picture, size_m), Ok(SurfaceShape::Bent(Arc::new(shape))));
     }
 
     #[test]
-    fn what_does_not_belong_here_is_refused() {
+    fn shape_files_that_do_not_fit_are_refused() {
         let (shape, picture, size_m) = shape();
         let text = write(&shape, &picture, size_m);
         assert_eq!(parse(&text, &GrayImage::new(30, 20), size_m), Err(ShapeFileError::OtherPicture));

@@ -99,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_missing_file_is_named_with_the_mend() {
+    fn a_missing_file_is_named_with_a_hint() {
         let gone = read_calibration(Path::new("does/not/exist.toml")).unwrap_err().to_string();
         assert!(gone.contains("does/not/exist.toml") && gone.contains("check its path"), "{gone}");
     }

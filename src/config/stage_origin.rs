@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn one_point_moves_the_stage_and_three_turn_it() {
+    fn one_origin_point_shifts_the_stage_and_three_rotate_it() {
         assert_eq!(places(""), [[0.0, 0.0, 0.0], [1.0, -0.8, -0.65]]);
         assert_eq!(places("origin = { \"bottom left\" = [-2.1, 6.0, 0.1] }"), [[-0.1, 6.0, 1.6], [0.9, 5.2, 0.95]]);
         assert_eq!(places("origin = { Centre = [0, 5, 1] }"), [[0.0, 5.0, 1.0], [1.0, 4.2, 0.35]]);
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn points_that_do_not_tell_are_refused() {
+    fn insufficient_origin_points_are_refused() {
         let cases = [
             ("origin = {}", "there is no point in it"),
             ("origin = { \"bottom left\" = [0, 0, 0], \"top left\" = [0, 0, 3] }", "two points do not determine"),

@@ -8,7 +8,7 @@ use super::*;
 use crate::capture::camera::PixelLayout;
 
 #[test]
-fn angles_mean_what_the_quaternion_means() {
+fn angles_and_quaternion_state_the_same_rotation() {
     let folder = folder();
     let rotation = |line: &str| load(&folder, &format!("{GOOD}{line}")).unwrap().stage.surfaces[0].pose.rotation;
     let half = "0.7071067811865476";
@@ -28,7 +28,7 @@ fn angles_mean_what_the_quaternion_means() {
 }
 
 #[test]
-fn a_lens_may_be_guessed_and_says_how_far_it_may_be_off() {
+fn a_guessed_lens_states_its_uncertainty() {
     let folder = folder();
     let guessed = |lines: &str| load(&folder, &GOOD.replace("calibration = \"camera.toml\"", lines));
     // Without a size, the guess is for pictures of any aspect ratio.

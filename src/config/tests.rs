@@ -59,7 +59,7 @@ fn message(folder: &tempfile::TempDir, text: &str) -> String {
 }
 
 #[test]
-fn a_global_shutter_is_known_to_be_one() {
+fn a_configured_global_shutter_is_recognised() {
     let folder = folder();
     let with = |lines: &str| load(&folder, &GOOD.replacen("[camera]\n", &format!("[camera]\n{lines}\n"), 1));
     assert_eq!(with("shutter = \"global\"").unwrap().shutter.readout_s, Some(0.0));
@@ -70,7 +70,7 @@ fn a_global_shutter_is_known_to_be_one() {
 }
 
 #[test]
-fn defaults_are_those_of_the_documentation() {
+fn defaults_match_the_documentation() {
     let folder = folder();
     let settings = load(&folder, GOOD).unwrap();
     assert_eq!((settings.shutter.exposure_s, settings.shutter.readout_s), (None, None));
@@ -132,7 +132,7 @@ pub(super) fn camera_plus(line: &str) -> String {
 }
 
 #[test]
-fn wrong_keys_get_their_place_and_the_nearest_name() {
+fn unknown_keys_are_reported_with_place_and_nearest_name() {
     let folder = folder();
     let cases = [
         (
@@ -171,7 +171,7 @@ fn wrong_keys_get_their_place_and_the_nearest_name() {
 }
 
 #[test]
-fn slips_of_the_keyboard_are_answered_by_what_to_type() {
+fn config_typing_slips_get_the_corrected_line() {
     let folder = folder();
     for (text, line, wanted) in [
         (GOOD.replace("[[stage.surface]]", "[stage.surface]"), "`surface` in [stage], line 3", "write [[stage.surface]]"),
@@ -343,7 +343,7 @@ fn wrong_values_are_refused() {
 }
 
 #[test]
-fn files_that_are_wrong_inside_name_themselves() {
+fn invalid_referenced_files_are_named() {
     let folder = folder();
     std::fs::write(folder.path().join("nan.toml"), CAMERA.replace("fx = 600.0", "fx = nan")).unwrap();
     std::fs::write(folder.path().join("negative.toml"), CAMERA.replace("fx = 600.0", "fx = -600.0")).unwrap();
@@ -367,7 +367,7 @@ fn files_that_are_wrong_inside_name_themselves() {
 }
 
 #[test]
-fn a_photograph_of_another_camera_is_said() {
+fn a_photograph_from_another_camera_is_noted() {
     let folder = folder();
     let text = "[camera]\ncalibration = \"camera.toml\"\n[[stage.surface]]\nphoto = \"art.png\"\ncorners_px = [[9, 9], [380, 9], [380, 280], [9, 280]]\nsize_m = [4, 3]\n";
     let note = &load(&folder, text).unwrap().notes[0];
@@ -380,7 +380,7 @@ fn a_photograph_of_another_camera_is_said() {
 }
 
 #[test]
-fn what_is_transparent_is_a_warning_of_every_command_and_an_opaque_alpha_is_none() {
+fn transparency_gets_a_warning_and_an_opaque_alpha_does_not() {
     let folder = folder();
     let art = image::open(folder.path().join("art.png")).unwrap().to_rgba8();
     art.save(folder.path().join("art.png")).unwrap();
@@ -416,7 +416,7 @@ fn the_example_has_every_key_and_nothing_else() {
 }
 
 #[test]
-fn the_example_still_parses_with_every_comment_mark_removed_from_a_key() {
+fn the_example_parses_with_every_key_uncommented() {
     let sections = [
         "[mount]",
         "[stage]",
@@ -463,7 +463,7 @@ proptest! {
 }
 
 #[test]
-fn how_well_surfaces_are_known_is_read_and_has_defaults() {
+fn surface_uncertainties_are_read_and_have_defaults() {
     let folder = folder();
     let second = "[[stage.surface]]\nimage = \"art.png\"\nsize_m = [1, 1]\nposition_m = [0, 0, 2]\n";
     let doubts = |text: &str| load(&folder, text).unwrap().stage.surfaces.iter().map(|s| s.doubt).collect::<Vec<_>>();
@@ -485,7 +485,7 @@ fn how_well_surfaces_are_known_is_read_and_has_defaults() {
 }
 
 #[test]
-fn as_many_surfaces_as_a_set_has_are_read_and_too_many_are_refused_before_a_picture_is() {
+fn too_many_surfaces_are_refused_before_reading_pictures() {
     let folder = tempfile::tempdir().unwrap();
     fill(folder.path());
     let config = |stage: usize, object: usize, image: &str| {

@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn one_at_a_time_and_each_has_its_end() {
+    fn one_job_runs_at_a_time_and_each_reports_its_end() {
         let (jobs, events) = (Jobs::default(), Arc::new(EventLog::default()));
         let heard = events.listen();
         let first = jobs.start("test", "a".to_owned(), &events, |progress| {

@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_kept_comes_back() {
+    fn kept_data_reads_back() {
         let folder = tempfile::tempdir().unwrap();
         let kept = KeptViews { folder: folder.path().join("not/there/yet") };
         assert_eq!(kept.load("aa"), None);
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_ones_that_were_used_stay() {
+    fn the_most_recently_used_files_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let kept = KeptViews { folder: folder.path().to_owned() };
         fs::write(folder.path().join("of-others"), b"stays").unwrap();

@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn each_camera_and_mode_has_its_own() {
+    fn each_camera_and_mode_has_its_own_learnt_file() {
         let folder = tempfile::tempdir().unwrap();
         let file = LearntFile::within(folder.path(), &mode("../Cam: é/1", None));
         assert_eq!(file.load(), LearntCamera::default());
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clip_says_what_was_known_or_nothing() {
+    fn a_clip_restores_the_learnt_state_or_the_default() {
         let clip = tempfile::tempdir().unwrap();
         assert_eq!(learnt_of_clip(clip.path()), Ok(LearntCamera::default()));
         let about = |text: &str| std::fs::write(clip.path().join("clip.toml"), text).unwrap();

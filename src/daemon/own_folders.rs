@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_may_not_be_written_beside_the_config_is_kept_in_a_folder_of_its_own() {
+    fn a_read_only_config_folder_falls_back_to_a_state_folder() {
         let [etc, state] = [(); 2].map(|()| tempfile::tempdir().unwrap());
         let config = etc.path().join("stage.toml");
         std::fs::write(&config, "# given").unwrap();

@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_without_a_pose_is_told_once_and_so_is_its_end() {
+    fn a_second_without_a_pose_is_reported_once_with_its_end() {
         let mut frames = vec![None; 3];
         frames.extend([Some(Reason::Covered); 25]);
         frames.extend([Some(Reason::TooDark); 20]);
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_said_by_itself_is_not_told_again() {
+    fn reasons_with_their_own_event_are_not_reported_again() {
         let mut frames = vec![None; 3];
         frames.extend([Some(Reason::Mixed); 25]);
         frames.extend([None; 3]);
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn a_short_gap_is_not_told() {
+    fn a_short_gap_is_not_reported() {
         let mut frames = vec![None; 3];
         frames.extend([Some(Reason::TooBlurred); 5]);
         frames.extend([None; 3]);

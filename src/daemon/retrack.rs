@@ -222,7 +222,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_row_says_how_far_the_pose_went_and_what_became_of_its_state() {
+    fn a_retracked_row_reports_pose_and_state_changes() {
         let line = |state: &str, x: f64, rms: &str| {
             format!(r#"{{"state":"{state}","measured":{{"position_m":[{x},0,0],"orientation_xyzw":[0,0,0,1]}},"rms_px":{rms}}}"#)
         };

@@ -236,7 +236,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_wish_is_taken_once_and_the_last_one_of_a_kind_counts() {
+    fn a_request_is_taken_once_and_the_last_one_wins() {
         let supervisor = Supervisor::new(Path::new("stage.toml"), LiveLink::default());
         supervisor.save_ring();
         supervisor.reload();

@@ -453,7 +453,7 @@ mod tests {
     }
 
     #[test]
-    fn a_system_that_gives_no_thread_leaves_none_running() {
+    fn a_failed_thread_spawn_leaves_no_thread_running() {
         for (refused, delivery) in
             [(0, Delivery::DropOldest), (1, Delivery::DropOldest), (2, Delivery::DropOldest), (1, Delivery::Blocking)]
         {
@@ -473,7 +473,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_waits_at_a_stop_is_dropped_and_counted_where_frames_may_be() {
+    fn frames_waiting_at_a_stop_are_dropped_if_allowed() {
         for (stopped, is_over, may_drop, looked_at) in
             [(false, false, true, 3), (true, false, false, 3), (true, true, true, 3), (true, false, true, 0)]
         {

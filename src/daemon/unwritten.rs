@@ -19,7 +19,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_mend_is_that_of_the_cause() {
+    fn the_hint_matches_the_cause_of_a_write_error() {
         let says = |kind: ErrorKind| unwritten(&io::Error::new(kind, "/etc/stagepose/recordings: it failed"));
         assert!(says(ErrorKind::StorageFull).ends_with("it failed; make room on the disk"));
         for kind in [ErrorKind::PermissionDenied, ErrorKind::ReadOnlyFilesystem] {

@@ -176,14 +176,14 @@ mod tests {
     }
 
     #[test]
-    fn the_ratio_is_that_of_the_rectangle() {
+    fn the_aspect_ratio_follows_from_the_corners() {
         let found = rectangle(&camera(), &corners()).unwrap();
         assert!((found.ratio - 0.75).abs() < 1e-9 && (found.angle_deg - 90.0).abs() < 1e-6, "{found:?}");
         assert!(said([2.0, 1.5], corners()).contains("0.750 +- "));
     }
 
     #[test]
-    fn swapped_sides_and_corners_that_start_elsewhere_are_told_apart() {
+    fn swapped_sides_and_rotated_corners_are_distinguished() {
         assert!(said([1.5, 2.0], corners()).contains("swapped: write size_m = [2.0, 1.5]"));
         let mut turned = corners();
         turned.rotate_left(1);
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_rectangle_is_said() {
+    fn corners_of_no_rectangle_are_reported() {
         let mut skewed = corners();
         skewed[0].x -= 120.0;
         skewed[2].x += 90.0;

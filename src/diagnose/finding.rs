@@ -82,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_no_finer_than_they_are_known() {
+    fn numbers_are_rounded_to_their_uncertainty() {
         assert_eq!(written(known_to(2.998, 0.006)), "3.0");
         assert_eq!(written(known_to(0.1354, 0.0002)), "0.1354");
         assert_eq!(written(known_to(1234.0, 40.0)), "1200.0");

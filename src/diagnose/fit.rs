@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_configured_right_leaves_the_floor() {
+    fn a_correct_config_leaves_only_the_floor_residual() {
         let seen = views(4);
         let views = told(&seen, FOCAL_PX, SIZE_M);
         let (left, floor) = (views.left(AS_CONFIGURED), views.floor());
@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn pixels_that_are_not_square_are_no_other_shape() {
+    fn non_square_pixels_are_not_mistaken_for_another_shape() {
         let mut seen = views(4);
         // 640 x 480 pixels, stretched to 853 x 480.
         for view in &mut seen {
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn no_views_are_no_panic() {
+    fn a_fit_without_views_does_not_panic() {
         let views = told(&[], FOCAL_PX, SIZE_M);
         assert_eq!(views.left(AS_CONFIGURED), 0.0);
         assert!(views.free_both().shape.focal.is_finite());

@@ -446,7 +446,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_that_agree_but_for_a_few_do_not_scatter() {
+    fn scatter_ignores_a_few_outlier_frames() {
         let seen: Vec<Standing> =
             [(1.0, 0.3), (1.01, 0.31), (0.99, 0.3), (7.0, 2.0), (1.0, 0.29)].map(|(x, turn)| standing(x, turn)).into();
         let [shift, turn_deg] = scatter(&seen);

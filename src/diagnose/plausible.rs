@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lens_is_judged_by_what_lenses_are() {
+    fn implausible_lenses_are_reported() {
         assert!(of_lens(&lens(600.0, 319.5, [-0.3, 0.1, 0.001, -0.002, 0.0])).is_empty());
         let said = |lens: &CameraModel| of_lens(lens).pop().map(|f| f.says).unwrap_or_default();
         let swapped = said(&lens(600.0, 319.5, [-0.3, 0.1, 0.05, 0.001, -0.002]));
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn times_longer_than_a_frame_are_told() {
+    fn shutter_times_longer_than_a_frame_are_reported() {
         assert!(of_shutter(&Shutter { exposure_s: 0.01, readout_s: 0.03 }, 1.0 / 30.0).is_empty());
         assert!(
             of_shutter(&Shutter { exposure_s: 0.5, readout_s: 0.0 }, 1.0 / 30.0)[0]
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn distance_speed_and_roll_come_in_words() {
+    fn implausible_distance_speed_and_roll_are_reported() {
         let mut travel = Travel::default();
         for k in 0..60_i64 {
             // Looking upstage, upside down, moving sideways at 30 m/s.
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn what_should_be_in_view_faces_the_camera() {
+    fn only_surfaces_facing_the_camera_are_expected_in_view() {
         let mut travel = Travel::default();
         let level = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
         travel.add(Timestamp::default(), &Pose::new(level, Vector3::new(0.0, -4.0, 0.0)));

@@ -269,7 +269,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_those_of_one_kind_each() {
+    fn each_kind_has_its_own_name() {
         for (name, kind) in DetectorKind::ALL {
             assert_eq!(kind.name(), name);
         }

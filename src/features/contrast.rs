@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_contrast_enough_or_none_stays_as_it_is() {
+    fn pictures_of_full_or_no_contrast_are_unchanged() {
         let picture = Painting::new().seen(&view(0.0, 0.0, 1.0));
         let mut stretch = ContrastStretch::default();
         assert!(stretch.stretched(&picture).is_none());
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn it_stays_where_it_is_and_fills_the_range() {
+    fn stretching_keeps_positions_and_fills_the_range() {
         let ramp = GrayImage::from_fn(320, 200, |x, _| image::Luma([(100 + x / 10) as u8]));
         let mut stretch = ContrastStretch::default();
         let stretched = stretch.stretched(&ramp).expect("32 levels");

@@ -404,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn a_limit_spreads_over_the_picture() {
+    fn a_limited_corner_count_is_spread_over_the_picture() {
         let mut found = Vec::new();
         detect_corners(&squares(), &CornerOptions { count: 30, ..OPTIONS }, &mut CornerBuffers::default(), &mut found);
         assert_eq!(found.len(), 30);
@@ -414,7 +414,7 @@ mod tests {
 
     /// Faint squares beside bright ones, so that more corners need a lower contrast.
     #[test]
-    fn more_corners_of_a_picture_are_those_of_a_first_look() {
+    fn asking_for_more_corners_matches_a_fresh_detection() {
         let picture = GrayImage::from_fn(200, 160, |x, y| {
             let is_square = (x / 20 + y / 20) % 2 == 0 && x % 20 < 12 && y % 20 < 12;
             image::Luma([if is_square { 40 + [9, 25, 70, 160][(x / 50) as usize] } else { 40 }])
@@ -436,7 +436,7 @@ mod tests {
     }
 
     #[test]
-    fn dark_corners_are_told_from_bright_ones() {
+    fn dark_and_bright_corners_are_distinguished() {
         let (bright, mut found) = (squares(), Vec::new());
         let mut dark = bright.clone();
         image::imageops::invert(&mut dark);

@@ -190,7 +190,7 @@ fn dimmed(picture: &GrayImage, contrast: u32) -> GrayImage {
 }
 
 #[test]
-fn features_are_those_of_the_plain_twin() {
+fn features_match_the_plain_implementation() {
     let painting = Painting::new().seen(&view(0.3, 0.2, 1.0));
     let cut = |w: u32, h: u32| GrayImage::from_fn(w, h, |x, y| *painting.get_pixel(x % 300, y % 300));
     let mut pictures = vec![painting.clone(), noise(150, 130), GrayImage::from_pixel(90, 80, Luma([7]))];

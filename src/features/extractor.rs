@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn more_features_of_a_picture_are_those_of_a_first_look() {
+    fn asking_for_more_features_matches_a_fresh_extraction() {
         let few = ExtractorOptions { count: 100, largest_px: 200, ..Default::default() };
         let many = ExtractorOptions { count: 700, ..Default::default() };
         let mut mask = GrayImage::from_pixel(320, 240, image::Luma([255]));

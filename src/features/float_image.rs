@@ -282,14 +282,14 @@ mod tests {
     }
 
     #[test]
-    fn an_even_picture_stays_even_to_its_border() {
+    fn a_uniform_picture_stays_uniform_to_its_border() {
         let even = FloatImage { width: 20, height: 9, values: vec![7.0; 180] };
         assert!(even.blurred(4.0).values.iter().all(|v| (v - 7.0).abs() < 1e-4));
         assert_eq!(FloatImage::default().blurred(2.0), FloatImage::default());
     }
 
     #[test]
-    fn values_between_pixels_lie_on_the_plane_of_a_ramp() {
+    fn interpolation_is_exact_on_a_ramp() {
         let ramp = FloatImage { width: 8, height: 6, values: (0..48).map(|k| (k % 8) as f32 + 10.0 * (k / 8) as f32).collect() };
         assert!((ramp.bilinear(2.25, 3.5) - 37.25).abs() < 1e-5);
         assert_eq!(ramp.bilinear(-5.0, 100.0), 50.0);
@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn convolution_and_doubling_are_those_of_their_definitions_at_every_width() {
+    fn convolution_and_doubling_match_their_definitions() {
         for (width, height) in [(1, 1), (1, 40), (2, 3), (31, 5), (32, 9), (33, 8), (97, 30)] {
             let values = (0..width * height).map(|k| ((k * 7919) % 251) as f32).collect();
             let image = FloatImage { width, height, values };

@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sums_are_those_of_the_pixels_and_stop_at_the_border() {
+    fn box_sums_equal_pixel_sums_and_stop_at_the_border() {
         let picture = GrayImage::from_fn(13, 7, |x, y| image::Luma([(x * 17 + y * 29) as u8]));
         let integral = IntegralImage::of(&picture);
         for (x, y) in [((0, 13), (0, 7)), ((3, 5), (2, 6)), ((-4, 4), (5, 90)), ((4, 4), (0, 7)), ((20, 30), (0, 1))] {

@@ -213,7 +213,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn wide_scores_equal_plain(seed in any::<u64>(), contrast in 1u64..256, n in 0usize..110, threshold in 0u8..80) {
+        fn simd_corner_scores_equal_scalar_scores(seed in any::<u64>(), contrast in 1u64..256, n in 0usize..110, threshold in 0u8..80) {
             let byte = |k: usize| ((seed.wrapping_mul(6364136223846793005).wrapping_add((k as u64).wrapping_mul(0x9E3779B97F4A7C15)) >> 29) % contrast) as u8;
             let source: Vec<u8> = (0..7 * WIDTH).map(byte).collect();
             let (mut a, mut b) = (vec![9; n], vec![7; n]);
@@ -224,7 +224,7 @@ mod tests {
         }
 
         #[test]
-        fn peaks_are_the_first_largest_of_nine(scores in proptest::collection::vec(0u8..4, 3 * 50), n in 0usize..49) {
+        fn peaks_are_the_first_maximum_of_nine(scores in proptest::collection::vec(0u8..4, 3 * 50), n in 0usize..49) {
             let mut peaks = vec![9; n];
             peak_row([&scores[..n + 2], &scores[50..50 + n + 2], &scores[100..100 + n + 2]], &mut peaks);
             for (k, peak) in peaks.iter().enumerate() {

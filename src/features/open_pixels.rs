@@ -139,7 +139,7 @@ mod tests {
         /// Every open pixel is in a run of its row and of the rows above and below, and so are its
         /// neighbours.
         #[test]
-        fn runs_hold_all_that_is_open(size in (33u32..150, 33u32..90), open in proptest::collection::vec((0u32..150, 0u32..90), 0..6), factor in 1.05..1.9f64) {
+        fn runs_cover_every_open_pixel(size in (33u32..150, 33u32..90), open in proptest::collection::vec((0u32..150, 0u32..90), 0..6), factor in 1.05..1.9f64) {
             let mut mask = GrayImage::new(size.0, size.1);
             open.iter().for_each(|(x, y)| mask.put_pixel(x % size.0, y % size.1, Luma([255])));
             let mut tiles = OpenTiles::default();
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_closed_is_left_out() {
+    fn runs_skip_masked_pixels() {
         let mask = GrayImage::from_fn(320, 64, |x, y| Luma([u8::from((100..120).contains(&x) && y > 40)]));
         let (mut tiles, mut runs, mut pyramid) = (OpenTiles::default(), Vec::new(), Pyramid::default());
         tiles.update(&mask);

@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn what_moves_with_the_plane_is_found_again_with_its_error() {
+    fn keypoints_moving_with_the_plane_repeat_with_their_error() {
         let (h, first) = (view(0.8), scattered(|k| 2.0 + (k % 5) as f64));
         let found = repeatability(&first, &moved(&first, &h, 0.3), &h, SIZES);
         assert!(found.share > 0.99 && (found.error_px.unwrap() - 0.3).abs() < 1e-6, "{found:?}");
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_of_one_size_are_compared_by_place() {
+    fn corners_of_equal_size_are_compared_by_position() {
         let (h, first) = (view(0.5), scattered(|_| 2.0));
         let mut second = moved(&first, &h, 0.5);
         second.iter_mut().for_each(|k| k.shape = Matrix2::identity() * 2.0);
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn partners_are_one_to_one_and_only_the_common_part_counts() {
+    fn partners_are_one_to_one_within_the_common_area() {
         let first = scattered(|_| 2.0);
         // Two for each: half of them correspond to none, and the smaller number counts.
         let twice: Vec<Keypoint> = first.iter().flat_map(|k| [0.2, 0.9].map(|d| moved(&[*k], &view(1.0), d)[0])).collect();
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn overlap_of_ellipses_is_that_of_their_pixels() {
+    fn ellipse_overlap_matches_pixel_counting() {
         let ellipse = |a: f64, b: f64, angle: f64| {
             let turn = nalgebra::Rotation2::new(angle).into_inner();
             turn * Matrix2::new(a * a, 0.0, 0.0, b * b) * turn.transpose()
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_and_nonsense_have_no_partners() {
+    fn empty_and_invalid_keypoints_have_no_partners() {
         let nothing = Repeatability { share: 0.0, error_px: None };
         let (some, still) = (scattered(|_| 2.0), Homography(Matrix3::identity()));
         let odd: Vec<Keypoint> = some.iter().map(|k| Keypoint { position: k.position * f64::NAN, ..*k }).collect();

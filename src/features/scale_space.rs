@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn every_copy_has_the_place_and_the_smoothing_that_it_says() {
+    fn every_level_has_its_stated_position_and_smoothing() {
         let (middle, own) = ([70.3, 58.8], 3.0);
         let space = ScaleSpace::of(&blob(141, 120, middle, own));
         assert!(space.octaves.len() >= 4, "{}", space.octaves.len());
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn places_go_to_the_picture_and_back() {
+    fn positions_convert_to_the_picture_and_back() {
         let space = ScaleSpace::of(&FloatImage::new(64, 50));
         let place = Vector2::new(10.0, 20.0);
         assert_eq!(space.octaves[0].in_picture(Vector2::new(21.0, 0.0)), Vector2::new(10.25, -0.25));
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_copy_is_of_that_smoothing() {
+    fn the_nearest_level_has_the_requested_smoothing() {
         let space = ScaleSpace::of(&FloatImage::new(200, 160));
         for (sigma, step, level) in [(0.1, 0.5, 0), (0.8, 0.5, 0), (1.0, 0.5, 1), (1.6, 0.5, 3), (2.0, 1.0, 1), (12.8, 4.0, 3)] {
             let copy = space.nearest(sigma).unwrap();
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_too_small_have_none() {
+    fn pictures_too_small_have_no_scale_space() {
         for (width, height) in [(0, 0), (0, 50), (50, 1), (5, 5)] {
             let space = ScaleSpace::of(&FloatImage::new(width, height));
             assert!(space.octaves.is_empty() && space.nearest(2.0).is_none(), "{width} x {height}");

@@ -80,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_a_ramp_they_are_the_products_of_its_slopes() {
+    fn second_moments_of_a_ramp_are_its_slope_products() {
         let values = (0..900).map(|k| 3.0 * (k % 30) as f32 - 2.0 * (k / 30) as f32).collect();
         let moments = SecondMoments::of(&FloatImage { width: 30, height: 30, values }, 1.0, 1.0);
         let middle = 15 * 30 + 15;
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn they_exist_for_every_size_and_sigma() {
+    fn second_moments_exist_for_every_size_and_sigma() {
         for (width, height) in [(0, 0), (1, 1), (1, 9), (9, 1), (2, 2)] {
             for sigma in [f64::NAN, -1.0, 0.0, 2.0] {
                 let moments = SecondMoments::of(&FloatImage::new(width, height), sigma, sigma);

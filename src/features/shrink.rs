@@ -212,7 +212,7 @@ mod tests {
 
     /// Widths around whole blocks, and factors within and beyond what blocks can handle.
     #[test]
-    fn columns_side_by_side_are_those_one_by_one() {
+    fn simd_columns_equal_scalar_columns() {
         let mut random = Pcg64Mcg::seed_from_u64(5);
         for width in [1, 2, 15, 16, 17, 20, 33, 64, 97, 128, 321, 1280] {
             for height in [1, 2, 7] {
@@ -235,7 +235,7 @@ mod tests {
 
     #[cfg(target_arch = "x86_64")]
     #[test]
-    fn whole_rows_of_usual_levels_are_made_side_by_side() {
+    fn usual_pyramid_factors_use_the_simd_path() {
         for factor in [1.1, 1.2, 1.5] {
             let mut columns = ColumnTaps::default();
             columns.update(1280, (1280.0 / factor) as usize);

@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn keypoints_of_all_views_come_back_to_where_they_are() {
+    fn keypoints_of_simulated_views_map_back_to_the_picture() {
         let round = |x: f64, y: f64| (Vector2::new(x, y), Matrix2::identity() * 16.0, 110.0);
         let places = [round(-41.3, -20.8), round(30.7, 33.1), round(44.9, -35.4)];
         let picture = picture(&places, Matrix2::identity(), (301, 281));
@@ -405,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tilt_that_the_detector_alone_does_not_bear_is_matched() {
+    fn view_simulation_matches_steep_tilts() {
         let spots = spots(260, 130.0, 5);
         let turn = |a: f64| Matrix2::new(a.cos(), -a.sin(), a.sin(), a.cos());
         let matrix = turn(0.5) * Matrix2::new(0.25, 0.0, 0.0, 1.0) * turn(-0.9);
@@ -420,7 +420,7 @@ mod tests {
     }
 
     #[test]
-    fn views_are_those_of_the_paper() {
+    fn simulated_views_match_the_paper() {
         let views = ViewSimulation::default().views();
         for (tilt, count) in [(2.0_f64.sqrt(), 4), (2.0, 5), (8.0_f64.sqrt(), 7), (4.0, 10), (32.0_f64.sqrt(), 14)] {
             let of_tilt: Vec<&View> = views.iter().filter(|v| (v.tilt - tilt).abs() < 1e-9).collect();
@@ -432,7 +432,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_the_same_in_two_views_is_kept_once() {
+    fn a_feature_found_in_two_views_is_kept_once() {
         let picture = picture(&spots(60, 90.0, 8), Matrix2::identity(), (181, 181));
         let found = features(&picture, ViewSimulation { tilts: 2, count: 100 });
         let n = found.keypoints.len();
@@ -443,7 +443,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_too_small_have_nothing() {
+    fn pictures_too_small_have_no_simulated_features() {
         for (width, height) in [(0, 0), (1, 1), (1, 300), (300, 1), (40, 40)] {
             let even = GrayImage::from_pixel(width, height, Luma([90]));
             let found = features(&even, ViewSimulation { tilts: 7, count: 10 });

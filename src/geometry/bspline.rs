@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn slopes_are_those_of_differences_and_the_field_is_smooth_across_knots() {
+    fn spline_derivatives_agree_with_differences_across_knots() {
         let field = random_field(1);
         let h = 1e-6;
         for (x, y) in [(0.31, -0.4), (-1.99, 1.2), (0.8, 0.0), (1.2 - 1e-9, 0.5)] {
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn a_points_support_gives_its_value() {
+    fn support_weights_reproduce_the_value() {
         let field = random_field(2);
         for point in [[0.2, 0.3], [2.0, 1.5], [-2.0, -1.5], [9.0, -9.0], [f64::NAN, 0.0]] {
             let by_support = field.support(point).weights().into_iter().map(|(k, w)| field.coefficients()[k] * w).sum::<Vector2<f64>>();

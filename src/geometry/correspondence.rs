@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_no_number_cannot_be_computed_with() {
+    fn pairs_with_invalid_numbers_are_unusable() {
         let pair = |x: f64| PointPair { from: Vector2::new(x, 1.0), to: Vector2::new(1.0, 1.0) };
         assert!(pair(-1e6).is_usable());
         assert!([f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e200].iter().all(|&x| !pair(x).is_usable()));

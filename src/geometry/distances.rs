@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn a_point_moved_across_its_line_is_as_far_as_it_moved() {
+    fn epipolar_distance_equals_the_shift_across_the_line() {
         let (f, mut random) = (fundamental(), Pcg64Mcg::seed_from_u64(1));
         for _ in 0..50 {
             let mut p = pair(&mut random);
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn sampson_distances_are_the_shortest_way_to_the_relation() {
+    fn sampson_distance_approximates_the_shortest_correction() {
         // A pair on the relation, moved slightly: the distance is at most the length of the move,
         // and it agrees with a brute-force minimum.
         let (h, mut random) = (homography(), Pcg64Mcg::seed_from_u64(2));
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn transfer_is_counted_in_both_pictures() {
+    fn transfer_error_is_counted_in_both_pictures() {
         let h = homography();
         let from = Vector2::new(200.0, 100.0);
         let to = h.map(from).expect("in front");
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_follow_the_unit_and_not_the_scale_of_the_matrix() {
+    fn distances_scale_with_the_unit_but_not_with_the_matrix() {
         let (f, h, mut random) = (fundamental(), homography(), Pcg64Mcg::seed_from_u64(3));
         for unit in [1e-3, 1e3] {
             let p = pair(&mut random);
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn an_epipole_has_no_distance_from_a_line_that_is_none() {
+    fn the_epipolar_distance_of_an_epipole_is_infinite() {
         // A forward motion: both epipoles are at the origin.
         let f = skew(&Vector3::z()) * Rotation3::identity().into_inner();
         let p = PointPair { from: Vector2::zeros(), to: Vector2::new(1.0, 2.0) };

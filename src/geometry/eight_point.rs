@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn a_weight_of_nought_leaves_a_pair_out() {
+    fn a_zero_weight_excludes_a_pair() {
         let mut pairs = pixels(&scene(30, 0.0, false, 4));
         pairs[7].to += Vector2::new(50.0, 80.0);
         let weights: Vec<f64> = (0..30).map(|k| if k == 7 { 0.0 } else { 1.0 + k as f64 }).collect();
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn what_leaves_the_matrix_open_gives_none() {
+    fn degenerate_pairs_yield_no_matrix() {
         let pairs = pixels(&scene(30, 0.0, false, 5));
         assert_eq!(eight_point(&pairs[..7], None), None);
         assert_eq!(eight_point(&[pairs[0]; 12], None), None);

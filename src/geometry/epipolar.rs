@@ -82,7 +82,7 @@ mod tests {
     use crate::geometry::skew;
 
     #[test]
-    fn epipoles_are_where_the_other_camera_is() {
+    fn epipoles_are_the_images_of_the_other_camera() {
         let r = UnitQuaternion::from_euler_angles(0.1, -0.3, 0.2);
         let t = Vector3::new(0.2, -0.1, 0.9);
         let e = skew(&t) * r.to_rotation_matrix().into_inner();
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_are_cut_at_the_outer_edges_of_the_picture() {
+    fn epipolar_lines_are_clipped_at_the_picture_edges() {
         // y = 3 over a 10 x 5 picture.
         let [a, b] = clipped(&Vector3::new(0.0, 2.0, -6.0), [10, 5]).expect("crosses");
         assert!((a.x - b.x).abs() == 10.0 && a.y == 3.0 && b.y == 3.0 && a.x.min(b.x) == -0.5);
@@ -120,7 +120,7 @@ mod tests {
     proptest! {
         /// Clipped segments lie on the line and in the picture; lines without one miss the picture.
         #[test]
-        fn a_clipped_line_is_the_line_inside(angle in 0.0..6.3_f64, offset in -900.0..900.0_f64, scale in 1e-3..1e3_f64, w in 1..800_u32, h in 1..600_u32) {
+        fn a_clipped_line_lies_on_the_line_within_the_picture(angle in 0.0..6.3_f64, offset in -900.0..900.0_f64, scale in 1e-3..1e3_f64, w in 1..800_u32, h in 1..600_u32) {
             let line = Vector3::new(angle.cos(), angle.sin(), offset) * scale;
             let inside = |p: Vector2<f64>, slack: f64| {
                 p.x > -0.5 - slack && p.y > -0.5 - slack && p.x < f64::from(w) - 0.5 + slack && p.y < f64::from(h) - 0.5 + slack

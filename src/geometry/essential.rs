@@ -64,7 +64,7 @@ mod tests {
     use crate::geometry::test_views::{errors_deg, scene};
 
     #[test]
-    fn robust_search_and_refinement_meet_the_truth_with_outliers() {
+    fn robust_search_and_refinement_tolerate_outliers() {
         let mut pairs = scene(200, 0.0005, false, 6);
         for (k, p) in pairs.iter_mut().enumerate().take(60) {
             p.second += Vector2::new(0.1, 0.05 * k as f64 / 60.0);
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flat_scene_keeps_the_truth_among_the_best() {
+    fn a_flat_scene_keeps_the_true_motion_among_the_candidates() {
         let pairs = scene(100, 0.0003, true, 9);
         let near = essential_candidates(&pairs, 0.001, 60, 20, 4).iter().any(|e| {
             motion_by_cheirality(e, &pairs).is_some_and(|(m, _)| {

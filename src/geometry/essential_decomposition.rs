@@ -128,7 +128,7 @@ mod tests {
     /// Thesis error E31: one point seen in one view chose between two of the four motions, and the
     /// translation came out reversed.
     #[test]
-    fn e31_every_inlier_decides_cheirality_and_translation_is_never_reversed() {
+    fn e31_all_inliers_vote_so_translation_is_never_reversed() {
         let mut random = Pcg64Mcg::seed_from_u64(1);
         // 600 scenes with more than 2 degrees of parallax, noise up to a pixel of a short lens, and
         // wrong pairs among the inliers.
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn far_pairs_that_noise_puts_on_the_wrong_side_do_not_outvote_near_ones() {
+    fn noisy_far_pairs_do_not_outvote_near_ones() {
         // Ten near points, and forty so far that noise hides their parallax; most of those happen
         // to be on the wrong side.
         let truth = TwoViewMotion { rotation: UnitQuaternion::identity(), direction: Vector3::x() };
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_only_turned_is_known_by_its_parallax() {
+    fn a_pure_rotation_is_recognised_by_its_lack_of_parallax() {
         let turned = TwoViewMotion { rotation: UnitQuaternion::from_euler_angles(0.1, 0.2, 0.0), direction: Vector3::x() };
         let mut random = Pcg64Mcg::seed_from_u64(6);
         let pairs: Vec<RayPair> = (0..100)

@@ -53,7 +53,7 @@ mod tests {
     use crate::geometry::{test_planes, test_views};
 
     #[test]
-    fn choices_are_counted() {
+    fn log_binomials_are_right_and_false_alarms_fall() {
         assert!(
             (ln_choices(10, 3) - 120.0_f64.ln()).abs() < 1e-12
                 && ln_choices(7, 7) == 0.0
@@ -64,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn what_chance_makes_is_told_from_what_is_there() {
+    fn chance_agreement_is_distinguished_from_real_structure() {
         let mut random = Pcg64Mcg::seed_from_u64(1);
         let size = [800, 600];
         let (at_a_point, at_a_line) = (chance_at_a_point(size, 3.0), chance_at_a_line(size, 3.0));

@@ -54,7 +54,7 @@ mod tests {
     use crate::geometry::test_planes::{corner_error, pairs};
 
     #[test]
-    fn four_points_are_met_exactly() {
+    fn a_homography_of_four_points_fits_them_exactly() {
         let p = pairs(4, 0.0);
         let h = Homography::from_four(&[p[0], p[1], p[2], p[3]]).expect("a regular sample");
         assert!(corner_error(&h) < 1e-6, "{}", corner_error(&h));

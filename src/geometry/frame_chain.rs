@@ -87,14 +87,14 @@ mod tests {
     }
 
     #[test]
-    fn e15_e16_an_object_s_place_is_the_translation_of_its_pose() {
+    fn e15_e16_object_position_is_the_translation_of_its_pose() {
         let (_, _, t_second_object) = example();
         let origin = t_second_object.transform(&Point3::origin());
         assert_eq!(origin.coords, t_second_object.translation);
     }
 
     #[test]
-    fn e17_e18_the_chain_maps_points_as_its_steps_do() {
+    fn e17_e18_the_chain_equals_its_steps_applied_in_turn() {
         let (t_camera_first, t_first_second, t_second_object) = example();
         let chain = object_in_camera(&t_camera_first, &t_first_second, &t_second_object);
         for p in [Point3::new(0.0, 0.0, 0.0), Point3::new(0.3, -0.1, 0.2)] {
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn the_example_of_the_document() {
+    fn the_documented_chain_example_is_right() {
         let t_second_object = Pose::<SecondView, Body>::new(UnitQuaternion::identity(), Vector3::new(-0.4, 0.2, 5.0));
         let t_first_second = Pose::<FirstView, SecondView>::new(rotation_xyz(0.0, 0.4, 0.0), Vector3::new(1.5, -0.1, 0.3));
         let found = object_in_camera(&Pose::identity(), &t_first_second, &t_second_object).translation;
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn e20_a_camera_s_place_enters_by_the_inverse_of_its_pose() {
+    fn e20_camera_position_enters_through_the_inverse_pose() {
         // The camera stands 2 m right of the first view and looks the same way: a point straight
         // ahead of that view is 2 m to the camera's left.
         let t_first_camera = Pose::<FirstView, Camera>::new(UnitQuaternion::identity(), Vector3::new(2.0, 0.0, 0.0));
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn e32_the_distance_of_the_views_is_the_baseline_that_is_given() {
+    fn e32_the_view_distance_is_the_stated_baseline() {
         let motion = TwoViewMotion { rotation: rotation_xyz(0.1, 0.2, -0.1), direction: Vector3::new(0.6, 0.0, 0.8) };
         let pose = first_from_second(&motion, 0.25);
         assert!((pose.translation.norm() - 0.25).abs() < 1e-12);

@@ -83,7 +83,7 @@ mod tests {
     use crate::geometry::test_views::{pixels, scene, true_fundamental};
 
     #[test]
-    fn derivatives_of_the_seven_agree_with_differences() {
+    fn seven_parameter_derivatives_agree_with_differences() {
         for (pairs, seed) in [(pixels(&scene(40, 0.002, false, 8)), 0.0), (pixels(&scene(40, 0.01, true, 9)), 0.4)] {
             let (first, second) = (normalising(pairs.iter().map(|p| p.from)), normalising(pairs.iter().map(|p| p.to)));
             let (first, second) = (first.expect("spread"), second.expect("spread"));
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_relation_is_not_refined() {
+    fn invalid_matrices_are_not_refined() {
         let pairs = pixels(&scene(20, 0.0, false, 5));
         assert_eq!(refine_fundamental(&Matrix3::zeros(), &pairs, 1.0, 5), None);
         assert_eq!(refine_fundamental(&Matrix3::repeat(f64::NAN), &pairs, 1.0, 5), None);

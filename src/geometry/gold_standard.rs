@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_of_both_pictures_is_found_and_the_map_is_right() {
+    fn gold_standard_recovers_the_map_and_the_noise() {
         let (mut sum, mut errors) = (0.0, [0.0; 2]);
         for seed in 0..20 {
             let pairs = noisy(200, 1.0, seed);
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_minimum_gives_none() {
+    fn degenerate_problems_yield_no_solution() {
         let some = pairs(20, 0.0);
         assert!(gold_standard(&truth(), &some[..4], 10).is_none());
         assert!(gold_standard(&Homography(-truth().0), &some, 10).is_none());

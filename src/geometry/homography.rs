@@ -55,7 +55,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_inverse_leads_back_and_keeps_what_is_in_front() {
+    fn a_homography_and_its_inverse_round_trip_in_front() {
         let h = Homography(Matrix3::new(0.8, 0.1, 120.0, -0.05, 0.9, 60.0, 1e-4, -2e-4, 1.0));
         let back = h.inverse().expect("regular");
         for (x, y) in [(0.0, 0.0), (640.0, 0.0), (640.0, 480.0), (31.5, 470.25)] {

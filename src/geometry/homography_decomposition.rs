@@ -137,7 +137,7 @@ mod tests {
         /// For any motion, plane, and sign and scale of the homography: the truth is among at most
         /// two results, and each reproduces H.
         #[test]
-        fn the_truth_is_among_what_is_given(turn in prop::array::uniform3(-0.4..0.4_f64), t in prop::array::uniform3(-0.5..0.5_f64), tilt in prop::array::uniform2(-0.8..0.8_f64), scale in prop::sample::select(vec![-3.0, 1.0, 1e-4])) {
+        fn the_decomposition_includes_the_true_motion(turn in prop::array::uniform3(-0.4..0.4_f64), t in prop::array::uniform3(-0.5..0.5_f64), tilt in prop::array::uniform2(-0.8..0.8_f64), scale in prop::sample::select(vec![-3.0, 1.0, 1e-4])) {
             let (rotation, t) = (UnitQuaternion::from_scaled_axis(Vector3::from(turn)), Vector3::from(t));
             let n = Vector3::new(tilt[0], tilt[1], 1.0).normalize();
             prop_assume!(t.norm() > 0.02);
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_move_along_the_normal_has_one_solution_twice() {
+    fn motion_along_the_normal_yields_one_double_solution() {
         let (t, n) = (Vector3::new(0.0, 0.0, -0.3), Vector3::z());
         let (h, pairs) = seen(&UnitQuaternion::identity(), &t, &n, 1.0);
         let found = decompose_homography(&h, &pairs);
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_homography_has_no_motion() {
+    fn invalid_homographies_have_no_motion() {
         assert!(decompose_homography(&Homography(Matrix3::zeros()), &[]).is_empty());
         assert!(decompose_homography(&Homography(Matrix3::repeat(f64::NAN)), &[]).is_empty());
     }

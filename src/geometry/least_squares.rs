@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn the_cost_never_rises_and_no_iteration_is_no_change() {
+    fn the_cost_never_rises_and_zero_iterations_change_nothing() {
         let start = Vector2::new(-1.2, 1.0);
         let mut last = Valley.cost(&start);
         assert_eq!(minimise(&mut Valley, start, &Options { iterations: 0, ..OPTIONS }), (start, last));

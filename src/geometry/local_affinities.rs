@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_matches_agree_on_nothing() {
+    fn wrong_matches_yield_no_affine_map() {
         for seed in 0..200 {
             let mut scatter = Scatter::new(seed);
             let matches: Vec<_> = (0..60).map(|_| scatter.wrong()).collect();
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn what_places_along_a_line_leave_open_the_derivatives_tell() {
+    fn derivatives_resolve_the_map_of_collinear_matches() {
         let mut scatter = Scatter::new(3);
         let matches: Vec<_> = (0..8).map(|k| scatter.right_at(Vector2::new(50.0 * f64::from(k), 100.0), 0.5, 0.1, 1.05)).collect();
         let (map, agreeing) = robust_affine(&matches, 5).expect("a map");
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn mirror_images_and_what_is_no_number_give_nothing() {
+    fn mirrored_and_invalid_matches_yield_no_map() {
         let mut scatter = Scatter::new(4);
         let mirror = Matrix2::new(1.0, 0.0, 0.0, -1.0);
         let mut matches: Vec<_> = (0..9).map(|_| scatter.right(0.2, 0.05, 1.05)).collect();
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn as_many_agree_as_are_right_and_hardly_any_of_wrong_ones() {
+    fn few_wrong_matches_join_the_largest_agreeing_set() {
         for seed in 0..20 {
             let mut scatter = Scatter::new(seed);
             let mut matches: Vec<LocalAffinity> = (0..60).map(|_| scatter.wrong()).collect();
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn the_shift_that_most_agree_with_is_found_among_wrong_ones() {
+    fn the_most_common_shift_is_found_among_wrong_matches() {
         for seed in 0..20 {
             let mut scatter = Scatter::new(seed);
             let shift = Vector2::new(25.0, -12.0);

@@ -75,7 +75,7 @@ fn oracle(pairs: &[PointPair]) -> Homography {
 }
 
 #[test]
-fn flat_planes_are_found_as_by_who_knows_the_right_pairs_at_any_noise() {
+fn planes_are_fitted_as_well_as_by_an_oracle_at_any_noise() {
     for noise in [0.3, 0.6, 1.0, 2.0, 3.0] {
         let of = |seed| seen(300, 150, noise, FLAT, seed);
         let found = rms(|seed| {
@@ -99,7 +99,7 @@ fn seen_unevenly(noise: f64, relief: Relief, seed: u64) -> Vec<PointPair> {
 }
 
 #[test]
-fn scenes_that_are_not_quite_flat_are_found_as_a_whole() {
+fn nearly_flat_scenes_are_fitted_as_a_whole() {
     let scenes = [Relief::Roll(4.0), Relief::Roll(6.0), Relief::Roll(9.0), Relief::Hinge(6.0), Relief::Hinge(10.0)];
     let seen_evenly = |noise, relief, seed| seen(300, 100, noise, relief, seed);
     type Seen = fn(f64, Relief, u64) -> Vec<PointPair>;
@@ -138,7 +138,7 @@ fn a_wall_behind_does_not_pull_the_plane_before_it() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_and_exact_pairs_are_met() {
+fn the_fit_is_repeatable_and_exact_for_exact_pairs() {
     let pairs = seen(100, 40, 1.0, FLAT, 5);
     let found = homography_of_unknown_noise(&pairs, MAX_NOISE, &options(3));
     assert!(found.is_some() && found == homography_of_unknown_noise(&pairs, MAX_NOISE, &options(3)));
@@ -147,7 +147,7 @@ fn the_same_seed_gives_the_same_and_exact_pairs_are_met() {
 }
 
 #[test]
-fn what_is_no_plane_gives_none() {
+fn pairs_of_no_plane_yield_no_homography() {
     let pairs = seen(60, 20, 0.5, FLAT, 2);
     for few in [&pairs[..0], &pairs[..3]] {
         assert_eq!(homography_of_unknown_noise(few, MAX_NOISE, &options(1)), None);

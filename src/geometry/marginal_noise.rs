@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn weights_are_the_slopes_of_losses() {
+    fn kernel_weights_are_the_derivatives_of_the_loss() {
         let kernel = MarginalNoise::up_to(5.0);
         let slope = |squared: f64| (kernel.agreement(squared - 0.05) - kernel.agreement(squared + 0.05)) / 0.1;
         let one = kernel.weight(1.0) / slope(1.0);
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_far_or_no_number_counts_nothing() {
+    fn far_or_invalid_residuals_have_zero_weight() {
         let kernel = MarginalNoise::up_to(3.0);
         assert!((kernel.agreement(0.0) - 1.0).abs() < 1e-8 && (kernel.weight(0.0) - 1.0).abs() < 1e-8);
         for squared in [9.0, 9.1, 1e300, f64::INFINITY, f64::NAN] {

@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn planes_and_turns_are_homographies_and_relief_is_not() {
+    fn planes_and_pure_rotations_select_the_homography() {
         let sideways = Vector3::new(0.8, 0.1, 0.1);
         for noise in [0.3, 1.0, 2.0] {
             for seed in 0..3 {
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn exact_data_and_no_data_are_chosen_for() {
+    fn model_choice_handles_exact_and_empty_data() {
         let exact = |relief| seen(relief, Vector3::new(0.8, 0.1, 0.1), 0.0, 1);
         assert!(chosen(&exact(0.0), 0.0, 1).iter().all(|c| c.model == TwoViewModel::Homography));
         assert!(chosen(&exact(0.5), 0.0, 1).iter().all(|c| c.model == TwoViewModel::Epipolar));

@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_found_behind_any_cut() {
+    fn noise_is_estimated_despite_any_truncation() {
         let mut random = Pcg64Mcg::seed_from_u64(1);
         for sigma in [0.1, 0.7, 2.0] {
             for threshold in [3.0, 4.0, 30.0] {
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn what_fills_the_range_is_no_noise_below_the_threshold() {
+    fn uniform_residuals_report_noise_at_the_threshold() {
         let mut even: Vec<f64> = (0..1000).map(|k| (f64::from(k) / 1000.0 * 3.0).powi(2)).collect();
         assert_eq!(of_inliers(&mut even, 3.0, Dimensions::One), 3.0);
         assert_eq!(of_inliers(&mut [], 3.0, Dimensions::One), 0.0);

@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn matrices_of_half_turns_come_back() {
+    fn half_turn_matrices_round_trip() {
         for axis in [Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis(), nalgebra::Unit::new_normalize(Vector3::new(1.0, -2.0, 0.5))] {
             for angle in [0.0, 1e-9, 1.0, std::f64::consts::PI - 1e-9, std::f64::consts::PI] {
                 let m = UnitQuaternion::from_axis_angle(&axis, angle).to_rotation_matrix().into_inner();

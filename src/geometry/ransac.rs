@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sure_search_stops_early_and_a_seed_gives_the_same() {
+    fn a_confident_search_stops_early_and_is_repeatable() {
         let options = Options { samples: usize::MAX, confidence: Some(0.99), ..OPTIONS };
         assert_eq!(search(&points(), &options), search(&points(), &options));
     }
@@ -284,7 +284,7 @@ mod tests {
     /// Thesis error E23: the source's search ended with its first sample if nothing agreed with
     /// that.
     #[test]
-    fn e23_a_first_sample_without_inliers_is_one_sample_spent() {
+    fn e23_a_first_sample_without_inliers_does_not_end_the_search() {
         for (order, seeds) in [(Order::Even, 200), (Order::PROSAC, 10)] {
             for seed in 0..seeds {
                 let options = Options { samples: 200_000, order, seed, confidence: Some(0.999), ..OPTIONS };
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_data_say_when_to_stop() {
+    fn prosac_stops_on_the_inlier_ratio_of_the_best_data() {
         // 30 of the best 40 agree, and none of the other 1000: their overall share alone would
         // require ten thousand samples.
         let mut random = Pcg64Mcg::seed_from_u64(7);

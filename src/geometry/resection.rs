@@ -428,7 +428,7 @@ mod tests {
     }
 
     #[test]
-    fn an_ignored_motion_moves_the_pose_as_its_derivative_says() {
+    fn an_ignored_motion_shifts_the_pose_as_predicted() {
         // Slow enough that no observation loses weight.
         let twist = Twist(Vector6::new(0.3, -0.2, 0.1, 0.2, 0.5, -0.4) * 0.02);
         let observations = rolled(&twist);
@@ -460,7 +460,7 @@ mod tests {
     }
 
     #[test]
-    fn the_twist_between_two_poses_leads_from_one_to_the_other() {
+    fn the_twist_between_two_poses_connects_them() {
         let after = perturbed(&truth(), &Vector6::new(0.02, 0.01, -0.03, 0.01, -0.02, 0.015));
         let twist = Twist::between(&truth(), &after, 0.02);
         let there = perturbed(&truth(), &(twist.0 * 0.02));

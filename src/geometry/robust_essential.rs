@@ -136,7 +136,7 @@ mod tests {
     /// Thesis error E9: the calibration never reached the pose. Here the calibrated rays determine
     /// it.
     #[test]
-    fn e9_calibrated_rays_give_the_motion_among_wrong_pairs() {
+    fn e9_calibrated_rays_recover_the_motion_despite_outliers() {
         for (good, wrong, seed) in [(200, 60, 1), (150, 150, 2), (100, 150, 3)] {
             let pairs = mixture(good, wrong, seed);
             let found = robust_essential(&pairs, FOCALS, &RobustOptions { threshold: 2.0, seed, ..RobustOptions::default() });
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn what_gives_no_motion_gives_none() {
+    fn degenerate_rays_yield_no_motion() {
         let (pairs, options) = (mixture(60, 0, 5), RobustOptions { max_samples: 50, ..RobustOptions::default() });
         assert_eq!(robust_essential(&pairs[..5], FOCALS, &options), None);
         assert_eq!(robust_essential(&pairs, [0.0, 800.0], &options), None);

@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn the_relation_is_found_among_wrong_pairs() {
+    fn the_fundamental_matrix_is_found_despite_outliers() {
         for (good, wrong, order) in [(200, 100, Order::Even), (150, 150, Order::Even), (100, 300, Order::PROSAC)] {
             for seed in 0..5 {
                 let (pairs, labels) = mixture(good, wrong, seed);
@@ -177,7 +177,7 @@ mod tests {
 
     /// Thesis error E22: thresholds without a unit, whose meaning changed from pair to pair.
     #[test]
-    fn e22_thresholds_are_in_pixels_whatever_the_unit_of_the_coordinates() {
+    fn e22_thresholds_are_in_pixels_in_any_coordinate_unit() {
         let (pairs, _) = mixture(150, 100, 3);
         let options = RobustOptions { threshold: 2.0, ..RobustOptions::default() };
         let plain = robust_fundamental(&pairs, &options).expect("a relation");
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_seed_gives_the_same_and_too_few_give_none() {
+    fn the_search_is_repeatable_and_needs_enough_pairs() {
         let (pairs, _) = mixture(60, 60, 1);
         let options = RobustOptions::default();
         assert_eq!(robust_fundamental(&pairs, &options), robust_fundamental(&pairs, &options));
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_none_are_left_out_and_indices_stay() {
+    fn invalid_pairs_are_skipped_and_indices_preserved() {
         let (pairs, _) = mixture(80, 20, 2);
         let mut with_holes = vec![PointPair { from: Vector2::new(f64::NAN, 1.0), to: Vector2::zeros() }; 3];
         with_holes.extend(&pairs);

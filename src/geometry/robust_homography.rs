@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn finds_the_plane_down_to_a_tenth_of_inliers() {
+    fn a_plane_is_found_with_only_a_tenth_inliers() {
         for (good, seed) in [(250, 1), (100, 2), (50, 3), (50, 4)] {
             let (truth, pairs, labels) = mixture(500, good, seed);
             let options = RobustOptions { max_samples: 4000, order: Order::PROSAC, seed: 7, ..RobustOptions::default() };

@@ -48,7 +48,7 @@ mod tests {
 
     /// A weight is twice the derivative of the cost by the squared residual, up to a common factor.
     #[test]
-    fn weights_are_the_slopes_of_costs() {
+    fn weights_are_the_derivatives_of_the_costs() {
         const STEP: f64 = 1e-6;
         for squared in [0.01, 0.5, 2.0, 7.0, 20.0, 21.9] {
             let slope = (tukey_cost(Some(squared + STEP), 1.0) - tukey_cost(Some(squared - STEP), 1.0)) / (2.0 * STEP);

@@ -133,7 +133,7 @@ pub mod tests {
     }
 
     #[test]
-    fn the_slope_by_every_entry_agrees_with_differences() {
+    fn the_gradient_by_every_entry_agrees_with_differences() {
         let mut random = Pcg64Mcg::seed_from_u64(1);
         for _ in 0..20 {
             let m = Matrix3::from_fn(|_, _| random.random_range(-1.0..1.0));

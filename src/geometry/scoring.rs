@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn planes_are_scored_as_one_by_one_to_every_digit() {
+    fn simd_homography_scores_equal_scalar_scores_bit_for_bit() {
         let mut random = Pcg64Mcg::seed_from_u64(1);
         for n in [0, 1, 7, 8, 9, 100, 403] {
             for trial in 0..50 {
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn epipolar_relations_are_scored_as_one_by_one() {
+    fn simd_epipolar_scores_equal_scalar_scores() {
         let r = UnitQuaternion::from_euler_angles(0.1, -0.2, 0.05).to_rotation_matrix().into_inner();
         let k = Matrix3::new(1.0 / 500.0, 0.0, -0.6, 0.0, 1.0 / 500.0, -0.5, 0.0, 0.0, 1.0);
         for (trial, n) in [0, 1, 8, 37, 400].into_iter().enumerate() {
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bar_hides_what_is_not_above_it_and_changes_nothing_else() {
+    fn a_minimum_score_only_hides_lower_scores() {
         let all = pairs(300, 5);
         let h = Homography(Matrix3::identity());
         let f = skew(&Vector3::new(1.0, 0.3, 1e-3));

@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn cubics_give_back_their_roots() {
+    fn cubic_roots_are_recovered() {
         for expected in [[-3.0, 0.5, 7.0], [-1e-3, 1e-3, 2.0], [-100.0, 0.0, 0.01]] {
             let [x, y, z] = expected;
             let mut found = roots([-x * y * z * 2.0, (x * y + x * z + y * z) * 2.0, -(x + y + z) * 2.0, 2.0]);

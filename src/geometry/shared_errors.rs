@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn the_part_that_neighbours_share_is_found() {
+    fn the_correlation_of_neighbouring_errors_is_found() {
         for shared in [0.0, 0.2, 0.5, 0.9] {
             let (patches, errors) = errors(shared);
             let found = patches.correlation(&errors);
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn a_dense_patch_counts_as_little_more_than_one_where_its_errors_are_shared() {
+    fn a_dense_patch_with_shared_errors_counts_as_one() {
         let far = (0..4).map(|k| Vector2::new(f64::from(k) * 1000.0, 0.0));
         let dense = (0..100).map(|k| Vector2::new(500.0 + f64::from(k) * 0.1, 0.0));
         let patches = Patches::new(far.chain(dense).collect(), 0.05);
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_and_one_place_share_nothing() {
+    fn empty_and_single_patches_have_no_correlation() {
         for places in [vec![], vec![Vector2::zeros()], vec![Vector2::zeros(); 5]] {
             let errors = vec![(Vector2::new(1.0, 0.0), 1.0); places.len()];
             assert_eq!(Patches::new(places, 2.0).correlation(&errors), 0.0);

@@ -119,7 +119,7 @@ mod tests {
     use crate::geometry::test_planes::{corner_error, pairs, truth};
 
     #[test]
-    fn the_normal_equations_are_those_of_the_errors_differences() {
+    fn the_normal_equations_agree_with_error_differences() {
         let pairs = pairs(40, 0.5);
         let h = truth().0 / truth().0.norm();
         let (from, to) =

@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn corrected_rays_meet_and_no_nearer_pair_does() {
+    fn corrected_rays_are_the_nearest_pair_that_meets() {
         use rand::{Rng, SeedableRng};
         let motion = TwoViewMotion {
             rotation: UnitQuaternion::from_euler_angles(0.1, 0.2, -0.1),

@@ -129,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn base64_is_the_standards() {
+    fn base64_follows_the_standard() {
         let cases = [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")];
         for (plain, coded) in cases {
             assert_eq!(base64(plain.as_bytes()), coded);
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn text_cannot_break_out() {
+    fn svg_text_is_escaped() {
         let mut drawing = Drawing::new(10.0, 10.0);
         drawing.text([0.0, 0.0], 3.0, "start", "black", "<b a=\"x\">&");
         let svg = drawing.finish("t");

@@ -336,7 +336,7 @@ mod tests {
 
     /// Thesis error E12: the source keeps a stale second best, so its ratio test accepts too much.
     #[test]
-    fn e12_the_second_nearest_is_exact() {
+    fn e12_the_second_nearest_neighbour_is_exact() {
         for seed in 0..20 {
             same(&vectors(60, 13, seed), &vectors(80, 13, seed + 100));
             let bits = |seed| {
@@ -349,14 +349,14 @@ mod tests {
 
     /// More than one turn holds, and more than are multiplied at once.
     #[test]
-    fn many_are_compared_as_few_are() {
+    fn large_sets_match_the_same_as_small_ones() {
         for length in [3, 8, 64, 129] {
             same(&vectors(A_TURN + 37, length, 1), &vectors(2 * TARGETS + 1, length, 2));
         }
     }
 
     #[test]
-    fn one_place_seen_twice_is_no_rival_and_two_places_that_look_alike_are_no_match() {
+    fn only_a_distant_look_alike_blocks_a_match() {
         let query = vectors(1, 32, 1);
         let both = |shift: f64| {
             let Descriptors::Vectors { length, values } = &query.descriptors else { unreachable!("vectors") };
@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_compared_gives_no_match() {
+    fn incomparable_descriptors_yield_no_match() {
         let none = Features { keypoints: Vec::new(), descriptors: Descriptors::Bits(Vec::new()) };
         for (a, b) in [(&vectors(5, 8, 1), &vectors(5, 9, 2)), (&none, &vectors(5, 8, 1)), (&vectors(5, 8, 1), &none)] {
             assert_eq!(match_exactly(a, b, &ExactOptions::default()), Vec::new());

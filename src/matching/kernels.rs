@@ -235,7 +235,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_least_distances_are_those_of_the_plain_twin(
+        fn minimum_distances_match_the_plain_implementation(
             queries in any::<[[u64; 4]; QUERIES]>(),
             all in proptest::collection::vec(any::<[u64; 4]>(), 1..90),
             piece_blocks in 1usize..5,
@@ -257,7 +257,7 @@ mod tests {
         }
 
         #[test]
-        fn all_that_are_nearer_are_visited(
+        fn every_descriptor_below_the_bar_is_visited(
             query in any::<[u64; 4]>(),
             all in proptest::collection::vec(any::<[u64; 4]>(), 0..50),
             bar in 90..257u32,
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn pieces_are_few() {
+    fn the_number_of_pieces_is_bounded() {
         for blocks in [0_usize, 1, 8, 9, 2048, 2049, 100_000] {
             assert!(blocks.div_ceil(piece_blocks(blocks)) <= PIECES, "{blocks}");
         }

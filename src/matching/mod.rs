@@ -327,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_of_an_index_has_the_features_of_its_surfaces_alone() {
+    fn an_index_subset_has_only_the_features_of_its_surfaces() {
         let (mut all, mut part) = (ReferenceIndex::default(), ReferenceIndex::default());
         for surface in 0..3 {
             all.add(surface, &features(60, u64::from(surface) + 10), |p| p, 1.0);
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn no_rival_is_forgotten() {
+    fn every_rival_match_is_considered() {
         let mut random = Pcg64Mcg::seed_from_u64(9);
         for _ in 0..2000 {
             // Few places close together and similar distances: places chain, and the best changes
@@ -375,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn dark_corners_match_dark_ones_alone_and_have_no_bright_rivals() {
+    fn dark_corners_match_and_compete_with_dark_ones_only() {
         let bright = Feature { polarity: Polarity::Bright, ..features(1, 12)[0] };
         let dark = Feature { polarity: Polarity::Dark, position: bright.position.add_scalar(300.0), ..bright };
         let (mut matches, workers) = (Vec::new(), Workers::new(1));

@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn neighbours_are_those_of_all_distances() {
+    fn nearest_neighbours_equal_a_full_search() {
         let mut random = Pcg64Mcg::seed_from_u64(3);
         for count in [1, 7, 8, 9, 63, 64, 65, 300, 2300] {
             // Few bits differ, so that many distances are equal.

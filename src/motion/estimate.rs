@@ -157,7 +157,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_covariance_follows_small_errors() {
+    fn the_predicted_covariance_matches_small_errors() {
         let dt = 0.02;
         let estimate = MotionEstimate::unseen(moving().pose, 4.0, 0.01, 0.01);
         let estimate = MotionEstimate { motion: moving(), ..estimate };

@@ -84,7 +84,7 @@ mod tests {
     use crate::geometry::{Camera, Stage};
 
     #[test]
-    fn carries_on_at_first_and_comes_to_rest() {
+    fn a_prediction_continues_at_first_then_comes_to_rest() {
         let mut history = MotionHistory::<Stage, Camera>::default();
         assert!(history.predicted(Timestamp::default()).is_none());
         let at = |x: f64| Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.0, x), Vector3::new(x, 0.0, 0.0));
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn a_kick_just_before_the_light_fails_does_not_run_away() {
+    fn a_jolt_just_before_a_blackout_does_not_run_away() {
         for interval_ns in [200_000_000, 33_333_333, 4_166_667] {
             let mut history = MotionHistory::<Stage, Camera>::default();
             let at = |x: f64| Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.0, x), Vector3::new(x, 0.0, 0.0));

@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn an_even_motion_stays_on_its_line_and_the_line_is_as_sure_as_it_says() {
+    fn a_uniform_motion_stays_on_its_line_within_its_covariance() {
         let mut random = Pcg64Mcg::seed_from_u64(1);
         for frames in [3, 4, 6, 12] {
             let (mut sum, mut left, runs) = (0.0, 0, 2000);
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_leaves_the_line_by_what_the_camera_did_not_go_on() {
+    fn a_stop_is_detected_as_a_deviation_from_the_line() {
         let mut random = Pcg64Mcg::seed_from_u64(2);
         let (covariance, mut line) = begun(&mut random);
         for frame in 1..8 {
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_that_quickens_stays_on_its_line() {
+    fn an_accelerating_rotation_stays_on_its_line() {
         let mut random = Pcg64Mcg::seed_from_u64(4);
         let mut on_line = 0;
         for _ in 0..200 {
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shaken_camera_is_on_no_line() {
+    fn a_shaken_camera_never_forms_a_line() {
         let mut random = Pcg64Mcg::seed_from_u64(3);
         let (covariance, mut line) = begun(&mut random);
         for frame in 1..50 {

@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn an_object_at_rest_moves_as_the_camera_does() {
+    fn an_object_at_rest_has_the_cameras_relative_motion() {
         let still = |dt_s: f64| camera_in_object(dt_s, Vector3::zeros(), Vector3::zeros());
         let found = MotionEstimate::unseen_object(still(0.0), 4.0, [0.01, 0.003], &camera()).motion;
         let dt_s = 1e-6;
@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_unknown_is_how_the_object_moves_and_turns_about_itself() {
+    fn the_prior_covers_the_objects_own_motion_only() {
         let start = camera_in_object(0.0, Vector3::zeros(), Vector3::zeros());
         let found = MotionEstimate::unseen_object(start, UNSEEN_DISTANCE_M, [0.01, 0.003], &camera());
         // Its own motion along each axis, by finite differences.

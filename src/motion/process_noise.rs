@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_body_does_not_show_is_no_sign_of_a_smooth_motion() {
+    fn unobserved_axes_do_not_count_as_smooth_motion() {
         // Poorly observed along two of three axes: if that counted as smooth there, predictions
         // would be wrong along the third.
         let hardly = Vector6::new(0.5, 0.5, 1e-4, 0.1, 0.1, 1e-3);

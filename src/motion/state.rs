@@ -162,7 +162,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn corrections_come_back_as_errors() {
+    fn corrections_round_trip_as_errors() {
         let error = MotionError::from_fn(|k, _| 0.01 * (k as f64 - 7.5));
         let back = moving().error_to(&moving().corrected(&error));
         assert!((back - error).norm() < 1e-9);

@@ -94,7 +94,7 @@ fn exact_views_give_the_exact_mount() {
 }
 
 #[test]
-fn the_jacobian_is_that_of_differences() {
+fn the_mount_jacobian_agrees_with_differences() {
     let mut random = Pcg64Mcg::seed_from_u64(2);
     let (truth, between) = (mount(&mut random), random_pose(&mut random, 2.0, 1.5));
     let pair = views(1, &truth, &between, 0.0, ALL_WAYS, &mut random)[0];
@@ -129,7 +129,7 @@ fn nees(n: usize, stages: Stages, trials: u64) -> f64 {
 }
 
 #[test]
-fn the_covariance_says_how_far_off_it_is() {
+fn the_mount_covariance_matches_its_errors() {
     // The mean of 300 trials with 6 degrees of freedom each scatters by 0.033; the excess, which is
     // never below 1, is conservative.
     for (n, stages) in [(1, Stages::Shared), (2, Stages::Shared), (6, Stages::Shared), (4, Stages::Apart), (8, Stages::Apart)] {
@@ -139,7 +139,7 @@ fn the_covariance_says_how_far_off_it_is() {
 }
 
 #[test]
-fn covariances_that_promise_too_much_are_found_out() {
+fn overconfident_view_covariances_are_scaled_up() {
     let mut sum = 0.0;
     for trial in 0..200 {
         let mut random = Pcg64Mcg::seed_from_u64(900 + trial);
@@ -158,7 +158,7 @@ fn covariances_that_promise_too_much_are_found_out() {
 }
 
 #[test]
-fn a_view_that_contradicts_is_left_out_and_named() {
+fn a_contradicting_view_is_rejected_and_named() {
     for (n, stages) in [(6, Stages::Shared), (8, Stages::Apart)] {
         for trial in 0..40 {
             let mut random = Pcg64Mcg::seed_from_u64(500 + trial);
@@ -179,7 +179,7 @@ fn a_view_that_contradicts_is_left_out_and_named() {
 }
 
 #[test]
-fn boards_apart_need_turns_about_two_axes() {
+fn separate_boards_need_rotations_about_two_axes() {
     let mut random = Pcg64Mcg::seed_from_u64(7);
     let (truth, between) = (mount(&mut random), random_pose(&mut random, 2.0, 1.5));
     for noise in [0.0, 0.3] {
@@ -199,7 +199,7 @@ fn boards_apart_need_turns_about_two_axes() {
 }
 
 #[test]
-fn numbers_that_are_none_are_refused() {
+fn invalid_numbers_are_refused() {
     let mut random = Pcg64Mcg::seed_from_u64(8);
     let truth = mount(&mut random);
     let mut pairs = views(3, &truth, &Pose::identity(), 0.3, ALL_WAYS, &mut random);

@@ -78,7 +78,7 @@ mod tests {
     use crate::mount::views::View;
 
     #[test]
-    fn no_view_is_in_most_of_the_triples() {
+    fn no_view_is_in_more_than_half_of_the_triples() {
         // Each view stands at its own number, metres to the right.
         let at =
             |n: usize| View { pose: Pose::new(Default::default(), nalgebra::Vector3::x() * n as f64), covariance: Matrix6::identity() };

@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn stills_are_views_of_their_own() {
+    fn each_still_is_a_separate_view() {
         let a = [at(0.0), at(0.5), None, at(-0.5)];
         let pairs = still_pairs(&a, &a).unwrap();
         assert_eq!(rows(&pairs), [[0, 0], [1, 1], [2, 2], [3, 3]]);
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn films_are_cut_where_the_rig_moves() {
+    fn films_are_split_where_the_rig_moves() {
         // Still for 8 rows, moving for 6, still for 9; within a standstill the poses scatter.
         let path = |lead: usize| -> Vec<Option<View>> {
             let still = |x: f64, n: usize| (0..n).map(move |k| at(x + 1e-4 * f64::from(u8::from(k % 2 == 0))));

@@ -54,7 +54,7 @@ fn an_object_that_never_had_a_stage_is_still_searched() {
 }
 
 #[test]
-fn an_object_whose_pose_is_open_is_not_given() {
+fn an_object_with_an_uncertain_pose_is_not_reported() {
     let mut stage = PoseStage::default();
     let states = [1e-6, 1e-4, 1e-6].into_iter().enumerate().map(|(k, variance)| {
         let mut seen = sighting(k as u64, Tracking, Tracking);
@@ -93,7 +93,7 @@ fn covariance_comes_with_a_measurement_only() {
 }
 
 #[test]
-fn what_the_lens_leaves_open_is_told_and_not_filtered() {
+fn lens_uncertainty_is_reported_but_not_filtered() {
     let doubtful = |mut seen: BodySighting| {
         seen.verified.iter_mut().for_each(|v| v.by_model = Some(Matrix6::identity() * 1e-2));
         seen

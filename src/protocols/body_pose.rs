@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn signs_are_those_of_the_standard() {
+    fn angle_signs_follow_the_standard() {
         let turned = |pan_deg, tilt_deg, roll_deg| PanTiltRoll { pan_deg, tilt_deg, roll_deg }.rotation();
         // Pan to the left: forward (y) becomes -x.
         assert!((turned(90.0, 0.0, 0.0) * Vector3::y() + Vector3::x()).norm() < 1e-12);
@@ -109,14 +109,14 @@ mod tests {
 
     proptest! {
         #[test]
-        fn rotations_come_back(pan_deg in -180.0..180.0, tilt_deg in -90.0..=90.0, roll_deg in -180.0..180.0) {
+        fn rotations_round_trip_through_angles(pan_deg in -180.0..180.0, tilt_deg in -90.0..=90.0, roll_deg in -180.0..180.0) {
             let given = PanTiltRoll { pan_deg, tilt_deg, roll_deg }.rotation();
             let back = PanTiltRoll::of_rotation(&given, 0.0).rotation();
             prop_assert!(given.angle_to(&back) < 3e-6);
         }
 
         #[test]
-        fn straight_up_and_down_the_roll_is_kept(pan_deg in -180.0..180.0, last in -180.0..180.0, up in any::<bool>()) {
+        fn roll_is_kept_when_looking_straight_up_or_down(pan_deg in -180.0..180.0, last in -180.0..180.0, up in any::<bool>()) {
             let tilt_deg = if up { 90.0 } else { -90.0 };
             let given = PanTiltRoll { pan_deg, tilt_deg, roll_deg: 20.0 }.rotation();
             let angles = PanTiltRoll::of_rotation(&given, last);
@@ -125,7 +125,7 @@ mod tests {
         }
 
         #[test]
-        fn the_optical_frame_comes_back(x in -3.0..3.0, y in -3.0..3.0, z in -3.0..3.0) {
+        fn optical_frame_poses_round_trip(x in -3.0..3.0, y in -3.0..3.0, z in -3.0..3.0) {
             let pose = Pose::<Stage, Camera>::new(UnitQuaternion::from_scaled_axis(Vector3::new(x, y, z)), Vector3::new(x, y, z));
             prop_assert!(to_camera_axes(&to_body_axes(&pose)).angle_to(&pose) < 1e-7);
         }

@@ -52,7 +52,7 @@ fn bad_packets_are_refused() {
 }
 
 #[test]
-fn what_does_not_fit_is_cut_and_said() {
+fn out_of_range_values_are_clamped_and_reported() {
     let far = Pose::new(UnitQuaternion::identity(), Vector3::new(140.0, -140.0, 0.0));
     let (bytes, is_cut) = FreedPacket::of_pose(1, &far, 0.0).encode();
     assert!(is_cut);
@@ -61,7 +61,7 @@ fn what_does_not_fit_is_cut_and_said() {
 
 proptest! {
     #[test]
-    fn poses_come_back_within_the_quantisation(
+    fn poses_round_trip_within_the_quantisation(
         pan in -180.0..180.0, tilt in -90.0..=90.0, roll in -180.0..180.0, x in -131.07..131.07, y in -131.07..131.07, z in -131.07..131.07,
     ) {
         let given = PanTiltRoll { pan_deg: pan, tilt_deg: tilt, roll_deg: roll };
@@ -79,7 +79,7 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_are_read_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..40)) {
+    fn arbitrary_bytes_are_decoded_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..40)) {
         let _ = FreedPacket::decode(&bytes);
     }
 }

@@ -37,7 +37,7 @@ fn damaged_datagrams_are_refused() {
 
 proptest! {
     #[test]
-    fn any_bytes_are_read_or_refused(payload in prop::collection::vec(any::<u8>(), 0..200), encoding in 0_u8..4) {
+    fn arbitrary_bytes_are_decoded_or_refused(payload in prop::collection::vec(any::<u8>(), 0..200), encoding in 0_u8..4) {
         let mut bytes = datagram(Encoding::Json, 1, &payload).unwrap();
         bytes[5] = encoding;
         let sum = fletcher_16(&[&bytes[..14], &payload]);

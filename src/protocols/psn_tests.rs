@@ -31,7 +31,7 @@ fn golden_packets() {
 }
 
 #[test]
-fn what_no_length_can_say_is_refused() {
+fn oversized_chunks_are_refused() {
     let names = |bytes| PsnPacket::Info(PsnHeader::default(), String::new(), vec![(1, "x".repeat(bytes))]);
     // The header, the system, the list, a tracker and its name: 4 bytes each, and 12 of the header.
     assert_eq!(PsnPacket::decode(&names(32_767 - 32).encode().unwrap()), Ok(names(32_767 - 32)));
@@ -52,7 +52,7 @@ fn the_rotation_vector_is_the_mirrored_rotation() {
 
 proptest! {
     #[test]
-    fn poses_come_back_in_single_precision(
+    fn poses_round_trip_in_single_precision(
         pan_deg in -180.0..180.0, tilt_deg in -90.0..=90.0, roll_deg in -180.0..180.0, x in -1e4..1e4, y in -1e4..1e4, z in -1e4..1e4,
     ) {
         let pose = Pose::new(PanTiltRoll { pan_deg, tilt_deg, roll_deg }.rotation(), Vector3::new(x, y, z));
@@ -68,7 +68,7 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_are_read_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..80), at in 0_usize..112, flip in any::<u8>()) {
+    fn arbitrary_bytes_are_decoded_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..80), at in 0_usize..112, flip in any::<u8>()) {
         let _ = PsnPacket::decode(&bytes);
         let mut nearly = bytes_of(GOLDEN_DATA);
         let at = at % nearly.len();

@@ -41,7 +41,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn once_a_minute() {
+    fn complaints_are_logged_once_a_minute() {
         let mut complaints = Complaints::new("desk");
         let said = (0..1000).filter(|_| complaints.say(|| "unreachable".to_owned())).count();
         assert_eq!((said, complaints.unsaid), (1, 999));

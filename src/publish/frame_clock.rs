@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn a_suspend_makes_frames_from_before_it_old_and_those_after_it_not() {
+    fn a_suspend_ages_only_the_frames_before_it() {
         let clocks = SteppedClocks::new();
         let clock = FrameClock::with(Arc::new(clocks.clone()), Stamps::Live);
         let before = START.monotonic.after_ns(-20_000_000);
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn one_old_frame_shifts_nothing_and_a_stamp_of_another_clock_is_none() {
+    fn one_old_frame_or_foreign_stamp_shifts_no_clock() {
         let clocks = SteppedClocks::new();
         let clock = FrameClock::with(Arc::new(clocks.clone()), Stamps::Live);
         assert_eq!(age_ms(&clock, START.monotonic.after_ns(-11_000_000_000)), 11_000);
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clip_counts_from_its_beginning_or_from_its_first_sample() {
+    fn clip_time_starts_at_its_beginning_or_first_sample() {
         let clocks = SteppedClocks::new();
         let unsaid = FrameClock::with(Arc::new(clocks.clone()), Stamps::Recorded(ClipStart::default()));
         let next = Timestamp::from_ns(8_000);
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn a_torn_reading_is_put_right_by_the_next_one() {
+    fn a_torn_clock_reading_is_corrected_by_the_next_one() {
         let mut suspends = Suspends::default();
         suspends.note(reading(1_000_000_000, 1_000_000_000));
         suspends.note(reading(1_000_000_000, 3_500_000_000));
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn the_scatter_of_readings_shifts_no_stamp() {
+    fn jitter_of_clock_readings_shifts_no_stamp() {
         let mut suspends = Suspends::default();
         suspends.note(reading(1_000_000_000, 2_000_000_000));
         let stamp = Timestamp::from_seconds(1.5);

@@ -110,7 +110,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_encoder_holds_what_24_bits_reach() {
+    fn the_encoder_accepts_only_the_24_bit_range() {
         let settings = FreedSettings { camera_id: 1, spare: Spare::Quality, zoom: None, sensor_width_mm: 4.8, focus: 0 };
         let encoder = FreedEncoder::new(settings, Some(&CameraModel::pinhole(640, 480, 600.0, 600.0, 319.5, 239.5).unwrap()));
         let at = |x| Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, x, 0.0));

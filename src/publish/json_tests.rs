@@ -65,7 +65,7 @@ fn parsed(report: &Report) -> Value {
 }
 
 #[test]
-fn a_line_is_the_record_and_more() {
+fn a_json_line_is_the_record_plus_output_fields() {
     let line = line(Placement::default(), &report(State::Tracking));
     assert!(line.starts_with(sample().to_json_line().trim_end_matches('}')), "{line}");
     let value: Value = serde_json::from_str(&line).unwrap();
@@ -74,7 +74,7 @@ fn a_line_is_the_record_and_more() {
 }
 
 #[test]
-fn a_line_has_the_chosen_bodies_alone() {
+fn a_json_line_has_only_the_chosen_bodies() {
     let mut chosen = report(State::Tracking);
     // The lamp, which is the second object.
     chosen.bodies = vec![chosen.bodies[2].clone()];
@@ -89,7 +89,7 @@ fn a_line_has_the_chosen_bodies_alone() {
 }
 
 #[test]
-fn what_is_withheld_is_nowhere_in_the_line() {
+fn withheld_poses_appear_nowhere_in_the_json_line() {
     let mut report = report(State::Lost);
     for (body, reason) in report.bodies.iter_mut().zip([Withheld::OutsideBox, Withheld::TooFast]) {
         (body.state, body.withheld, body.pose, body.is_passed) = (State::Lost, Some(reason), None, false);
@@ -116,7 +116,7 @@ fn what_is_held_or_blended_is_not_tracking() {
 }
 
 #[test]
-fn what_is_measured_is_placed_like_the_pose() {
+fn measured_poses_get_the_same_placement_as_the_pose() {
     let quarter = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
     let placement = Placement { rotation: quarter, scale: 10.0, position_signs: [-1.0, 1.0, 1.0], ..Placement::default() };
     let mut report = report(State::Tracking);
@@ -150,7 +150,7 @@ fn a_stale_marker_is_an_event_with_optical_axes() {
 }
 
 #[test]
-fn on_a_fixed_rate_there_are_states_and_poses() {
+fn fixed_rate_lines_contain_states_and_poses() {
     let mut report = golden_report(State::Tracking);
     report.bodies[0].is_predicted = true;
     let (name, choice) = (Arc::from("cart"), BodyChoice::Object(0));

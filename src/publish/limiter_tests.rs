@@ -37,7 +37,7 @@ fn without_limits_every_finite_pose_passes_as_it_is() {
 }
 
 #[test]
-fn the_box_and_the_speeds_withhold() {
+fn poses_outside_the_box_or_too_fast_are_withheld() {
     let mut limiter = Limiter::new(limits());
     assert!(matches!(limiter.judge(frame(0), &at(1.9, 0.0)), Verdict::Pass(_)));
     assert_eq!(limiter.judge(frame(1), &at(2.01, 0.0)), Verdict::Withhold(Withheld::OutsideBox));
@@ -50,7 +50,7 @@ fn the_box_and_the_speeds_withhold() {
 }
 
 #[test]
-fn by_default_a_whip_pan_passes_and_a_jump_to_a_copy_does_not() {
+fn default_limits_pass_a_whip_pan_but_not_a_jump_to_a_copy() {
     // 690 degrees and 12 m per second, the fastest that two frames may confirm each other; a spun
     // prop; and a camera at 240 frames per second with 5 mm of noise.
     for (dt_ns, way, turn) in [(FRAME_NS, 12.0 / 30.0, 12.0 / 30.0), (16_666_667, 0.0, 0.28), (4_166_667, 0.005, 0.0)] {
@@ -68,7 +68,7 @@ fn by_default_a_whip_pan_passes_and_a_jump_to_a_copy_does_not() {
 }
 
 #[test]
-fn after_a_gap_it_starts_where_it_stood_and_arrives() {
+fn after_a_gap_the_output_blends_from_its_last_pose() {
     let mut limiter = Limiter::new(with_blend());
     limiter.judge(frame(0), &at(0.0, 0.0));
     limiter.gap();
@@ -81,7 +81,7 @@ fn after_a_gap_it_starts_where_it_stood_and_arrives() {
 }
 
 #[test]
-fn a_pose_in_every_other_frame_brings_the_output_back_all_the_same() {
+fn a_pose_in_every_second_frame_still_completes_the_blend() {
     let mut limiter = Limiter::new(with_blend());
     limiter.judge(frame(0), &at(0.0, 0.0));
     limiter.gap();
@@ -103,7 +103,7 @@ fn steps() -> impl Strategy<Value = Vec<(bool, f64, f64, u32)>> {
 proptest! {
     /// Whatever the input and the blend rates, no step that is sent is faster than the limits.
     #[test]
-    fn nothing_ever_jumps(steps in steps(), speed_m_s in 0.1..20.0, turn_rad_s in 0.1..20.0) {
+    fn no_output_step_exceeds_the_limits(steps in steps(), speed_m_s in 0.1..20.0, turn_rad_s in 0.1..20.0) {
         let blend = Some(BlendRates { speed_m_s, turn_rad_s });
         let mut limiter = Limiter::new(SafetySettings { blend, ..limits() });
         let mut now = Timestamp::default();

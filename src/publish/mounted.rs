@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn the_covariance_is_that_of_differences() {
+    fn the_mounted_covariance_agrees_with_differences() {
         let carrier = Pose::<Stage, Body>::new(UnitQuaternion::from_euler_angles(0.2, -0.3, 1.1), Vector3::new(0.5, -4.0, 1.6));
         let pose = Pose::new(UnitQuaternion::from_euler_angles(0.1, 0.2, -0.4), Vector3::new(0.3, -0.1, 0.25));
         let mount = Mount { carrier: BodyChoice::Camera, pose, covariance: Matrix6::identity() };

@@ -57,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn addresses_and_names_are_told_apart() {
+    fn addresses_and_interface_names_are_distinguished() {
         assert_eq!(Interface::parse("192.168.1.10"), Some(Interface::Address(Ipv4Addr::new(192, 168, 1, 10))));
         assert_eq!(Interface::parse("enp0s31f6"), Some(Interface::Name("enp0s31f6".to_owned())));
         for text in ["", "../eth0", "eth 0", "::1", "averyverylongname", "."] {
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn multicast_and_link_local_need_one() {
+    fn multicast_and_link_local_need_an_interface() {
         let needs = ["239.1.2.3:1", "192.168.1.2:1", "[ff15::1]:1", "[fe80::1]:1", "[fe80::1%2]:1", "[fd00::1]:1"]
             .map(|a| needs_interface(&a.parse().unwrap()));
         assert_eq!(needs, [true, false, true, true, false, false]);

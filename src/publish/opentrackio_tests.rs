@@ -40,7 +40,7 @@ fn the_golden_pose_has_no_angles_in_either_encoding() {
 }
 
 #[test]
-fn numbers_rise_ids_differ_and_the_static_part_comes_once() {
+fn samples_are_numbered_unique_and_static_is_sent_once() {
     let mut encoder = encoder(Encoding::Json);
     let samples: Vec<_> = (0..3).map(|_| decode(&datagrams(&mut encoder, &golden_report(State::Tracking))[0]).unwrap()).collect();
     assert_eq!(samples.iter().map(|(n, _)| *n).collect::<Vec<_>>(), [1, 2, 3]);

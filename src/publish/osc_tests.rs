@@ -85,7 +85,7 @@ fn a_loss_has_a_status_only() {
 }
 
 #[test]
-fn values_are_scaled_clamped_and_thinned() {
+fn osc_values_are_scaled_clamped_and_decimated() {
     let value = |quantity, clamp, every| OscValue {
         address: AddressTemplate::parse("/axis/{body}/{output}").unwrap(),
         quantity,
@@ -113,7 +113,7 @@ fn templates_are_checked() {
 
 proptest! {
     #[test]
-    fn poses_come_back_in_single_precision(
+    fn poses_round_trip_in_single_precision(
         a in -1.0..1.0, b in -1.0..1.0, c in -1.0..1.0, d in -1.0..1.0, x in -1e4..1e4, y in -1e4..1e4, z in -1e4..1e4,
     ) {
         prop_assume!(a * a + b * b + c * c + d * d > 1e-3);
@@ -134,7 +134,7 @@ proptest! {
     }
 
     #[test]
-    fn any_template_is_taken_or_refused(text in ".{0,40}") {
+    fn arbitrary_templates_are_accepted_or_refused(text in ".{0,40}") {
         if let Ok(template) = AddressTemplate::parse(&text) {
             prop_assert!(template.fill("ä b", "/x").starts_with('/'));
         }

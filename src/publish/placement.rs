@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn receivers_have_their_own_axes() {
+    fn receiver_presets_use_their_own_axes() {
         assert_eq!(placed_by(Axes::STAGE), ([2.0, 5.0, 1.0], [30.0, -10.0, 5.0]));
         assert_eq!(placed_by(Axes::UNREAL), ([500.0, 200.0, 100.0], [-30.0, -10.0, 5.0]));
         assert_eq!(placed_by(Axes::DISGUISE), ([2.0, 1.0, 5.0], [-30.0, 10.0, -5.0]));
@@ -135,7 +135,7 @@ mod tests {
     /// Combined in the receiver's own axes and order, the angles point where the camera looks, with
     /// its top where the camera's is.
     #[test]
-    fn what_a_receiver_makes_of_the_angles_is_the_cameras_direction() {
+    fn angles_in_receiver_axes_yield_the_cameras_direction() {
         let about = |axis: Vector3<f64>, degrees: f64| {
             let axis = nalgebra::Unit::new_normalize(axis);
             UnitQuaternion::from_axis_angle(&axis, degrees.to_radians())

@@ -14,7 +14,7 @@ fn encoder(names: &[&str]) -> PsnEncoder {
 }
 
 #[test]
-fn the_golden_pose_is_not_turned_and_four_metres_in_front() {
+fn the_golden_pose_is_unrotated_and_four_metres_in_front() {
     let sent = packets(&mut encoder(&["camera"]), &golden_report(State::Tracking));
     let PsnPacket::Data(header, trackers) = PsnPacket::decode(&sent[0]).unwrap() else { panic!("no data packet") };
     assert_eq!((header.frame_id, header.packets, trackers.len(), trackers[0].id), (1, 1, 1, 7));
@@ -23,7 +23,7 @@ fn the_golden_pose_is_not_turned_and_four_metres_in_front() {
 }
 
 #[test]
-fn a_lost_body_is_told_without_a_pose() {
+fn a_lost_body_is_sent_without_a_pose() {
     let mut report = golden_report(State::Lost);
     report.bodies[0].pose = None;
     let sent = packets(&mut encoder(&["camera"]), &report);
@@ -59,7 +59,7 @@ fn names_come_once_a_second() {
 }
 
 #[test]
-fn many_and_long_names_are_split_over_packets_of_one_frame() {
+fn long_name_lists_are_split_into_packets_of_one_frame() {
     // Two bytes per letter: a name may only be cut between letters.
     let names: Vec<String> = (0..40).map(|k| format!("{k} {}", "ä".repeat(10 * k))).collect();
     let names: Vec<Arc<str>> = names.iter().map(|n| Arc::from(n.as_str())).collect();

@@ -22,7 +22,7 @@ fn started(outputs: &[OutputSettings], mount: MountSettings) -> Publisher {
 }
 
 #[test]
-fn the_filming_camera_is_told_with_its_own_lens() {
+fn the_filming_camera_is_reported_with_its_own_lens() {
     let lens = CameraModel::pinhole(1920, 1080, 1600.0, 1600.0, 959.5, 539.5).unwrap();
     for (lens, zoom) in [(Some(lens), 4000), (None, 0)] {
         let (film, own) = (Ear::new(), Ear::new());
@@ -39,7 +39,7 @@ fn the_filming_camera_is_told_with_its_own_lens() {
 }
 
 #[test]
-fn it_goes_with_its_carrier_also_when_that_is_lost() {
+fn a_mounted_camera_follows_its_carrier_even_when_lost() {
     let ear = Ear::new();
     let publisher = started(&[of_film(freed(Spare::Quality), &ear)], mount(BodyChoice::Object(0), None, Duration::ZERO));
     story().iter().for_each(|s| publisher.send(s));
@@ -49,7 +49,7 @@ fn it_goes_with_its_carrier_also_when_that_is_lost() {
 }
 
 #[test]
-fn everything_is_told_as_late_as_its_picture() {
+fn all_poses_are_delayed_like_the_mounted_picture() {
     let ear = Ear::new();
     let delay = Duration::from_nanos(FRAME_NS as u64 * 5 / 2);
     let late = OutputSettings { delay, bodies: vec![BodyChoice::Mount, BodyChoice::Camera], ..output(json(), &ear) };
@@ -73,7 +73,7 @@ fn everything_is_told_as_late_as_its_picture() {
 }
 
 #[test]
-fn json_has_its_optical_frame_and_the_covariance_at_the_end_of_the_arm() {
+fn json_reports_the_mounted_cameras_frame_and_covariance() {
     let ear = Ear::new();
     let mut tracked = sample(0, State::Tracking, 0.0);
     let covariance = Matrix6::from_diagonal(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.01 * 0.01].into());

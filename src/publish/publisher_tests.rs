@@ -145,7 +145,7 @@ fn a_loss_is_stopped_held_or_flagged() {
 }
 
 #[test]
-fn formats_with_a_marker_say_a_loss_once_and_then_are_silent() {
+fn formats_with_a_marker_report_a_loss_once() {
     let (ear, flagged) = (Ear::new(), Ear::new());
     let publisher =
         start(&[output(json(), &ear), OutputSettings { name: "f".to_owned(), on_loss: OnLoss::Flag, ..output(json(), &flagged) }]);
@@ -159,7 +159,7 @@ fn formats_with_a_marker_say_a_loss_once_and_then_are_silent() {
 }
 
 #[test]
-fn a_pose_that_is_held_says_so() {
+fn a_held_pose_is_marked_as_held() {
     let ear = Ear::new();
     let publisher = start(&[OutputSettings { on_loss: OnLoss::Hold, ..output(json(), &ear) }]);
     story().iter().for_each(|s| publisher.send(s));
@@ -169,7 +169,7 @@ fn a_pose_that_is_held_says_so() {
 }
 
 #[test]
-fn one_frame_in_n_and_the_chosen_body_are_sent() {
+fn every_nth_frame_of_the_chosen_body_is_sent() {
     let ear = Ear::new();
     let thinned = OutputSettings { rate: Rate::Every(2), bodies: vec![BodyChoice::Object(0)], ..output(freed(Spare::Frame), &ear) };
     let publisher = start(&[thinned]);
@@ -180,7 +180,7 @@ fn one_frame_in_n_and_the_chosen_body_are_sent() {
 }
 
 #[test]
-fn a_loss_does_not_wait_for_its_turn() {
+fn a_loss_is_sent_without_waiting_for_the_nth_frame() {
     let ear = Ear::new();
     let publisher = start(&[OutputSettings { rate: Rate::Every(10), ..output(json(), &ear) }]);
     (0..3).for_each(|k| publisher.send(&sample(k, State::Tracking, 0.0)));
@@ -226,7 +226,7 @@ fn until(say: &dyn Fn() -> bool) -> bool {
 }
 
 #[test]
-fn no_frame_for_too_long_is_told() {
+fn a_missing_frame_is_reported_as_stale() {
     let (line, word, held) = (Ear::new(), Ear::new(), Ear::new());
     let outputs = [
         output(json(), &line),
@@ -297,7 +297,7 @@ fn an_old_frame_is_never_sent_as_good() {
 }
 
 #[test]
-fn one_very_old_frame_and_a_stepped_wall_clock_shift_no_later_stamp() {
+fn an_old_frame_or_clock_step_shifts_no_later_stamp() {
     let ear = Ear::new();
     let mut camera = Stepped::start(&[output(json(), &ear)], patient());
     camera.clocks.advance_ms(60_000);
@@ -317,7 +317,7 @@ fn one_very_old_frame_and_a_stepped_wall_clock_shift_no_later_stamp() {
 }
 
 #[test]
-fn a_stamp_that_repeats_or_is_of_another_clock_says_nothing() {
+fn repeated_or_foreign_stamps_are_ignored() {
     let ear = Ear::new();
     let mut camera = Stepped::start(&[OutputSettings { on_loss: OnLoss::Flag, ..output(json(), &ear) }], patient());
     camera.frame(20, State::Tracking, 0.1);
@@ -332,7 +332,7 @@ fn a_stamp_that_repeats_or_is_of_another_clock_says_nothing() {
 }
 
 #[test]
-fn ticks_beyond_a_frame_interval_are_coasting_and_are_not_sent_where_that_cannot_be_marked() {
+fn late_ticks_coast_and_are_sent_only_if_it_can_be_marked() {
     let rate = Rate::Fixed { rate: FixedRate { ticks: 50, per_s: 1 }, delay: Duration::ZERO };
     let (marked, unmarked) = (Ear::new(), Ear::new());
     let outputs = [
@@ -354,7 +354,7 @@ fn ticks_beyond_a_frame_interval_are_coasting_and_are_not_sent_where_that_cannot
 }
 
 #[test]
-fn a_limit_shorter_than_the_frame_interval_does_not_freeze_a_blend() {
+fn a_stale_limit_below_the_frame_interval_freezes_no_blend() {
     let ear = Ear::new();
     let safety = SafetySettings { blend: Some(BlendRates { speed_m_s: 1.0, turn_rad_s: 1.0 }), ..stale_after(100) };
     let mut camera = Stepped::start(&[output(freed(Spare::Quality), &ear)], safety);
@@ -372,7 +372,7 @@ fn a_limit_shorter_than_the_frame_interval_does_not_freeze_a_blend() {
 }
 
 #[test]
-fn what_freed_cannot_hold_is_withheld_and_not_cut() {
+fn poses_out_of_freed_range_are_withheld_not_clamped() {
     let (flagged, stopped) = (Ear::new(), Ear::new());
     let outputs = [
         OutputSettings { on_loss: OnLoss::Flag, ..output(freed(Spare::Quality), &flagged) },
@@ -389,7 +389,7 @@ fn what_freed_cannot_hold_is_withheld_and_not_cut() {
 }
 
 #[test]
-fn a_fixed_rate_has_its_own_numbers_and_interpolates() {
+fn fixed_rate_samples_are_renumbered_and_interpolated() {
     let ear = Ear::new();
     let rate = Rate::Fixed { rate: FixedRate { ticks: 50, per_s: 1 }, delay: Duration::from_millis(80) };
     let publisher = start(&[OutputSettings { rate, ..output(json(), &ear) }]);
@@ -440,7 +440,7 @@ fn limits_hold_for_guarded_outputs_only() {
 }
 
 #[test]
-fn after_a_loss_a_blended_output_starts_where_it_stood() {
+fn after_a_loss_a_blended_output_resumes_from_its_last_pose() {
     let ear = Ear::new();
     let safety = SafetySettings { blend: Some(BlendRates { speed_m_s: 3.0, turn_rad_s: 1.0 }), ..patient() };
     let publisher = Publisher::start(&[output(freed(Spare::Quality), &ear)], &context(safety)).unwrap();
@@ -461,7 +461,7 @@ fn a_disabled_output_sends_nothing() {
 }
 
 #[test]
-fn an_output_that_stands_still_loses_the_oldest_and_the_others_nothing() {
+fn a_blocked_output_drops_its_oldest_and_affects_no_other() {
     let (listener, ear) = (TcpListener::bind("127.0.0.1:0").unwrap(), Ear::new());
     let at = listener.local_addr().unwrap();
     drop(listener);
@@ -484,7 +484,7 @@ fn an_output_that_stands_still_loses_the_oldest_and_the_others_nothing() {
 }
 
 #[test]
-fn a_test_says_that_it_is_one() {
+fn test_samples_are_marked_as_tests() {
     let ear = Ear::new();
     let otrk = OpenTrackIoSettings {
         encoding: Encoding::Json,

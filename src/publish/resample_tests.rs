@@ -30,7 +30,7 @@ fn samples(states: &[State]) -> Resampler {
 use State::{Coasting, Lost, Tracking};
 
 #[test]
-fn uniform_motion_is_met_between_and_after_samples() {
+fn uniform_motion_is_resampled_exactly() {
     let r = samples(&[Tracking; 4]);
     for ms in [0, 1, 33, 50, 99, 100, 120, 198] {
         let (found, wanted) = (r.at(at_ms(ms), FRAME).pose.unwrap(), moving(ms));
@@ -46,7 +46,7 @@ fn told(r: &Resampler, ms: i64) -> (State, bool) {
 }
 
 #[test]
-fn tracking_reaches_one_frame_interval_beyond_the_newest_frame() {
+fn tracking_extends_one_frame_interval_past_the_last_frame() {
     let r = samples(&[Tracking; 3]);
     assert_eq!([0, 20, 66].map(|ms| told(&r, ms)), [(Tracking, false); 3]);
     assert_eq!([67, 99].map(|ms| told(&r, ms)), [(Tracking, true); 2]);
@@ -69,7 +69,7 @@ fn inside_a_gap_nothing_is_tracking() {
 }
 
 #[test]
-fn nothing_is_made_up_across_a_loss_or_a_long_gap() {
+fn no_pose_is_interpolated_across_a_loss_or_a_long_gap() {
     let mut r = samples(&[Tracking, Tracking, Lost]);
     r.push(at_ms(99), known(Tracking, 500));
     assert_eq!([34, 65, 66, 80].map(|ms| told(&r, ms).0), [Coasting, Coasting, Lost, Lost]);
@@ -80,7 +80,7 @@ fn nothing_is_made_up_across_a_loss_or_a_long_gap() {
 }
 
 #[test]
-fn what_was_before_a_loss_is_known_to_a_late_tick() {
+fn a_late_tick_still_gets_the_pose_before_a_loss() {
     let mut r = samples(&[Tracking; 4]);
     r.push(at_ms(4 * 33), known(Lost, 0));
     assert_eq!(told(&r, 50), (Tracking, false));
@@ -88,7 +88,7 @@ fn what_was_before_a_loss_is_known_to_a_late_tick() {
 }
 
 #[test]
-fn a_jump_back_from_a_prediction_is_no_motion() {
+fn a_correction_of_a_prediction_is_not_motion() {
     let mut r = samples(&[Tracking, Tracking, Coasting]);
     // The prediction was 80 mm off: the first measurement after it is extrapolated with the motion
     // of the earlier measurements.
@@ -107,7 +107,7 @@ fn two_frames_at_nearly_one_instant_show_no_speed() {
 }
 
 #[test]
-fn slow_and_fast_cameras_are_measured_by_their_own_interval() {
+fn gaps_are_judged_by_the_cameras_own_interval() {
     for (hz, delay_ms) in [(5, 0), (240, 500), (1, 0)] {
         let (interval, delay) = (Duration::from_secs(1) / hz, Duration::from_millis(delay_ms));
         let mut r = Resampler::new(delay);

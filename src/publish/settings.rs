@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn the_tick_of_an_instant_is_the_last_one_begun() {
+    fn the_tick_of_an_instant_is_the_latest_started_one() {
         for (_, rate) in FixedRate::KNOWN {
             for k in [0, 1, 7, 59, 1_000_003] {
                 let (at, instant) = (rate.tick(k), Duration::from_nanos(1));

@@ -87,7 +87,7 @@ mod tests {
     use crate::publish::frame_clock::FrameClock;
 
     #[test]
-    fn a_played_clip_counts_from_when_its_first_frame_was_handed_out() {
+    fn clip_time_starts_when_the_first_frame_is_delivered() {
         let start = ClipStart::default();
         let first = Timestamp::from_ns(7_000);
         start.begin(first);
@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn the_pace_is_that_of_the_stamps() {
+    fn the_pace_follows_the_stamps() {
         let mut pace = Pace::default();
         assert_eq!((pace.rate_hz(), pace.interval()), (None, None));
         (0..50).for_each(|k| pace.follow(Timestamp::from_ns(k * 16_683_350)));

@@ -41,7 +41,7 @@ fn a_multicast_reaches_a_member_on_the_interface() {
 }
 
 #[test]
-fn both_families_are_reached_and_a_missing_network_is_told() {
+fn ipv4_and_ipv6_are_sent_and_a_missing_network_reported() {
     // Skip if this machine has no IPv6.
     let Ok(v6) = UdpSocket::bind("[::1]:0") else { return };
     let v4 = receiver();
@@ -75,7 +75,7 @@ fn wait_for_clients(transport: &mut Transport, count: usize) {
 }
 
 #[test]
-fn a_client_that_does_not_read_is_disconnected_and_holds_nobody_up() {
+fn a_client_that_does_not_read_is_dropped_without_delay() {
     let mut transport = Transport::open("desk", &UdpSettings::default(), Some(&lines_on("127.0.0.1:0"))).unwrap();
     let sleeper = TcpStream::connect(address(&transport)).unwrap();
     wait_for_clients(&mut transport, 1);

@@ -374,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_while_a_packet_is_made_does_not_send_it_as_good() {
+    fn a_pause_during_encoding_sends_stale_not_tracking() {
         assert_eq!(told(0), (vec!["tracking".to_owned()], 0));
         assert_eq!(told(499), (vec!["tracking".to_owned()], 0));
         assert_eq!(told(2_500), (vec!["stale".to_owned()], 1));

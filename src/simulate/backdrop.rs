@@ -1,8 +1,9 @@
 //! Paints the cloth: a different picture for every seed, with marks of every size.
 //!
-//! A backdrop has to hold a tracker from any distance, so it carries features of all scales and repeats nothing:
-//! a clouded sky and a hillside of cracked stones, a town of crooked houses, then some thousand patches, brush
-//! strokes and lines of made-up writing whose sizes follow a power law, as the things in real pictures do.
+//! A backdrop has to hold a tracker from any distance, so it carries features of all scales and
+//! repeats nothing: a clouded sky and a hillside of cracked stones, a town of crooked houses, then
+//! some thousand patches, brush strokes and lines of made-up writing whose sizes follow a power
+//! law, as the things in real pictures do.
 
 use std::f32::consts::TAU;
 
@@ -103,7 +104,8 @@ impl Painter {
         hsv(hue, self.random.random_range(0.1..0.75), value)
     }
 
-    /// A length in pixels: small ones are the most frequent, each doubling about half as frequent as the one before.
+    /// A length in pixels: small ones are the most frequent, each doubling about half as frequent
+    /// as the one before.
     fn length(&mut self, smallest: f32, largest: f32) -> f32 {
         let share: f32 = self.random.random();
         // The inverse of the distribution 1 - (smallest / s), cut at the largest.
@@ -202,7 +204,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_seed_is_a_picture() {
+    fn a_seed_determines_the_picture() {
         let [a, again, other] = [3, 3, 4].map(|seed| grey(&paint(160, 120, seed)));
         assert_eq!(a, again);
         let differing = a.as_raw().iter().zip(other.as_raw()).filter(|(x, y)| x.abs_diff(**y) > 20).count();
@@ -210,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn no_quarter_of_the_cloth_is_empty_at_any_scale() {
+    fn every_quarter_has_detail_at_every_scale() {
         let picture = grey(&paint(400, 300, 9));
         for scale in [1_u32, 4, 12] {
             for (x0, y0) in [(0, 0), (200, 0), (0, 150), (200, 150)] {

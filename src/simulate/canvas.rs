@@ -1,4 +1,5 @@
-//! A painter's canvas: smooth-edged polygons and brush strokes in colour, and the noise that paint is mixed from.
+//! A painter's canvas: smooth-edged polygons and brush strokes in colour, and the noise that paint
+//! is mixed from.
 
 use image::{Rgb, RgbImage};
 
@@ -113,7 +114,8 @@ fn value_noise(x: f32, y: f32, seed: u32) -> f32 {
     row(j) * (1.0 - b) + row(j + 1) * b
 }
 
-/// Layered noise from 0 to 1: each octave has half the size and `roughness` times the height of the one before.
+/// Layered noise from 0 to 1: each octave has half the size and `roughness` times the height of the
+/// one before.
 pub(super) fn layered_noise(x: f32, y: f32, octaves: u32, roughness: f32, seed: u32) -> f32 {
     let (mut sum, mut weight, mut total, mut scale) = (0.0, 1.0, 0.0, 1.0);
     for octave in 0..octaves {
@@ -125,7 +127,8 @@ pub(super) fn layered_noise(x: f32, y: f32, octaves: u32, roughness: f32, seed: 
     sum / total
 }
 
-/// Worley's cells: the distances to the border of the cell (in units of cells) and a random number of the cell.
+/// Worley's cells: the distances to the border of the cell (in units of cells) and a random number
+/// of the cell.
 pub(super) fn cell(x: f32, y: f32, seed: u32) -> (f32, f32) {
     let (i, j) = (x.floor() as i32, y.floor() as i32);
     let (mut first, mut second, mut number) = (f32::INFINITY, f32::INFINITY, 0.0);
@@ -162,14 +165,14 @@ mod tests {
     }
 
     #[test]
-    fn shapes_beyond_the_rim_are_cut_off() {
+    fn shapes_beyond_the_edge_are_clipped() {
         let outside = [[-40.0, -40.0], [-20.0, -40.0], [-20.0, -20.0]];
         assert_eq!(white_on_black(|c| c.polygon(&outside, [1.0; 3], 1.0)), 0.0);
         assert!(white_on_black(|c| c.stroke([50.0, 50.0], [90.0, 90.0], 3.0, [1.0; 3], 1.0)) > 10.0);
     }
 
     #[test]
-    fn hues_are_where_they_belong() {
+    fn hues_map_to_the_right_colours() {
         assert_eq!(hsv(0.0, 1.0, 1.0), [1.0, 0.0, 0.0]);
         assert_eq!(hsv(1.0 / 3.0, 1.0, 1.0).map(f32::round), [0.0, 1.0, 0.0]);
         assert_eq!(hsv(0.3, 0.0, 0.5), [0.5; 3]);

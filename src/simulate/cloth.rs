@@ -1,8 +1,9 @@
 //! Cloth that is bent, still or moving, and where rays meet it.
 //!
-//! A plane is met by one division (`render`). A bent surface is met where a ray passes from before it to behind it. A ray that comes down steeper than any
-//! slope of the cloth does so once, and Newton's steps find it; one that comes in flatly may pass through a fold and meet the next, so it is followed
-//! through all heights of the cloth in small steps, and the first passage counts.
+//! A plane is met by one division (`render`). A bent surface is met where a ray passes from before
+//! it to behind it. A ray that comes down steeper than any slope of the cloth does so once, and
+//! Newton's steps find it; one that comes in flatly may pass through a fold and meet the next, so
+//! it is followed through all heights of the cloth in small steps, and the first passage counts.
 
 use std::f64::consts::{PI, TAU};
 
@@ -11,21 +12,25 @@ use nalgebra::{Vector2, Vector3};
 use super::stage::Wave;
 use crate::track::{ShapePoint, SurfaceShape, SurfaceSpec};
 
-/// A ray this many times steeper than the cloth's steepest slope meets it once, and Newton's steps converge. At 1 they need not. Raised, more rays are followed in
-/// small steps, which is slower.
+/// A ray this many times steeper than the cloth's steepest slope meets it once, and Newton's steps
+/// converge. At 1 they need not. Raised, more rays are followed in small steps, which is slower.
 const STEEPER: f64 = 2.0;
-/// Newton's steps at most, and the length of one that ends them, metres along the ray. Each squares what is left: five are enough for the deepest
-/// folds. Fewer, or a longer one, would leave the picture off its truth.
+/// Newton's steps at most, and the length of one that ends them, metres along the ray. Each squares
+/// what is left: five are enough for the deepest folds. Fewer, or a longer one, would leave the
+/// picture off its truth.
 const STEPS: usize = 12;
 const LAST_STEP_M: f64 = 1e-10;
-/// Steps for each fold that a flat ray is followed through, at most so many in all, and halvings of the one with the passage. Raised, rendering is
-/// slower; lowered, the tops of folds that a ray just touches are missed.
+/// Steps for each fold that a flat ray is followed through, at most so many in all, and halvings of
+/// the one with the passage. Raised, rendering is slower; lowered, the tops of folds that a ray
+/// just touches are missed.
 const STEPS_PER_FOLD: f64 = 24.0;
 const MAX_STEPS: f64 = 2000.0;
 const HALVINGS: usize = 50;
-/// Repetitions that undo the stretch: it is small and smooth, so each takes a hundredth of what is left. Fewer would leave the picture off its truth.
+/// Repetitions that undo the stretch: it is small and smooth, so each takes a hundredth of what is
+/// left. Fewer would leave the picture off its truth.
 const UNSTRETCHINGS: usize = 6;
-/// Points along each side of a cloth at which its slope is asked. Lowered, the steepest may be missed, which [`STEEPER`] makes up for.
+/// Points along each side of a cloth at which its slope is asked. Lowered, the steepest may be
+/// missed, which [`STEEPER`] makes up for.
 const SLOPES_ASKED: u32 = 40;
 /// Heights beside the cloth that a ray is asked at as well, metres: so that none begins on it.
 const MARGIN_M: f64 = 1e-6;
@@ -53,7 +58,8 @@ pub(super) struct Meeting {
     pub depth: f64,
     /// The picture's point, metres from its centre.
     pub on_picture_m: [f64; 2],
-    /// Out of the face; its length is how many square metres a square metre of the picture is there.
+    /// Out of the face; its length is how many square metres a square metre of the picture is
+    /// there.
     pub normal: Vector3<f64>,
 }
 

@@ -10,7 +10,8 @@ use crate::track::{BentShape, BodySpec};
 
 const SIZE_M: [f64; 2] = [3.0, 2.0];
 
-/// Folds of up to 60 mm, half a metre from one to the next, and a print that is some millimetres too long.
+/// Folds of up to 60 mm, half a metre from one to the next, and a print that is some millimetres
+/// too long.
 fn folds(height_m: f64) -> SurfaceShape {
     let mut height = BicubicSpline::zero([12, 8], SIZE_M);
     for (k, c) in height.coefficients_mut().iter_mut().enumerate() {
@@ -37,7 +38,7 @@ fn cloth(height_m: f64) -> Cloth {
 }
 
 #[test]
-fn a_ray_meets_the_point_that_it_goes_through() {
+fn a_ray_intersects_the_surface_at_its_point() {
     let cloth = cloth(0.03);
     for k in 0..300 {
         let point = [f64::from(k % 20) * 0.14 - 1.3, f64::from(k / 20) * 0.12 - 0.85];
@@ -97,7 +98,7 @@ fn a_cloth_without_folds_is_a_plane() {
 }
 
 #[test]
-fn edges_are_where_the_projection_of_the_moving_cloth_puts_them() {
+fn edges_of_a_moving_cloth_are_at_their_projection() {
     // Left of artwork column 700 dark, right of it light.
     let artwork = GrayImage::from_fn(1200, 800, |x, _| Luma([if x < 700 { 30 } else { 220 }]));
     let camera = CameraModel::pinhole(200, 150, 180.0, 182.0, 101.3, 73.8).unwrap();

@@ -39,9 +39,9 @@ pub enum DollyError {
     Path(#[from] PathError),
 }
 
-/// A backdrop of 4 x 3 m around the stage's origin and a flat of 1.1 x 1.7 m, 0.8 m in front of it and turned
-/// aside; a camera with some barrel distortion and a rolling shutter rides to and fro 3 to 4 m away, with a
-/// slight shake, while the light changes slowly.
+/// A backdrop of 4 x 3 m around the stage's origin and a flat of 1.1 x 1.7 m, 0.8 m in front of it
+/// and turned aside; a camera with some barrel distortion and a rolling shutter rides to and fro 3
+/// to 4 m away, with a slight shake, while the light changes slowly.
 pub fn dolly(choice: Dolly) -> Result<VirtualStage, DollyError> {
     let artwork = |across: f64, metres: [f64; 2], seed: u64| {
         let [w, h] = metres.map(|m| (f64::from(choice.artwork_width) * across * m / metres[0]).round().max(1.0) as u32);
@@ -82,9 +82,11 @@ fn camera(width: u32, height: u32) -> Result<CameraModel, CameraError> {
     })
 }
 
-/// To and fro in ten seconds, nearer and farther, up and down, each with a period of its own so that it never repeats.
+/// To and fro in ten seconds, nearer and farther, up and down, each with a period of its own so
+/// that it never repeats.
 fn ride(duration_s: f64, seed: u64) -> Result<CameraPath, PathError> {
-    // Seconds between keys: a tenth of the shortest period, so that the spline runs along the waves. Raised, their crests are cut.
+    // Seconds between keys: a tenth of the shortest period, so that the spline runs along the
+    // waves. Raised, their crests are cut.
     const KEY_EVERY_S: f64 = 0.5;
     // One key beyond the end: exposure and readout reach past the last stamp.
     let keys = (duration_s / KEY_EVERY_S).ceil() as i64 + 1;

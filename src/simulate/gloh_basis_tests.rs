@@ -1,7 +1,10 @@
-//! Makes the principal components of GLOH from features of the virtual backdrops, and holds the committed ones to them.
+//! Makes the principal components of GLOH from features of the virtual backdrops, and holds the
+//! committed ones to them.
 //!
-//! `STAGEPOSE_REMAKE=1 cargo test --lib --features simulate gloh_basis` writes src/features/descriptors/gloh.basis anew: a backdrop for each seed,
-//! seen from random sides with noise; SIFT's keypoints, at most 400 a picture; their 272 numbers; the eigenvectors of the covariance.
+//! `STAGEPOSE_REMAKE=1 cargo test --lib --features simulate gloh_basis` writes
+//! src/features/descriptors/gloh.basis anew: a backdrop for each seed, seen from random sides with
+//! noise; SIFT's keypoints, at most 400 a picture; their 272 numbers; the eigenvectors of the
+//! covariance.
 
 use nalgebra::{DMatrix, Point3, SymmetricEigen, Vector3};
 use rand::{Rng, SeedableRng};
@@ -29,7 +32,8 @@ fn descriptions(seed: u64) -> Vec<f32> {
     for view in 0..VIEWS {
         let cloth = artwork_surface("cloth", artwork.clone(), [4.0, 3.0], upright(Vector3::zeros(), 0.0));
         let camera = CameraModel::pinhole(480, 360, 480.0, 480.0, 239.5, 179.5).unwrap();
-        // Within 55 degrees of the normal, from where the cloth fills the picture to where it is half as large.
+        // Within 55 degrees of the normal, from where the cloth fills the picture to where it is
+        // half as large.
         let (distance, side, height) =
             (random.random_range(2.0..5.0_f64), random.random_range(-0.95..0.95_f64), random.random_range(-0.4..0.4));
         let place = Point3::new(distance * side.sin(), -distance * side.cos(), distance * height);
@@ -61,7 +65,8 @@ fn statistics(values: &[f32]) -> (Vec<f32>, DMatrix<f32>) {
     (mean.iter().copied().collect(), covariance)
 }
 
-/// The principal components, that of the largest variance first, each with its largest number positive.
+/// The principal components, that of the largest variance first, each with its largest number
+/// positive.
 fn made() -> Basis {
     let values: Vec<f32> = (1..=BACKDROPS).flat_map(descriptions).collect();
     let (mean, covariance) = statistics(&values);
@@ -83,7 +88,7 @@ fn kept(basis: &Basis, covariance: &DMatrix<f32>) -> f32 {
 }
 
 #[test]
-fn the_basis_keeps_what_features_of_other_backdrops_differ_in() {
+fn the_basis_keeps_the_variance_of_unseen_backdrops() {
     if std::env::var_os("STAGEPOSE_REMAKE").is_some() {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/src/features/descriptors/gloh.basis");
         std::fs::write(file, made().to_bytes()).unwrap();

@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn shake_has_the_scatter_it_was_asked_for() {
+    fn shake_has_the_configured_scatter() {
         let shake = Shake::new(0.01, 0.02, 5.0, 3);
         let (mut along_x, mut about_z) = (0.0, 0.0);
         const COUNT: i32 = 200_000;

@@ -41,7 +41,7 @@ fn projected(scene: &VirtualStage, u: f64, v: f64, time_s: f64) -> Vector2<f64> 
 }
 
 #[test]
-fn edges_are_where_the_projection_puts_them() {
+fn rendered_edges_are_at_their_projection() {
     // One vertical edge: left of artwork column 700 dark, right of it light.
     let artwork = GrayImage::from_fn(1200, 800, |x, _| image::Luma([if x < 700 { 30 } else { 220 }]));
     let mut scene = stage_of(artwork, camera([-0.25, 0.08, 0.002, -0.001, 0.01]), oblique());
@@ -65,7 +65,7 @@ fn edges_are_where_the_projection_puts_them() {
 }
 
 #[test]
-fn a_far_checker_becomes_its_mean() {
+fn a_distant_checkerboard_averages_to_grey() {
     let mut scene = stage_of(checker(4), camera([0.0; 5]), CameraPath::fixed(Point3::new(0.0, -12.0, 0.0), Point3::origin()));
     scene.samples = 8;
     let renderer = Renderer::new(scene);
@@ -77,7 +77,7 @@ fn a_far_checker_becomes_its_mean() {
 }
 
 #[test]
-fn the_same_frame_has_the_same_bytes_in_any_order() {
+fn a_frame_renders_identically_in_any_order() {
     let mut scene = stage_of(checker(20), camera([-0.1, 0.0, 0.0, 0.0, 0.0]), oblique());
     scene.noise = SensorNoise::webcam();
     let renderer = Renderer::new(scene.clone());
@@ -112,7 +112,7 @@ fn rolling_shutter_delays_rows_as_stated() {
 }
 
 #[test]
-fn the_exposure_spreads_an_edge_over_its_path() {
+fn the_exposure_blurs_an_edge_along_its_path() {
     let keys = [(-1.0, Vector3::new(-1.2, -2.0, 0.0)), (1.0, Vector3::new(1.2, -2.0, 0.0))];
     let mut path = CameraPath::fixed(Point3::origin(), Point3::origin());
     path.position = Spline::new(&keys).unwrap();
@@ -168,13 +168,13 @@ fn light_and_blackouts_reach_the_picture() {
 }
 
 #[test]
-fn truth_is_the_path() {
+fn the_true_pose_follows_the_path() {
     let scene = stage_of(checker(50), camera([0.0; 5]), CameraPath::fixed(Point3::new(0.3, -2.0, 0.1), Point3::origin()));
     assert_eq!(scene.truth(0.7), look_at(Point3::new(0.3, -2.0, 0.1), Point3::origin(), 0.0));
 }
 
 #[test]
-fn a_picture_that_moves_is_seen_where_the_path_has_it() {
+fn a_moving_picture_is_rendered_at_the_paths_mean_position() {
     // Fine detail, long exposed while the camera goes to the left and to the right: where it moves
     // by 2.5 pixels, both see the same place. Rolled, so that edges lie anywhere between pixel
     // centres: at one place alone, the steps of the rays show.

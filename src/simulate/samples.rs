@@ -79,7 +79,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rays_fill_the_pixel_and_the_exposure_evenly() {
+    fn rays_sample_the_pixel_and_the_exposure_evenly() {
         for count in [1, 4, 9, 16] {
             let pattern = sample_pattern(count);
             let mean = pattern.iter().map(|s| s.offset_px).sum::<Vector2<f64>>() / count as f64;

@@ -212,7 +212,7 @@ mod tests {
     use crate::camera::CameraModel;
 
     #[test]
-    fn light_runs_straight_between_its_keys() {
+    fn light_is_interpolated_linearly_between_its_keys() {
         let camera = CameraModel::pinhole(8, 8, 8.0, 8.0, 3.5, 3.5).unwrap();
         let path = CameraPath::fixed(Point3::new(0.0, -1.0, 0.0), Point3::origin());
         let mut stage = VirtualStage::new(camera, path, BodySpec::new("stage", vec![]));

@@ -443,7 +443,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn steps_that_still_shrink_are_no_rest() {
+    fn shrinking_steps_do_not_count_as_converged() {
         // A set of fifteen panels: each step leaves four to seven tenths of the previous error.
         let steps = [0.04, 0.0094, 0.0113, 0.0040, 0.0027, 0.0011, 0.0007, 0.0003];
         let rests: Vec<bool> = steps.windows(2).map(|pair| is_rest(pair[1], pair[0])).collect();

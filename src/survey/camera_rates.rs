@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sway_is_told_to_a_two_hundredth() {
+    fn camera_rates_of_a_sway_are_accurate() {
         let mut poses = RecentPoses::as_configured();
         let mut told = 0;
         for n in 0..40 {
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn poses_that_jump_tell_rates_as_badly_as_they_are() {
+    fn rate_sigmas_cover_jumping_poses() {
         let steady = |t: f64| Pose::<Body, Camera>::new(UnitQuaternion::identity(), Vector3::new(0.7 * t, 0.0, -3.0));
         // One wrong pose, and a path that is offset from one pose on.
         for (from, to) in (0..5).flat_map(|from| [(from, from + 1), (from, 5)]) {
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_a_dropped_frame_and_a_slow_camera_tell_nothing() {
+    fn gaps_dropped_frames_and_slow_cameras_yield_no_rates() {
         let told = |frames: &[(usize, f64)]| {
             let mut poses = RecentPoses::as_configured();
             frames.iter().filter_map(|(n, t)| poses.add(*n, swaying(*t), Timestamp::from_seconds(*t), 3.0)).count()

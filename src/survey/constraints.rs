@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn the_one_of_three_lengths_that_is_wrong_is_named_with_what_the_others_say() {
+    fn a_wrong_length_is_named_with_the_value_of_the_others() {
         // One unknown, the size of the stage, which size_m gives to one part in fifty.
         let model = StageModel::new(CameraModel::new(LENS).unwrap(), &stage(), false, true);
         let size = model.places().size.unwrap();

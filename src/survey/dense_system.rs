@@ -56,7 +56,7 @@ mod tests {
     }
 
     #[test]
-    fn it_solves_what_nalgebra_solves() {
+    fn the_dense_solver_agrees_with_nalgebra() {
         let mut random = Pcg64Mcg::seed_from_u64(1);
         for n in [1, 2, 7, 64, 200] {
             let matrix = positive_definite(n, &mut random);
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn a_square_is_taken_from_the_lower_triangle_alone() {
+    fn a_square_is_subtracted_from_the_lower_triangle_only() {
         let mut random = Pcg64Mcg::seed_from_u64(4);
         for (n, columns) in [(1, 1), (9, 4), (70, 200), (5, 0)] {
             let before = positive_definite(n, &mut random);
@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn a_matrix_that_is_not_positive_definite_has_none() {
+    fn a_matrix_that_is_not_positive_definite_has_no_factor() {
         let mut matrix = positive_definite(30, &mut Pcg64Mcg::seed_from_u64(3));
         matrix[(17, 17)] = -1.0;
         assert!(Factor::of(&matrix).is_none());

@@ -117,7 +117,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_frames_after_a_keyframe_say_how_it_moved() {
+    fn frames_after_a_keyframe_determine_its_motion() {
         let frame = Frame { image: GrayImage::new(4, 3), timestamp: Default::default(), sequence: 0 };
         let at = |x: f64| Motion::still(Pose::new(Default::default(), Vector3::new(x, 0.0, -3.0)));
         let rates = |speed: f64| KnownRates {
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_long_walk_fewer_are_kept_from_its_beginning_to_its_end() {
+    fn a_long_walk_is_thinned_evenly_from_start_to_end() {
         let frame = Frame { image: GrayImage::new(4, 3), timestamp: Default::default(), sequence: 0 };
         let mut keyframes = Keyframes::default();
         let frames = 5 * MAX_KEYFRAMES;

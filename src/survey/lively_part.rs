@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_told_stays_unless_the_clip_shows_another_time() {
+    fn configured_shutter_times_stay_unless_contradicted() {
         let time = |seconds, sigma_s| Some(ShutterTime { seconds, sigma_s, frames: 50 });
         let found = |readout, exposure| ShutterEstimate { readout, exposure, frames: 100, aligned: 100, has_settled: true };
         let told = Shutter { readout_s: 0.012, exposure_s: 0.01 };

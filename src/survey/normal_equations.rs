@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_frame_s_motion_explains_moves_no_model() {
+    fn residuals_explained_by_frame_motion_change_no_model() {
         for readout_s in [0.0, 0.018, -0.01] {
             let [squares, taken] = squares_and_taken(readout_s);
             assert!(squares > 100.0 && taken < 1e-4 * squares, "{readout_s}: {squares} {taken}");

@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn a_readout_that_nobody_told_is_found_with_the_lens_that_it_bends() {
+    fn an_unconfigured_readout_is_estimated_with_the_lens() {
         let truth = truth().with_readout(0.018);
         let moving = |(k, pose): (usize, Pose<_, _>)| {
             let t = k as f64;
@@ -327,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn a_measured_length_mends_a_stage_whose_sizes_are_all_wrong() {
+    fn a_measured_length_corrects_the_scale_of_a_stage() {
         // As configured, everything is two hundredths smaller than it is.
         let real = stage();
         let typed: Vec<SurfaceSpec> = real

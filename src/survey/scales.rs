@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn a_surface_of_few_tiles_is_judged_by_its_own_residuals() {
+    fn a_surface_with_few_tiles_uses_its_own_residual_scale() {
         let all = robust_scales(&rows([10, 2], |_| 0.0), 2).unwrap();
         // As good as the others, apart from its own tiles' noise.
         assert!(all[1] >= all[0] && all[1] < 4.0 * all[0], "{all:?}");
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_that_a_place_alone_explains_say_nothing_of_it() {
+    fn too_few_tiles_for_a_placement_yield_an_infinite_scale() {
         for few in 0..=3 {
             let rows = rows([few, 2], |_| 0.0);
             let scales = robust_scales(&rows, 2).unwrap();
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_that_scatter_more_than_those_of_the_others_are_doubted() {
+    fn tiles_scattering_more_than_others_are_marked_stray() {
         let of = |shift_px: fn(usize) -> f64| {
             let rows = rows([48, 4], shift_px);
             supports(&rows, &robust_scales(&rows, 2).unwrap())
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn few_keyframes_are_little_support_and_many_are_not() {
+    fn a_surface_in_few_keyframes_has_little_support() {
         let supports_of = |shown| {
             let rows = rows(shown, |_| 0.0);
             supports(&rows, &robust_scales(&rows, 2).unwrap())

@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shaken_clip_tells_the_readout() {
+    fn a_shaken_clip_determines_the_readout() {
         let found = estimate_of(&scene(Some(Shake::new(0.02, 0.02, 6.0, 3)), 0.008));
         let readout = found.readout.unwrap();
         assert!((readout.seconds - 0.012).abs() < 3e-4, "{found:?}");
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_still_clip_tells_neither() {
+    fn a_still_clip_determines_no_shutter_time() {
         let mut still = scene(None, 0.008);
         still.camera_path.position = Spline::fixed(Vector3::new(0.3, -3.5, 0.1));
         still.camera_path.target = Spline::fixed(Vector3::zeros());
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_that_know_rule_and_strays_do_not() {
+    fn precise_frames_outweigh_strays_in_the_estimate() {
         let mut clues: Vec<Clue> = (0..40).map(|k| clue(0.003 + 1e-4 * f64::from(k % 5 - 2), 2e-4)).collect();
         clues.extend((0..10).map(|_| clue(0.03, 2e-4)));
         clues.extend((0..100).map(|_| clue(-0.2, 0.05)));
@@ -245,14 +245,14 @@ mod tests {
     }
 
     #[test]
-    fn few_frames_that_know_are_not_enough() {
+    fn too_few_precise_frames_yield_no_estimate() {
         let mut clues = vec![clue(0.003, 1e-4); crate::track::agreement::MIN_FRAMES - 1];
         clues.extend(vec![clue(0.003, 0.1); 100]);
         assert_eq!(agreed(&clues, VAGUE_READOUT_S), None);
     }
 
     #[test]
-    fn the_weighted_median_is_where_half_of_the_weight_lies() {
+    fn the_weighted_median_splits_the_weight_in_half() {
         assert_eq!(weighted_median([(3.0, 1.0), (1.0, 1.0), (2.0, 5.0)].into_iter()), 2.0);
         assert_eq!(weighted_median(std::iter::empty()), 0.0);
     }

@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_tracked_in_vain_three_times_is_not_tracked_for_a_second() {
+    fn three_failures_pause_tracking_for_a_second() {
         let tracked = |is_found: fn(usize) -> bool| {
             let mut pause = TrackingPause::default();
             let is_tracked = |frame: &usize| {
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recorded_walk_is_the_walk_to_the_bit() {
+    fn a_recorded_walk_reads_back_bit_for_bit() {
         let found = recalled(&walk().record(), &clips()).expect("the clips are its own");
         assert_eq!(found, walk());
         for (a, b) in found.keyframes.iter().zip(&walk().keyframes) {
@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_of_other_clips_or_a_damaged_one_is_none() {
+    fn a_damaged_or_foreign_walk_record_is_ignored() {
         let record = walk().record();
         let [first, second] = clips();
         assert_eq!(recalled(&record, std::slice::from_ref(&first)), None);

@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parts_are_called_by_their_names() {
+    fn weak_parts_are_named() {
         let mut parts = SurfaceParts { sigmas_m: [1e-3; 9] };
         assert_eq!(parts.beyond(2e-3), "");
         parts.sigmas_m[2] = 5e-3;

@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn what_fits_lies_within_the_margins_and_what_does_not_is_refused_with_the_largest_square() {
+    fn a_board_too_big_is_refused_with_the_largest_square() {
         for name in ["a4", "letter", "a3", "tabloid"] {
             let paper = Paper::parse(name).unwrap();
             for (columns, rows) in [(9, 6), (6, 9), (8, 5), (14, 3), (30, 21)] {

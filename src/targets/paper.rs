@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn papers_are_read_and_refused() {
+    fn paper_sizes_parse_or_are_refused() {
         let size = |text: &str| Paper::parse(text).map(|paper| paper.size_mm);
         assert_eq!(size("A3"), Ok([297.0, 420.0]));
         assert_eq!(size("letter"), Ok([215.9, 279.4]));

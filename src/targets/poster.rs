@@ -152,7 +152,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_seed_is_a_picture_and_its_mean_is_mid_grey() {
+    fn a_poster_seed_fixes_its_picture_with_a_mid_grey_mean() {
         let [a, again, other] = [3, 3, 4].map(|seed| paint(340, 480, seed));
         assert_eq!(a, again);
         let differing = a.as_raw().iter().zip(other.as_raw()).filter(|(x, y)| x.abs_diff(**y) > 100).count();
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn it_keeps_its_contrast_when_seen_from_afar() {
+    fn the_poster_keeps_its_contrast_at_a_distance() {
         let mut picture = paint(1700, 1200, 9);
         // RMS grey step between neighbouring pixels at every halving: natural pictures have 5 to
         // 15.

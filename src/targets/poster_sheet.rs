@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_snippet_has_the_size_that_is_printed() {
+    fn the_config_snippet_states_the_printed_size() {
         for name in ["a0", "a3", "a4", "letter", "500x700 mm", "400x100"] {
             let paper = Paper::parse(name).unwrap();
             let page = page(paper, 1, "a \"b\".png");

@@ -66,7 +66,7 @@ mod tests {
     use crate::record::{PoseSample, State};
 
     #[test]
-    fn it_is_healthy_while_pictures_come() {
+    fn health_is_ok_while_pictures_arrive() {
         let statistics = Statistics::default();
         let clock = FrameClock::new(Stamps::Live);
         let page = health(&statistics, &clock);

@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn every_line_is_of_the_text_format_and_every_name_has_its_type() {
+    fn metrics_lines_are_valid_and_every_metric_is_typed() {
         let statistics = Statistics::default();
         let mut sample = PoseSample::stale(0, START.monotonic.after_ns(-2_000_000), 0.0);
         sample.state = State::Searching;

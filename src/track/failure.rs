@@ -69,14 +69,14 @@ mod tests {
     }
 
     #[test]
-    fn a_homography_without_a_pose_is_a_matter_of_geometry() {
+    fn a_homography_without_a_pose_is_reported_as_geometry() {
         assert_eq!(reason(&seen(80, 2.0, 300.0), Some(Refusal::Share(0.1))), Reason::NoPoseFits);
         assert_eq!(reason(&Recognition { misfit: None, ..seen(80, 0.0, 300.0) }, None), Reason::NoPoseFits);
         assert_eq!(reason(&seen(80, 0.05, 300.0), Some(Refusal::Contradicted(90))), Reason::NoPoseFits);
     }
 
     #[test]
-    fn a_pose_with_few_anchors_is_a_matter_of_the_view() {
+    fn a_pose_with_few_anchors_is_reported_by_its_view() {
         assert_eq!(reason(&seen(80, 0.05, 300.0), Some(Refusal::Share(0.1))), Reason::Covered);
         assert_eq!(reason(&seen(80, 0.05, 300.0), Some(Refusal::Uncertain)), Reason::Uncertain);
         assert_eq!(reason(&seen(40, 2.0, 30.0), Some(Refusal::Uncertain)), Reason::TooSmall);

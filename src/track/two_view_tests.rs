@@ -53,7 +53,7 @@ fn two_depths_are_an_essential_matrix() {
 }
 
 #[test]
-fn the_reference_camera_sees_the_artwork_upright_and_full() {
+fn the_reference_camera_sees_the_whole_artwork_upright() {
     let body = prepared(vec![cloth(1)]);
     let to_reference = reference_camera(&body).inverse();
     // fx = W, fy = H width / height, centred (C3): the artwork's outer corners must project to the
@@ -67,7 +67,7 @@ fn the_reference_camera_sees_the_artwork_upright_and_full() {
 }
 
 #[test]
-fn without_a_baseline_or_correspondences_there_is_no_answer() {
+fn two_views_need_a_baseline_and_correspondences() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
     // 1 % of 4 m is 4 cm.
     for (x, is_some) in [(0.03, false), (0.05, true)] {

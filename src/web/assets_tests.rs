@@ -21,7 +21,7 @@ fn path(from: &str, name: &str) -> Option<String> {
 }
 
 #[test]
-fn every_file_that_the_page_names_is_there_and_each_is_named() {
+fn the_page_names_exactly_the_files_that_exist() {
     let there: BTreeSet<String> = ASSETS.iter().map(|asset| asset.path.to_owned()).collect();
     let mut reached = BTreeSet::from(["/".to_owned(), "/vendor/LICENSES.txt".to_owned()]);
     // A bundled module imports nothing, and its minified text has `from` and quotes with other
@@ -78,7 +78,7 @@ fn another_version_of_a_file_has_another_tag() {
 }
 
 #[test]
-fn a_tag_is_known_in_every_form() {
+fn an_etag_is_recognised_in_every_form() {
     let has = |said: &str| has_it(&Request::builder().header(header::IF_NONE_MATCH, said).body(Body::empty()).unwrap(), "\"0a\"");
     for said in ["\"0a\"", "W/\"0a\"", "\"1\", \"0a\"", "*"] {
         assert!(has(said), "{said}");
@@ -89,7 +89,7 @@ fn a_tag_is_known_in_every_form() {
 }
 
 #[test]
-fn a_packed_file_is_the_file() {
+fn a_compressed_asset_unpacks_to_the_original() {
     for (asset, packed) in ASSETS.iter().zip(PACKED.iter()) {
         let mut whole = Vec::new();
         std::io::copy(&mut flate2::read::GzDecoder::new(packed.as_slice()), &mut whole).unwrap();

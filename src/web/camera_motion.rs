@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn the_motion_is_that_of_the_stamp_in_the_cameras_axes() {
+    fn camera_motion_is_at_the_stamp_in_the_cameras_axes() {
         let (mut follower, step) = (MotionFollower::default(), 0.01);
         let found: Vec<_> = (0..4).map(|k| follower.after(&sample(step * f64::from(k), pose(step * f64::from(k))))).collect();
         assert_eq!(found[0], None);
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_or_a_lost_stage_ends_it() {
+    fn a_gap_or_a_lost_stage_ends_the_camera_motion() {
         let mut follower = MotionFollower::default();
         assert!(follower.after(&sample(0.0, pose(0.0))).is_none() && follower.after(&sample(0.05, pose(0.05))).is_some());
         assert_eq!(follower.after(&sample(0.25, pose(0.25))), None, "too long ago");

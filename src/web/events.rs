@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn who_comes_later_hears_the_last_and_everybody_hears_the_next() {
+    fn late_listeners_get_recent_events_and_all_get_new_ones() {
         let (events, log) = (Events::new(), EventLog::default());
         log.publish(Event::NoDriverStamp { name: "before".to_owned() });
         events.follow(log.listen());

@@ -46,7 +46,7 @@ fn without_a_host_only_http_1_0_passes() {
 }
 
 #[test]
-fn a_whole_address_as_target_is_a_host_too() {
+fn an_absolute_request_target_counts_as_the_host() {
     let whole = |target: &str, headers: &[(&str, &str)]| status("GET", target, Version::HTTP_11, headers);
     assert_eq!(whole("http://localhost:8090/ws", &[("host", "localhost:8090")]), 0);
     assert_eq!(whole("http://localhost/ws", &[("host", "localhost:80")]), 0);
@@ -60,7 +60,7 @@ fn a_whole_address_as_target_is_a_host_too() {
 }
 
 #[test]
-fn the_page_must_be_of_this_server() {
+fn the_origin_must_be_this_server() {
     let from = |host: &str, origin: &str| get(&[("host", host), ("origin", origin)]);
     for (host, origin) in [
         ("localhost:8090", "http://localhost:8090"),
@@ -94,7 +94,7 @@ fn the_page_must_be_of_this_server() {
 }
 
 #[test]
-fn what_the_browser_says_of_the_page_counts() {
+fn fetch_metadata_headers_are_respected() {
     let fetched = |method: &str, fetch: &[(&str, &str)]| {
         status(method, "/api/v1/state", Version::HTTP_11, &[&[("host", "localhost")], fetch].concat())
     };

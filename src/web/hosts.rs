@@ -136,7 +136,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn hosts_are_read_as_they_are_written() {
+    fn host_headers_parse_in_every_form() {
         let read = |text: &str| HostAndPort::parse(text).map(|h| (h.host.to_string(), h.port));
         for (text, host, port) in [
             ("localhost", "localhost", None),
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn a_page_is_named_as_a_browser_reaches_it() {
+    fn the_page_address_is_one_a_browser_can_reach() {
         let own = ["127.0.0.1", "fe80::1", "192.0.2.7"].map(|address| address.parse().unwrap());
         let named = |listen: &str| page_address_among(listen.parse().unwrap(), &own);
         assert_eq!(named("127.0.0.1:8090"), "http://127.0.0.1:8090/");
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn the_machine_and_what_is_added_is_allowed_and_nothing_else() {
+    fn only_this_machine_and_configured_hosts_are_allowed() {
         let hosts = AllowedHosts::new(&["stage.example.org", "192.0.2.7"].map(|h| HostName::parse(h).unwrap()));
         let reached = IpAddr::from([192, 0, 2, 200]);
         let allowed = |text: &str| hosts.allows(&HostName::parse(text).unwrap(), reached);

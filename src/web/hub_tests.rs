@@ -35,7 +35,7 @@ pub(in crate::web) fn heads() -> Vec<serde_json::Value> {
 }
 
 #[test]
-fn a_cameras_jpeg_is_given_on_as_it_came_beside_the_record_of_its_frame() {
+fn a_camera_jpeg_is_passed_through_with_its_frames_record() {
     let jpeg: Arc<[u8]> = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/dolly/frames/000000.jpg")).unwrap().into();
     let mut lost = sample(7, State::Lost);
     let motion = CameraMotion { velocity: [0.5, 0.0, 0.25], turn_rate: [0.0, 2.0, 0.0] };
@@ -51,7 +51,7 @@ fn a_cameras_jpeg_is_given_on_as_it_came_beside_the_record_of_its_frame() {
 }
 
 #[test]
-fn tables_that_a_camera_leaves_out_are_put_in() {
+fn missing_huffman_tables_are_inserted() {
     let whole = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/dolly/frames/000000.jpg")).unwrap();
     assert_eq!(*with_huffman_tables(&whole), *whole);
     // Encoded here with the standard tables, which are then cut out: FF C4, its length, its
@@ -70,7 +70,7 @@ fn tables_that_a_camera_leaves_out_are_put_in() {
 }
 
 #[test]
-fn a_raw_picture_is_encoded_and_rows_without_a_picture_are_passed_over() {
+fn raw_pictures_are_encoded_and_empty_rows_skipped() {
     let taken_of = |row: &ClipEntry| taken(1, row, &sample(0, State::Tracking), None);
     let row = row(0, Some(Received::Raw));
     let message = message(&taken_of(&row).unwrap()).unwrap();
@@ -117,7 +117,7 @@ fn each_session_has_its_own_number() {
 }
 
 #[test]
-fn used_pixels_come_with_their_own_frame_while_somebody_asks() {
+fn used_pixels_are_sent_with_their_frame_on_request() {
     let hub = Hub::start(Arc::default()).unwrap();
     let (tracker, pixels) = crossbeam_channel::unbounded();
     let mut observer = hub.observer(Some(pixels));

@@ -11,7 +11,7 @@ fn elsewhere() -> IpAddr {
 }
 
 #[test]
-fn a_code_pairs_once_and_the_token_itself_is_nowhere_kept() {
+fn a_code_pairs_once_and_the_token_is_not_stored() {
     let folder = tempfile::tempdir().unwrap();
     let keys = Keys::open(Some(folder.path()), 1).unwrap();
     let file = code_file(folder.path(), 1);
@@ -41,7 +41,7 @@ fn a_code_pairs_once_and_the_token_itself_is_nowhere_kept() {
 }
 
 #[test]
-fn guesses_are_few_and_one_peer_s_guesses_do_not_keep_another_out() {
+fn code_guesses_are_limited_per_peer() {
     let keys = Keys::open(None, 1).unwrap();
     let (begun, honest) = (Instant::now(), "192.0.2.8".parse().unwrap());
     let guess = |peer: &str, s: u64| keys.pair("x", "", peer.parse().unwrap(), begun + Duration::from_secs(s)).unwrap_err().status;
@@ -77,7 +77,7 @@ fn each_daemon_of_a_machine_has_its_own_cookie() {
 }
 
 #[test]
-fn on_this_machine_everybody_may_but_for_who_asks_through_a_proxy() {
+fn local_clients_may_change_unless_they_use_a_proxy() {
     let keys = Keys::open(None, 1).unwrap();
     let change = |of: &[(&'static str, &str)], peer: &str| {
         keys.judge(Access::Change, &Method::POST, &headers(of), peer.parse().unwrap()).err().map_or(0, |r| r.status)
@@ -93,7 +93,7 @@ fn on_this_machine_everybody_may_but_for_who_asks_through_a_proxy() {
 }
 
 #[test]
-fn the_lock_holds_changes_and_lets_itself_be_released() {
+fn the_lock_blocks_changes_but_can_be_released() {
     let folder = tempfile::tempdir().unwrap();
     let keys = Keys::open(Some(folder.path()), 1).unwrap();
     keys.lock(true).unwrap();

@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn one_peer_s_requests_leave_room_for_another_and_lanes_do_not_wait_for_each_other() {
+    fn peers_and_lanes_do_not_block_each_other() {
         let (lanes, [one, other]) = (Lanes::new(), ["192.0.2.1", "192.0.2.2"].map(|peer| peer.parse::<IpAddr>().unwrap()));
         runtime().block_on(async {
             for lane in Lane::ALL {
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_client_that_has_gone_is_not_waited_for() {
+    fn waiting_for_a_lane_ends_when_the_client_disconnects() {
         let lanes = Lanes::new();
         runtime().block_on(async {
             let (server, client) = Connection::pair().await;

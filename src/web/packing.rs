@@ -30,7 +30,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_client_says_in_every_form_whether_it_unpacks() {
+    fn every_form_of_accept_encoding_is_understood() {
         let unpacks = |said: &str| unpacks(&Request::builder().header(header::ACCEPT_ENCODING, said).body(Body::empty()).unwrap());
         for said in ["gzip", "br, GZIP", "deflate, gzip;q=0.5", "x-gzip"] {
             assert!(unpacks(said), "{said}");

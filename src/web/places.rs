@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_peer_has_its_share_and_no_more() {
+    fn a_peer_gets_no_more_than_its_share() {
         let places = Places::new();
         let (one, other): (IpAddr, IpAddr) = ("fe80::1:2".parse().unwrap(), "10.0.0.7".parse().unwrap());
         let neighbour = "fe80::7".parse().unwrap();
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_brief_one_pushes_out_the_oldest_of_who_has_most() {
+    fn a_new_connection_evicts_the_busiest_peers_oldest() {
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
         runtime.block_on(async {
             let mut brief = BriefOnes::default();

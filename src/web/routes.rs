@@ -180,7 +180,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_few_at_once_then_one_at_a_time() {
+    fn a_burst_is_allowed_then_one_request_at_a_time() {
         let (pace, begun) = (Pace::new(AT_ONCE, ONE_EACH), Instant::now());
         let at = |s: f64| pace.take(begun + Duration::from_secs_f64(s));
         assert_eq!((0..10).filter(|_| at(0.0).is_ok()).count(), 4);

@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn it_has_the_lens_and_the_outlines_in_the_stage() {
+    fn the_scene_has_the_lens_and_outlines_in_the_stage_frame() {
         let scene = Arc::new(Scene::default());
         assert_eq!((scene.reply(true).status, scene.picture("0").status), (503, 503));
         scene.set(&setup());
@@ -265,7 +265,7 @@ mod tests {
         }
     }
     #[test]
-    fn its_pictures_are_those_of_the_stage() {
+    fn scene_pictures_are_the_stages() {
         let scene = Arc::new(Scene::default());
         let mut setup = setup();
         setup.stage.surfaces[0].artwork = GrayImage::from_fn(3000, 20, |x, _| image::Luma([if x < 1500 { 40 } else { 200 }]));

@@ -49,7 +49,7 @@ fn get(server: &Server, path: &str) -> String {
 }
 
 #[test]
-fn pose_state_and_added_routes_are_answered() {
+fn pose_state_and_added_routes_respond() {
     let server = server();
     assert!(get(&server, "/api/v1/pose").starts_with("HTTP/1.1 503"));
     assert!(get(&server, "/api/v1/state").contains(r#""state":null"#));
@@ -66,7 +66,7 @@ fn pose_state_and_added_routes_are_answered() {
 }
 
 #[test]
-fn the_page_is_served_under_a_policy_and_asked_for_once() {
+fn the_page_is_served_with_a_policy_and_cached() {
     let server = server();
     for (path, content_type) in [("/", "text/html"), ("/style.css", "text/css"), ("/app.js", "text/javascript"), ("/icon.svg", "image/svg")]
     {
@@ -158,7 +158,7 @@ fn every_path_is_guarded_and_the_web_socket_too() {
 }
 
 #[test]
-fn who_has_asked_may_close_its_side() {
+fn a_client_may_half_close_after_its_request() {
     let server = server();
     for version in ["1.0", "1.1"] {
         let mut stream = connect(&server);
@@ -171,7 +171,7 @@ fn who_has_asked_may_close_its_side() {
 }
 
 #[test]
-fn a_change_is_posted_and_not_too_often() {
+fn changes_require_post_and_are_rate_limited() {
     let server = server();
     let get = get(&server, "/save");
     assert!(get.starts_with("HTTP/1.1 405") && get.to_lowercase().contains("\r\nallow: post\r\n"), "{get}");
@@ -186,7 +186,7 @@ fn a_change_is_posted_and_not_too_often() {
 }
 
 #[test]
-fn who_pipelines_and_never_reads_is_let_go() {
+fn a_client_that_pipelines_and_never_reads_is_dropped() {
     let server = server();
     let mut stuck = connect(&server);
     let request = b"GET /api/v1/state HTTP/1.1\r\nHost: localhost\r\n\r\n".repeat(2000);
@@ -199,7 +199,7 @@ fn who_pipelines_and_never_reads_is_let_go() {
 }
 
 #[test]
-fn with_all_places_taken_a_request_is_answered_and_a_web_socket_refused() {
+fn a_full_server_answers_requests_but_refuses_web_sockets() {
     let server = server();
     // Silent connections from one peer, which may have half of the places. They end after some
     // seconds, which the test does not wait for.
@@ -335,7 +335,7 @@ fn an_oversized_frame_ends_the_web_socket() {
 }
 
 #[test]
-fn a_slow_reader_is_dropped_and_holds_nobody_up() {
+fn a_slow_reader_is_dropped_and_delays_no_other() {
     let server = server();
     let _sleeper = web_socket(&server);
     let mut reader = web_socket(&server);
@@ -361,7 +361,7 @@ fn a_port_in_use_is_refused() {
 }
 
 #[test]
-fn a_viewer_gets_the_frame_that_it_asks_for_and_nothing_is_copied_for_who_does_not_ask() {
+fn frames_are_copied_only_for_viewers_that_ask() {
     let server = server();
     let mut observer = server.observer(None);
     let mut seen = |k| observer(&row(k, 1000), &sample(k));
@@ -390,7 +390,7 @@ fn a_viewer_gets_the_frame_that_it_asks_for_and_nothing_is_copied_for_who_does_n
 }
 
 #[test]
-fn of_eight_viewers_one_that_stalls_harms_no_other() {
+fn one_stalled_viewer_of_eight_harms_no_other() {
     let server = server();
     let mut observer = server.observer(None);
     let mut stalled = viewer(&server);
@@ -424,7 +424,7 @@ fn of_eight_viewers_one_that_stalls_harms_no_other() {
 }
 
 #[test]
-fn what_a_viewer_says_beside_n_ends_it_with_a_sentence() {
+fn unknown_viewer_messages_close_with_the_reason() {
     let server = server();
     for said in [&[0x81, 0x81, 0, 0, 0, 0, b'x'][..], &[0x82, 0x81, 0, 0, 0, 0, b'n'], &[0x81, 0x80, 0, 0, 0, 0]] {
         let mut viewer = viewer(&server);
@@ -437,7 +437,7 @@ fn what_a_viewer_says_beside_n_ends_it_with_a_sentence() {
 }
 
 #[test]
-fn a_viewer_hears_how_things_stand_while_no_frame_comes() {
+fn a_viewer_gets_the_state_while_no_frame_arrives() {
     let server = server();
     let mut viewer = viewer(&server);
     server.publish(&sample(7));
@@ -449,7 +449,7 @@ fn a_viewer_hears_how_things_stand_while_no_frame_comes() {
 }
 
 #[test]
-fn events_are_heard_as_sentences() {
+fn events_are_sent_as_sentences() {
     let server = server();
     let log = crate::daemon::live::EventLog::default();
     server.follow_events(log.listen());

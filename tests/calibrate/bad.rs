@@ -38,7 +38,7 @@ fn pictures_without_a_board() {
 }
 
 #[test]
-fn the_wrong_board_is_told_the_right_one() {
+fn a_wrong_board_size_gets_the_right_one_suggested() {
     let scene = Scene::new(4, 0.4);
     keep(&scene);
     let base = ["calibrate", "pictures", "--square-mm", "25", "--board", "9x6"];
@@ -105,7 +105,7 @@ fn unreadable_files() {
 }
 
 #[test]
-fn bad_usage_ends_with_2() {
+fn bad_usage_exits_with_code_2() {
     let scene = Scene::new(1, 0.4);
     let refused = |arguments: &[&str], parts: &[&str]| scene.run(&[&["calibrate"], arguments].concat()).assert_refused(2, parts);
     refused(&["pictures", "--board", "7x5", "--square-mm", "0"], &["--square-mm is 0"]);

@@ -43,7 +43,7 @@ fn table_json_report_and_file_all_say_the_same() {
 }
 
 #[test]
-fn numbers_can_be_fixed_freed_and_counted_bouguets_way() {
+fn parameters_can_be_fixed_freed_or_follow_bouguet() {
     let scene = Scene::new(8, 0.5);
     scene.calibrate(&["--fix", "p1,p2,cx=161", "--k3", "--skew", "--json", "a.json"]).assert_success();
     let json = scene.json("a.json");
@@ -119,7 +119,7 @@ fn a_board_is_printed_with_its_ruler() {
 }
 
 #[test]
-fn a_board_fits_its_paper_or_is_refused_with_the_largest_square() {
+fn a_board_must_fit_its_paper() {
     let scene = Scene::new(0, 0.0);
     scene.run(&["board", "--board", "9x6", "--square-mm", "24", "--paper", "a4", "-o", "board.svg"]).assert_success();
     assert!(scene.read("board.svg").contains("width=\"297mm\" height=\"210mm\""));

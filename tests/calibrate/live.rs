@@ -17,7 +17,7 @@ fn clip(scene: &Scene, count: usize) {
 const BOARD: [&str; 4] = ["--board", "7x5", "--square-mm", "25"];
 
 #[test]
-fn views_are_taken_by_themselves_saved_and_calibrated_as_from_files() {
+fn live_views_are_captured_saved_and_calibrated_like_files() {
     let scene = Scene::new(0, 0.0);
     clip(&scene, 10);
     let run = scene.run(&[&["calibrate", "--play", "clip", "--save", "taken", "--json", "live.json"], &BOARD[..]].concat());
@@ -36,7 +36,7 @@ fn views_are_taken_by_themselves_saved_and_calibrated_as_from_files() {
 }
 
 #[test]
-fn it_ends_at_the_number_asked_for() {
+fn live_capture_stops_at_the_requested_number() {
     let scene = Scene::new(0, 0.0);
     clip(&scene, 8);
     scene.run(&[&["calibrate", "--play", "clip", "--save", "taken", "--pictures", "3", "--write-anyway"], &BOARD[..]].concat());
@@ -44,7 +44,7 @@ fn it_ends_at_the_number_asked_for() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_in_a_sentence() {
+fn invalid_capture_options_are_refused_in_a_sentence() {
     let scene = Scene::new(1, 0.3);
     let refused = |arguments: &[&str], code: i32, part: &str| {
         scene.run(&[&["calibrate"], arguments, &BOARD[..]].concat()).assert_refused(code, &[part]);

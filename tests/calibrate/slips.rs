@@ -70,7 +70,7 @@ fn blurred_pictures_are_named() {
 }
 
 #[test]
-fn squares_in_metres_and_centimetres_are_named() {
+fn squares_given_in_metres_or_centimetres_are_reported() {
     let scene = Scene::new(8, 0.5);
     let with = |mm: &str, more: &[&str]| scene.run(&[&["calibrate", "pictures", "--board", "7x5", "--square-mm", mm], more].concat());
     with("0.025", &[]).assert_refused(2, &["--square-mm is 0.025", "metres", "give 25"]);
@@ -84,7 +84,7 @@ fn squares_in_metres_and_centimetres_are_named() {
 }
 
 #[test]
-fn the_report_speaks_to_those_who_took_the_pictures() {
+fn the_report_is_readable_for_photographers() {
     let scene = Scene::new(0, 0.0);
     for k in 1..=11 {
         view(k, 0.5).save(scene.path(&format!("pictures/view{k}.png"))).unwrap();

@@ -41,7 +41,7 @@ fn replay_with_summary(scene: &Scene) -> (Vec<serde_json::Value>, serde_json::Va
 }
 
 #[test]
-fn a_truncated_frame_is_a_line_and_counted() {
+fn a_truncated_frame_becomes_a_record_and_is_counted() {
     let scene = Scene::new();
     scene.truncate("clip/frames/000003.png", 400);
     let (records, summary, stderr) = replay_with_summary(&scene);
@@ -54,7 +54,7 @@ fn a_truncated_frame_is_a_line_and_counted() {
 }
 
 #[test]
-fn a_truncated_jpeg_too() {
+fn a_truncated_jpeg_becomes_a_record_and_is_counted() {
     let scene = Scene::new();
     let frame = image::open(scene.path("clip/frames/000002.png")).unwrap();
     frame.save(scene.path("clip/frames/000002.jpg")).unwrap();
@@ -65,7 +65,7 @@ fn a_truncated_jpeg_too() {
 }
 
 #[test]
-fn stamps_out_of_order_and_duplicated_are_lines_and_counted() {
+fn bad_stamps_become_records_and_are_counted() {
     let scene = Scene::new();
     let stamps = "#timestamp [ns],filename\n0,000000.png\n40,000001.png\n40,000002.png\n20,000003.png\n80,000004.png\n120,000005.png\n";
     scene.write("clip/timestamps.csv", stamps);
@@ -75,7 +75,7 @@ fn stamps_out_of_order_and_duplicated_are_lines_and_counted() {
 }
 
 #[test]
-fn a_frame_of_another_size_is_a_line_and_counted() {
+fn a_frame_of_another_size_becomes_a_record_and_is_counted() {
     let scene = Scene::new();
     image::GrayImage::new(100, 80).save(scene.path("clip/frames/000002.png")).unwrap();
     let (records, summary, _) = replay_with_summary(&scene);
@@ -83,7 +83,7 @@ fn a_frame_of_another_size_is_a_line_and_counted() {
 }
 
 #[test]
-fn many_bad_rows_are_warned_of_and_then_counted() {
+fn many_bad_rows_are_reported_first_and_then_counted() {
     let scene = Scene::new();
     let mut stamps = "#timestamp [ns],filename\n0,000000.png\n".to_owned();
     (0..20).for_each(|_| stamps += "0,000001.png\n");

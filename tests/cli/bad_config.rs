@@ -101,7 +101,7 @@ fn calibration_of_another_shape() {
 }
 
 #[test]
-fn calibration_of_the_same_shape_is_scaled_and_said() {
+fn a_calibration_of_the_same_aspect_ratio_is_scaled() {
     let scene = Scene::new();
     let doubled =
         "width = 640\nheight = 480\nfx = 600.0\nfy = 600.0\ncx = 319.5\ncy = 239.5\nskew = 0.0\ndistortion = [0.0, 0.0, 0.0, 0.0, 0.0]\n";

@@ -96,7 +96,7 @@ fn number_before(text: &str, word: &str) -> f64 {
 }
 
 #[test]
-fn where_nothing_is_wrong_no_cause_is_named() {
+fn a_right_config_names_no_cause() {
     let text = said(|_| {});
     assert_names(&text, "", &["stage.toml: good"]);
 }

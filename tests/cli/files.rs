@@ -44,7 +44,7 @@ fn replay(scene: &Scene, more: &[&str]) -> Command {
 }
 
 #[test]
-fn an_output_that_nobody_reads_is_refused_and_nothing_hangs() {
+fn an_output_without_a_reader_is_refused_without_hanging() {
     let scene = Scene::new();
     pipe(&scene, "pipe");
     for flag in ["--poses", "--tum", "--summary"] {
@@ -71,7 +71,7 @@ fn a_pipe_with_a_reader_gets_every_line() {
 }
 
 #[test]
-fn a_signal_ends_it_while_its_reader_sleeps_and_while_its_writer_sleeps() {
+fn a_signal_ends_a_replay_blocked_on_a_pipe() {
     let scene = Scene::new();
     pipe(&scene, "full");
     let open = |write: bool| {
@@ -93,7 +93,7 @@ fn a_signal_ends_it_while_its_reader_sleeps_and_while_its_writer_sleeps() {
 }
 
 #[test]
-fn what_is_read_is_not_written_over() {
+fn inputs_are_never_overwritten() {
     let scene = Scene::new();
     std::fs::hard_link(scene.path("camera.toml"), scene.path("hard")).unwrap();
     std::os::unix::fs::symlink("art.png", scene.path("soft")).unwrap();
@@ -127,7 +127,7 @@ fn what_is_read_is_not_written_over() {
 }
 
 #[test]
-fn what_names_no_plain_file_is_refused_by_check() {
+fn check_refuses_names_that_are_not_plain_files() {
     let scene = Scene::new();
     pipe(&scene, "pipe");
     for (from, name, parts) in [
@@ -147,7 +147,7 @@ fn what_names_no_plain_file_is_refused_by_check() {
 }
 
 #[test]
-fn check_calls_no_nonsense_good() {
+fn check_refuses_nonsense_values() {
     let scene = Scene::new();
     for (from, to, parts) in [
         ("fx = 300.0", "fx = 1e300", ["camera.toml line 3: fx is 1e300", "it can be from 32 to 32000 pixels"]),
@@ -180,7 +180,7 @@ fn turned(path: &Path, picture: &GrayImage) {
 }
 
 #[test]
-fn pictures_that_are_to_be_shown_turned_are_turned_or_refused_or_told_of() {
+fn rotated_pictures_are_rotated_refused_or_reported() {
     let scene = Scene::new();
     let art = image::open(scene.path("art.png")).unwrap().into_luma8();
     turned(&scene.path("turned.jpg"), &image::imageops::rotate270(&art));

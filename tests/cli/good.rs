@@ -73,7 +73,7 @@ fn the_summary_agrees_with_the_records() {
 }
 
 #[test]
-fn an_overlay_a_frame() {
+fn an_overlay_is_written_for_every_frame() {
     let scene = Scene::new();
     scene.replay(&["--overlay", "seen"]).assert_success();
     for k in 0..6 {
@@ -83,7 +83,7 @@ fn an_overlay_a_frame() {
 }
 
 #[test]
-fn the_overlays_of_an_earlier_run_are_replaced_whole_and_other_files_are_refused() {
+fn earlier_overlays_are_replaced_and_other_files_kept() {
     let scene = Scene::new();
     scene.replay(&["--overlay", "seen"]).assert_success();
     std::fs::copy(scene.path("seen/000005.jpg"), scene.path("seen/000123.jpg")).unwrap();
@@ -135,7 +135,7 @@ fn check_says_what_it_found() {
 }
 
 #[test]
-fn ctrl_c_ends_with_what_is_there() {
+fn ctrl_c_keeps_what_was_written() {
     let scene = Scene::new();
     // Frames are ten seconds apart, so the program is certainly waiting when the signal arrives.
     let stamps: String = (0..6_u64).map(|k| format!("{},{k:06}.png\n", k * 10_000_000_000)).collect();

@@ -22,7 +22,7 @@ fn kept(cache: &Path) -> Vec<(PathBuf, Vec<u8>)> {
 }
 
 #[test]
-fn a_second_start_gives_the_same_bytes_and_a_damaged_file_is_made_anew() {
+fn cached_views_give_the_same_bytes_and_are_rebuilt_if_damaged() {
     let scene = Scene::new();
     scene.replay(&["--poses", "poses.jsonl"]).assert_success();
     let alone = scene.read("poses.jsonl");

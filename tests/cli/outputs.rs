@@ -70,7 +70,7 @@ fn check_names_the_outputs_and_refuses_a_port_in_use() {
 }
 
 #[test]
-fn check_lists_the_hosts_that_are_answered_for() {
+fn check_lists_the_allowed_hosts() {
     let scene = Scene::new();
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     scene.write("stage.toml", &format!("{CONFIG}[http]\nlisten = \"127.0.0.1:{port}\"\nhosts = [\"Stage.example.org\"]\n"));
@@ -103,7 +103,7 @@ fn a_test_pose_is_sent_and_listened_to() {
 }
 
 #[test]
-fn nothing_to_send_to_is_said() {
+fn send_test_without_outputs_is_refused() {
     let scene = Scene::new();
     scene.run(&["send-test", "--config", "stage.toml"]).assert_refused(2, &["stage.toml: there is no [[output]] section to send to"]);
 }

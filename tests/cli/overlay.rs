@@ -34,7 +34,7 @@ fn tinted_share(picture: &RgbImage) -> f64 {
 }
 
 #[test]
-fn a_clip_in_colour_has_its_overlay_in_colour_and_the_same_poses() {
+fn a_colour_clip_has_a_colour_overlay_and_the_same_poses() {
     let scene = tinted();
     scene.replay(&["--overlay", "seen", "--poses", "with.jsonl"]).assert_success();
     scene.replay(&["--poses", "without.jsonl"]).assert_success();
@@ -44,7 +44,7 @@ fn a_clip_in_colour_has_its_overlay_in_colour_and_the_same_poses() {
 }
 
 #[test]
-fn a_name_of_a_video_makes_a_video() {
+fn a_video_file_name_produces_a_video() {
     if !has_ffmpeg() {
         return;
     }
@@ -64,7 +64,7 @@ fn a_name_of_a_video_makes_a_video() {
 }
 
 #[test]
-fn an_overlay_of_a_video_and_as_a_video() {
+fn a_video_clip_gets_an_overlay_video() {
     if !has_ffmpeg() {
         return;
     }

@@ -44,14 +44,14 @@ fn a_plain_first_surface_keeps_its_place() {
 }
 
 #[test]
-fn a_plain_surface_that_comes_later_changes_nothing_of_the_first() {
+fn a_later_plain_surface_does_not_affect_the_first() {
     let scene = Scene::new();
     let records = replayed(&scene, &[ART, PLAIN]);
     assert!(records.iter().filter(|r| r["homography"].is_array()).count() >= 4, "{records:?}");
 }
 
 #[test]
-fn nothing_but_plain_surfaces_is_refused() {
+fn a_stage_of_plain_surfaces_only_is_refused() {
     let scene = Scene::new();
     scene.write("stage.toml", &[CAMERA, PLAIN, PLAIN_PHOTO].concat());
     scene.replay(&[]).assert_refused(2, &["flat.png", "too little texture", "line 4"]);

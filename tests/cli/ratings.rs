@@ -63,7 +63,7 @@ fn a_sign_with_one_picture_on_both_sides_is_refused() {
 }
 
 #[test]
-fn maps_are_written_over_nothing_that_is_read() {
+fn rating_maps_never_overwrite_inputs() {
     let scene = Scene::new();
     std::fs::rename(scene.path("art.png"), scene.path("rating-stage-1.png")).unwrap();
     scene.config_with("art.png", "rating-stage-1.png");

@@ -136,7 +136,7 @@ fn the_steps_run_as_they_are_written() {
 }
 
 #[test]
-fn every_example_sends_before_there_is_a_camera() {
+fn every_example_config_works_with_send_test() {
     let folder = tempfile::tempdir().unwrap();
     let mut examples = 0;
     for example in std::fs::read_dir(format!("{ROOT}/config")).unwrap().flatten() {

@@ -27,7 +27,7 @@ fn assert_reason(word: &str, says: &str, change: impl Fn(&GrayImage) -> GrayImag
 }
 
 #[test]
-fn the_frame_itself_is_at_fault() {
+fn faults_of_the_frame_are_named_as_reasons() {
     assert_reason("too_dark", "In 6 frames the frame is too dark: give more light", |f| levels(f, |v| 0.02 * v));
     assert_reason("too_bright", "overexposed", |f| levels(f, |v| 6.0 * v + 200.0));
     assert_reason("blank", "without detail", |f| levels(f, |_| 120.0));
@@ -35,7 +35,7 @@ fn the_frame_itself_is_at_fault() {
 }
 
 #[test]
-fn the_picture_is_not_there_or_far_too_small() {
+fn a_picture_absent_or_far_too_small_is_the_reason() {
     let other = imageops::flip_horizontal(&texture(320, 240));
     assert_reason("not_recognised", "recognised in none of 6 frames. In 6 frames the frame has detail", |_| other.clone());
     // The picture is too small for its features to be distinguished.
@@ -50,7 +50,7 @@ fn the_picture_is_not_there_or_far_too_small() {
 /// The features of a poster 50 pixels wide are recognised, but a pose from so few pixels would be
 /// too uncertain.
 #[test]
-fn the_picture_is_there_but_too_small() {
+fn a_picture_too_small_is_the_reason() {
     let scene = Scene::new();
     let poster = stagepose::diagnostics::calibrate::paint_poster(850, 1100, 1);
     poster.save(scene.path("art.png")).unwrap();
@@ -68,7 +68,7 @@ fn the_picture_is_there_but_too_small() {
 }
 
 #[test]
-fn a_picture_that_no_pose_fits_is_told_from_one_that_is_not_there() {
+fn a_misfitting_picture_is_distinguished_from_an_absent_one() {
     let scene = Scene::new();
     scene.config_with("[4.0, 3.0]", "[3.0, 4.0]");
     let (summary, printed) = replay_changed(&scene, GrayImage::clone);
@@ -81,7 +81,7 @@ fn a_picture_that_no_pose_fits_is_told_from_one_that_is_not_there() {
 }
 
 #[test]
-fn every_frame_counts_once_whatever_became_of_it() {
+fn every_frame_is_counted_exactly_once() {
     let scene = Scene::new();
     scene.truncate("clip/frames/000003.png", 400);
     let (summary, printed) = replay_changed(&scene, GrayImage::clone);

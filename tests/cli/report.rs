@@ -30,7 +30,7 @@ fn recorded() -> Scene {
 const REPORT: [&str; 7] = ["report", "--config", "stage.toml", "--output", "report.zip", "--clip", "clip"];
 
 #[test]
-fn without_a_word_it_has_texts_and_no_pictures() {
+fn by_default_a_report_has_texts_but_no_pictures() {
     let scene = recorded();
     let run = scene.run(&REPORT);
     run.assert_success();
@@ -50,7 +50,7 @@ fn without_a_word_it_has_texts_and_no_pictures() {
 }
 
 #[test]
-fn pictures_are_the_last_ones_and_those_of_the_clip_alone() {
+fn a_report_has_the_last_pictures_of_its_clip_only() {
     let scene = recorded();
     let stamps = scene.read("clip/timestamps.csv");
     scene.write("clip/timestamps.csv", &format!("{stamps}166666667,../camera.toml\n166666668,/etc/passwd\n"));
@@ -63,7 +63,7 @@ fn pictures_are_the_last_ones_and_those_of_the_clip_alone() {
 }
 
 #[test]
-fn a_terminal_is_asked_and_silence_is_no() {
+fn a_terminal_is_asked_and_the_default_answer_is_no() {
     for (answer, takes) in [("y\n", true), ("n\n", false), ("\n", false), ("\u{4}", false)] {
         let scene = recorded();
         let command = format!("{} {}", env!("CARGO_BIN_EXE_stagepose"), REPORT.join(" "));
@@ -83,7 +83,7 @@ fn a_terminal_is_asked_and_silence_is_no() {
 }
 
 #[test]
-fn nothing_that_is_broken_stops_it() {
+fn a_report_is_written_despite_broken_inputs() {
     let scene = recorded();
     scene.write("stage.toml", "[camera]\ncalibration = \"gone.toml\"\n[[stage.surface]]\nimage = \"art.png\"\nsize_m = [0, 3]\n");
     std::fs::remove_file(scene.path("clip/poses.jsonl")).unwrap();
@@ -97,7 +97,7 @@ fn nothing_that_is_broken_stops_it() {
 }
 
 #[test]
-fn nothing_is_written_over() {
+fn a_report_overwrites_nothing() {
     let scene = recorded();
     for name in ["camera.toml", "clip/poses.jsonl", "clip"] {
         let before = std::fs::read(scene.path(name)).ok();
@@ -112,7 +112,7 @@ fn nothing_is_written_over() {
 }
 
 #[test]
-fn completions_and_manual_pages_are_of_this_program() {
+fn completions_and_manual_pages_describe_this_program() {
     let scene = Scene::new();
     for shell in ["bash", "zsh", "fish"] {
         let run = scene.run(&["completions", shell]);

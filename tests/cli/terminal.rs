@@ -65,7 +65,7 @@ fn the_log_and_the_events_escape_names() {
 }
 
 #[test]
-fn a_config_with_such_a_name_is_refused() {
+fn a_config_with_control_characters_is_refused() {
     let scene = Scene::new();
     scene.write("stage.toml", &format!("{CONFIG}[[object]]\nname = \"a\\u001b]0;x\\u0007\"\n"));
     scene

@@ -31,7 +31,7 @@ fn every_command_has_help_with_an_example() {
 }
 
 #[test]
-fn bad_usage_ends_with_2() {
+fn bad_usage_exits_with_code_2() {
     let scene = Scene::new();
     let cases: [&[&str]; 10] = [
         &[],

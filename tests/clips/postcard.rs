@@ -70,7 +70,7 @@ fn postcard_67() {
 }
 
 #[test]
-fn a_postcard_in_the_hand_does_not_tell_the_lens_and_the_survey_says_which_view_is_missing() {
+fn surveying_a_handheld_postcard_names_the_missing_view() {
     let Some(set) = data_set("video-visp-postcard-161").filter(|_| has_ffmpeg()) else { return };
     let folder = tempfile::tempdir().unwrap();
     let (video, surveyed) = (set.join("postcard-161.mp4"), folder.path().join("surveyed"));

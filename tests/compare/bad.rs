@@ -19,7 +19,7 @@ fn assert_nothing(json: &Value) {
 }
 
 #[test]
-fn pictures_without_a_relation_have_none() {
+fn unrelated_pictures_have_no_relation() {
     let folder = tempfile::tempdir().expect("a folder");
     let save = |name: &str, picture: &GrayImage| picture.save(folder.path().join(name)).expect("it can be written");
     save("one.png", &grey(&paint(480, 360, 1)));
@@ -65,7 +65,7 @@ fn the_same_picture_twice_is_the_identity() {
 }
 
 #[test]
-fn wrong_arguments_are_named_with_the_mend() {
+fn wrong_arguments_are_named_with_a_hint() {
     let folder = tempfile::tempdir().expect("a folder");
     grey(&paint(320, 240, 1)).save(folder.path().join("one.png")).expect("it can be written");
     std::fs::write(folder.path().join("text.png"), "no picture").expect("it can be written");

@@ -19,7 +19,7 @@ fn rows(folder: &Path, arguments: &[&str]) -> Vec<Value> {
 }
 
 #[test]
-fn known_views_of_a_picture_are_measured() {
+fn detectors_are_measured_on_known_views() {
     let folder = tempfile::tempdir().expect("a folder");
     grey(&paint(400, 300, 1)).save(folder.path().join("one.png")).expect("it can be written");
     let rows = rows(folder.path(), &["one.png", "--only", "sift,harris", "--json", "table.json"]);
@@ -40,7 +40,7 @@ fn known_views_of_a_picture_are_measured() {
 }
 
 #[test]
-fn photographs_need_their_homographies() {
+fn measuring_photographs_needs_their_homographies() {
     let folder = tempfile::tempdir().expect("a folder");
     grey(&paint(400, 300, 1)).save(folder.path().join("one.png")).expect("it can be written");
     std::fs::write(folder.path().join("same"), "1 0 0\n0 1 0\n0 0 1\n").expect("it can be written");

@@ -15,7 +15,7 @@ fn compared(picture: &GrayImage, detector: DetectorKind, goes_on: &dyn Fn(Step, 
 }
 
 #[test]
-fn the_views_of_asift_are_counted_one_by_one() {
+fn asift_reports_progress_view_by_view() {
     let picture = grey(&paint(200, 150, 1));
     let heard = RefCell::new(Vec::new());
     let hear = |step, share| {
@@ -38,7 +38,7 @@ fn the_views_of_asift_are_counted_one_by_one() {
 
 /// Wherever it is stopped, there is no result, and the callback is not called again.
 #[test]
-fn every_detector_ends_where_it_is_not_wanted_any_more() {
+fn every_detector_stops_at_once_when_cancelled() {
     let picture = grey(&paint(200, 150, 1));
     for (name, detector) in DetectorKind::ALL {
         let asked_until = |end: usize| {

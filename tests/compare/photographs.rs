@@ -36,7 +36,7 @@ const OXFORD: [(&str, &[(u32, f64)]); 4] = [
 ];
 
 #[test]
-fn planes_seen_twice_are_homographies_as_exact_as_a_peers() {
+fn plane_homographies_are_as_accurate_as_a_peers() {
     for (set, pairs) in OXFORD {
         let Some(folder) = data_set(set) else { return };
         let out = tempfile::tempdir().expect("a folder");
@@ -61,7 +61,7 @@ const NOT_QUITE_FLAT: [(&str, [&str; 3], f64); 4] = [
 ];
 
 #[test]
-fn pairs_that_are_not_quite_flat_are_as_exact_as_a_peers() {
+fn nearly_flat_pairs_are_as_accurate_as_a_peers() {
     for (set, [first, second, truth], most) in NOT_QUITE_FLAT {
         let Some(folder) = data_set(set) else { return };
         let out = tempfile::tempdir().expect("a folder");
@@ -73,7 +73,7 @@ fn pairs_that_are_not_quite_flat_are_as_exact_as_a_peers() {
 }
 
 #[test]
-fn steep_views_are_related_by_simulated_ones() {
+fn asift_relates_steep_views() {
     let Some(folder) = data_set("homog-oxford-graf") else { return };
     let out = tempfile::tempdir().expect("a folder");
     let first = folder.join("1.png");
@@ -148,7 +148,7 @@ fn errors_deg(folder: &Path, views: &[Posed], model: Option<&str>) -> (Vec<f64>,
 }
 
 #[test]
-fn a_fountain_gives_the_move_of_the_camera() {
+fn the_fountain_pair_yields_the_camera_motion() {
     let Some(folder) = data_set("pose-strecha-fountain-P11") else { return };
     let (turns, directions) = errors_deg(&folder, &posed(&folder), Some("essential"));
     assert_eq!(directions.len(), 10);
@@ -157,7 +157,7 @@ fn a_fountain_gives_the_move_of_the_camera() {
 }
 
 #[test]
-fn an_office_gives_the_move_of_the_camera() {
+fn the_office_pair_yields_the_camera_motion() {
     let Some(folder) = data_set("pose-tum-fr3-office") else { return };
     // The first picture was taken before the first measured pose.
     let (turns, directions) = errors_deg(&folder, &posed(&folder)[1..], None);

@@ -52,7 +52,7 @@ const FROM_LEFT: Station = ([-0.5, -4.0, 0.1], [0.0, 0.0, 0.0], 0.0);
 const FROM_RIGHT: Station = ([0.5, -3.7, -0.2], [0.2, 0.0, 0.1], 0.0);
 
 #[test]
-fn a_scene_with_depth_gives_the_essential_matrix_and_the_move() {
+fn a_scene_with_depth_yields_essential_matrix_and_motion() {
     let folder = tempfile::tempdir().expect("a folder");
     let truth = rendered(folder.path(), [FROM_LEFT, FROM_RIGHT], true);
     let baseline = truth.translation.norm().to_string();
@@ -115,7 +115,7 @@ fn a_flat_scene_gives_the_homography() {
 }
 
 #[test]
-fn a_camera_that_only_turned_has_no_direction() {
+fn a_pure_rotation_has_no_translation_direction() {
     let folder = tempfile::tempdir().expect("a folder");
     let turned = (FROM_LEFT.0, [0.5, 0.0, 0.2], 0.0);
     let truth = rendered(folder.path(), [FROM_LEFT, turned], true);
@@ -128,7 +128,7 @@ fn a_camera_that_only_turned_has_no_direction() {
 }
 
 #[test]
-fn every_detector_relates_an_easy_pair_and_the_same_bytes_come_twice() {
+fn every_detector_relates_an_easy_pair_reproducibly() {
     let folder = tempfile::tempdir().expect("a folder");
     let near = ([-0.4, -3.9, 0.1], [0.0, 0.0, 0.0], 0.0);
     rendered(folder.path(), [FROM_LEFT, near], false);

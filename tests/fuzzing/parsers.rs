@@ -196,7 +196,7 @@ fn models() {
 }
 
 #[test]
-fn words_of_ffmpeg() {
+fn ffmpeg_log_lines() {
     assert_eq!(ffmpeg_account(seeds::FFMPEG_LOG), (Some("yuv420p".to_owned()), Some(-90.0)));
     fuzz("ffmpeg", text(&[seeds::FFMPEG_LOG]), MAX_OF_TEXT, |bytes| drop(ffmpeg_account(&String::from_utf8_lossy(bytes))));
 }

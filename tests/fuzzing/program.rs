@@ -152,7 +152,7 @@ fn replay_of_damaged_clips() {
 }
 
 #[test]
-fn replay_of_damaged_videos_that_are_to_be_shown_turned() {
+fn replay_survives_damaged_rotated_videos() {
     let Some(mp4) = turned_mp4() else {
         eprintln!("skipped: ffmpeg cannot make a video here");
         return;

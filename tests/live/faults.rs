@@ -82,7 +82,7 @@ fn a_camera_that_goes_and_returns_is_tracked_again() {
 }
 
 #[test]
-fn silence_gives_stale_messages_and_never_a_record() {
+fn camera_silence_yields_stale_messages_but_no_record() {
     let played = play(&Faulty::told(&[], &[(5, Fault::Stalls)], 10));
     let stale: Vec<&PoseSample> = played.samples.iter().filter(|s| s.state == State::Stale).collect();
     assert!(!stale.is_empty() && stale.iter().all(|s| s.pose.is_none() && s.times.age_ms.is_some()));
@@ -94,7 +94,7 @@ fn silence_gives_stale_messages_and_never_a_record() {
 }
 
 #[test]
-fn a_read_that_never_returns_hangs_nobody() {
+fn a_blocked_camera_read_hangs_nothing() {
     let faulty = Faulty::told(&[], &[(3, Fault::Blocks), (4, Fault::Blocks), (5, Fault::Blocks)], 8);
     let played = play(&faulty);
     assert_eq!(played.rows().len(), 8);
@@ -109,7 +109,7 @@ fn a_read_that_never_returns_hangs_nobody() {
 }
 
 #[test]
-fn bad_pictures_and_bad_stamps_cost_themselves_only() {
+fn bad_pictures_and_stamps_lose_only_themselves() {
     let faults = [
         (4, Fault::Truncated),
         (6, Fault::Garbage),
@@ -130,7 +130,7 @@ fn bad_pictures_and_bad_stamps_cost_themselves_only() {
 }
 
 #[test]
-fn a_driver_without_stamps_is_said_once() {
+fn a_driver_without_stamps_is_reported_once() {
     let played = play(&Faulty::told(&[], &[(0, Fault::NoStamp), (1, Fault::NoStamp)], 3));
     assert_eq!(played.events.iter().filter(|e| matches!(e.event, Event::NoDriverStamp { .. })).count(), 1);
 }

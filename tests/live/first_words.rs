@@ -101,7 +101,7 @@ fn setup_in_an_empty_folder_prints_the_pages_address() {
 }
 
 #[test]
-fn run_prints_the_pages_address_and_plays_a_clip_again_and_again() {
+fn run_prints_the_pages_address_and_loops_a_clip() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(folder.path());
     let text = std::fs::read_to_string(&config).unwrap() + &http();
@@ -154,7 +154,7 @@ fn as_nobody(command: &mut Command, state: &Path) {
 }
 
 #[test]
-fn what_may_not_be_written_beside_the_config_goes_to_the_state_folder() {
+fn a_read_only_config_folder_redirects_to_the_state_folder() {
     let [etc, state] = [(); 2].map(|()| tempfile::tempdir().unwrap());
     let config = config(etc.path());
     let text = std::fs::read_to_string(&config).unwrap() + &http();
@@ -189,7 +189,7 @@ fn what_may_not_be_written_beside_the_config_goes_to_the_state_folder() {
 }
 
 #[test]
-fn a_recording_that_may_not_be_written_is_refused_with_its_cause() {
+fn an_unwritable_recording_is_refused_with_its_cause() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(folder.path());
     let text = std::fs::read_to_string(&config).unwrap() + &http() + "[recorder]\nfolder = \"/etc/recordings\"\n";

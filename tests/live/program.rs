@@ -70,7 +70,7 @@ fn wait_for(log: &mut impl BufRead, text: &str) {
 }
 
 #[test]
-fn a_recording_that_the_disk_ends_is_no_success_and_tracking_goes_on() {
+fn a_full_disk_fails_the_recording_but_tracking_continues() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(folder.path());
     // The pictures are smaller than the fixture's, so that the copy of the config fits the file
@@ -108,7 +108,7 @@ fn a_recording_that_the_disk_ends_is_no_success_and_tracking_goes_on() {
 }
 
 #[test]
-fn an_output_that_cannot_be_written_any_more_is_no_success() {
+fn an_output_that_fails_midway_exits_with_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(folder.path());
     let run = ["run", "--config", config.to_str().unwrap(), "--play", FIXTURE, "--poses", "/dev/full"];
@@ -142,7 +142,7 @@ fn a_played_clip_is_recorded_and_replays_byte_for_byte() {
 }
 
 #[test]
-fn what_is_left_of_a_recording_is_not_written_over() {
+fn remains_of_a_recording_are_not_overwritten() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(folder.path());
     let record = |more: &[&str]| {
@@ -200,7 +200,7 @@ fn record_some(folder: &std::path::Path, clip: &std::path::Path, take: &str) -> 
 }
 
 #[test]
-fn a_locked_exposure_is_the_trackers_and_the_recordings_too() {
+fn a_locked_exposure_is_used_and_recorded() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(folder.path());
     let set = std::fs::read_to_string(&config).unwrap();
@@ -226,7 +226,7 @@ fn a_locked_exposure_is_the_trackers_and_the_recordings_too() {
 }
 
 #[test]
-fn it_is_a_good_service() {
+fn run_behaves_as_a_systemd_service() {
     let folder = tempfile::tempdir().unwrap();
     let (config, clip) = (config(folder.path()), long_clip(folder.path(), 40));
     let text = std::fs::read_to_string(&config).unwrap();

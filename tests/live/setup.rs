@@ -67,7 +67,7 @@ impl Setup {
 }
 
 #[test]
-fn without_a_config_the_page_comes_up_and_a_good_one_is_tracked_with() {
+fn setup_without_a_config_serves_the_page_then_tracks() {
     let folder = tempfile::tempdir().unwrap();
     let file = config(folder.path());
     let good = std::fs::read_to_string(&file).unwrap();
@@ -86,7 +86,7 @@ fn without_a_config_the_page_comes_up_and_a_good_one_is_tracked_with() {
 }
 
 #[test]
-fn a_bad_config_is_named_by_file_key_and_line_and_its_mend_is_tracked_with() {
+fn setup_names_a_bad_config_and_tracks_once_fixed() {
     let folder = tempfile::tempdir().unwrap();
     let file = config(folder.path());
     let good = std::fs::read_to_string(&file).unwrap();

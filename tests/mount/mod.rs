@@ -63,7 +63,7 @@ fn json(folder: &Path) -> Value {
 }
 
 #[test]
-fn six_pairs_of_views_tell_the_mount_and_judge_the_typed_one() {
+fn six_view_pairs_solve_the_mount_and_check_the_typed_one() {
     let folder = tempfile::tempdir().unwrap();
     let (folder, board, tracking) = (folder.path(), Board::new(3), poses(&PLACES));
     write(folder, "a", tracking_camera(), &board, &tracking);
@@ -108,7 +108,7 @@ fn six_pairs_of_views_tell_the_mount_and_judge_the_typed_one() {
 }
 
 #[test]
-fn one_pair_is_given_with_its_doubt_and_the_view_that_is_missing() {
+fn one_pair_reports_its_uncertainty_and_the_missing_view() {
     let folder = tempfile::tempdir().unwrap();
     let (folder, board) = (folder.path(), Board::new(4));
     let tracking = poses(&PLACES[..2]);
@@ -148,7 +148,7 @@ fn filmed(places: &[Pose<Stage, Camera>], first: usize, last: usize) -> Vec<Pose
 }
 
 #[test]
-fn films_of_the_same_standstills_are_counted_off() {
+fn films_are_paired_by_counting_their_standstills() {
     let folder = tempfile::tempdir().unwrap();
     let (folder, board, tracking) = (folder.path(), Board::new(6), poses(&PLACES[..3]));
     let seen: Vec<_> = tracking.iter().map(filming).collect();
@@ -163,7 +163,7 @@ fn films_of_the_same_standstills_are_counted_off() {
 }
 
 #[test]
-fn a_lens_that_was_guessed_leaves_its_doubt_in_the_mount() {
+fn a_guessed_lens_adds_its_uncertainty_to_the_mount() {
     let folder = tempfile::tempdir().unwrap();
     let (folder, board, tracking) = (folder.path(), Board::new(7), poses(&PLACES));
     let sigma = |told: &Value| numbers(&told["covariance"]).iter().step_by(7).take(3).sum::<f64>().sqrt();
@@ -210,7 +210,7 @@ fn on_own_boards(turns: &[[f64; 3]]) -> tempfile::TempDir {
 }
 
 #[test]
-fn boards_of_their_own_need_turns_about_two_axes() {
+fn own_boards_need_rotations_about_two_axes() {
     let panned = on_own_boards(&[-15.0, -8.0, 0.0, 8.0, 15.0].map(|pan| [pan, 0.0, 0.0]));
     let refused = run(panned.path(), &["--own-boards"]);
     let said = text(&refused.stderr);
@@ -228,7 +228,7 @@ fn boards_of_their_own_need_turns_about_two_axes() {
 }
 
 #[test]
-fn what_does_not_go_together_is_refused_with_the_mend() {
+fn mismatched_mount_inputs_are_refused_with_a_hint() {
     let folder = tempfile::tempdir().unwrap();
     let (folder, board) = (folder.path(), Board::new(7));
     let tracking = poses(&PLACES[..3]);
@@ -255,7 +255,7 @@ fn what_does_not_go_together_is_refused_with_the_mend() {
 /// Random rigs, each with three random views: the reported mount is as accurate as its covariance
 /// says. `STAGEPOSE_RIGS=20` tries more rigs than the two of a normal run.
 #[test]
-fn what_is_told_is_as_far_off_as_it_says() {
+fn the_stated_mount_sigma_matches_the_error() {
     let trials: u64 = std::env::var("STAGEPOSE_RIGS").ok().and_then(|n| n.parse().ok()).unwrap_or(2);
     let (mut sum, mut worst) = (0.0, [0.0_f64; 2]);
     for trial in 0..trials {

@@ -119,7 +119,7 @@ fn every_datagram_is_one_printable_line() {
 }
 
 #[test]
-fn what_was_found_by_hand_is_one_printable_line() {
+fn datagrams_found_by_hand_are_one_printable_line() {
     let mut osc = Listener::start("osc");
     let immediately = b"/a\0\0,t\0\0\0\0\0\0\0\0\0\x01";
     assert!(osc.line(immediately).ends_with(" /a (t) immediately\n"));

@@ -43,7 +43,7 @@ fn is_good(line: &Value) -> bool {
 }
 
 #[test]
-fn after_a_stop_nothing_old_is_told_as_good() {
+fn after_a_stop_no_old_pose_is_sent_as_tracking() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["backdrop.png", "flat.png", "camera.toml"] {
         std::fs::copy(format!("{FIXTURE}/{name}"), folder.path().join(name)).unwrap();

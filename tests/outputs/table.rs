@@ -249,7 +249,7 @@ fn cell(said: &Said) -> String {
 }
 
 #[test]
-fn every_cell_is_what_is_sent() {
+fn every_documented_cell_matches_what_is_sent() {
     let table = table();
     for (row, story) in stories() {
         let wanted = |title: &str| {
@@ -273,7 +273,7 @@ fn every_cell_is_what_is_sent() {
 }
 
 #[test]
-fn flag_is_refused_where_nothing_can_be_flagged() {
+fn on_loss_flag_is_refused_without_a_field_to_flag() {
     let scene = crate::cli::scene::Scene::new();
     for kind in
         ["\"freed\"\nspare = \"frame\"", "\"freed\"\nspare = \"sony\"", "\"freed\"\nspare = \"zero\"", "\"osc\"\nmessages = [\"pose\"]"]
@@ -345,7 +345,7 @@ mod web {
     }
 
     #[test]
-    fn every_cell_is_what_is_served() {
+    fn every_documented_cell_matches_what_is_served() {
         let table = table();
         for (row, story) in stories() {
             let clocks = SteppedClocks::new();

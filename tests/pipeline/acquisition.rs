@@ -25,13 +25,13 @@ fn given_right(scene: &VirtualStage, samples: &[PoseSample]) -> usize {
 }
 
 #[test]
-fn a_frame_that_leaves_no_doubt_gives_its_pose_at_once() {
+fn a_conclusive_frame_reports_its_pose_at_once() {
     let scene = quiet(camera(640, 480), aside(), backdrop());
     assert_eq!(given_right(&scene, &track(&scene, 1)), 1);
 }
 
 #[test]
-fn a_moving_camera_gives_its_pose_at_once_under_a_rolling_shutter() {
+fn a_moving_rolling_shutter_camera_reports_its_pose_at_once() {
     // A frontal plane that approaches while its rows are read looks tilted; its blur reveals the
     // motion.
     let keys = [(-0.5, [-0.9, -3.6, 0.0]), (0.5, [0.9, -2.6, 0.4])].map(|(t, p)| (t, Vector3::from(p)));
@@ -48,7 +48,7 @@ fn a_moving_camera_gives_its_pose_at_once_under_a_rolling_shutter() {
 }
 
 #[test]
-fn a_stage_is_found_from_far_to_its_side() {
+fn a_stage_is_found_in_steep_side_views() {
     for degrees in [60.0, 70.0, 75.0] {
         let scene = quiet(camera(960, 720), from_the_side(degrees, 2.6, [0.0; 3]), backdrop());
         assert_eq!(given_right(&scene, &track(&scene, 2)), 2, "{degrees} degrees");
@@ -56,7 +56,7 @@ fn a_stage_is_found_from_far_to_its_side() {
 }
 
 #[test]
-fn an_object_is_found_in_the_frame_that_finds_the_stage_from_far_to_its_side() {
+fn object_and_stage_are_found_together_in_a_steep_view() {
     let mut scene = quiet(camera(960, 720), from_the_side(75.0, 2.6, [0.0; 3]), backdrop());
     // Seen this small, the object is found only by the search that starts from the stage's pose.
     let art = grey(&paint(320, 320, 77));
@@ -97,7 +97,7 @@ fn tiles_never_give_a_shifted_pose() {
 }
 
 #[test]
-fn a_front_of_windows_never_gives_a_shifted_pose() {
+fn a_window_facade_never_yields_a_shifted_pose() {
     let window = |x: u32, y: u32| match (x, y) {
         (30..90, 30..120) if (x - 30) % 30 < 4 || (y - 30) % 45 < 4 => 60,
         (30..90, 30..120) => 200,

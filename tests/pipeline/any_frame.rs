@@ -36,7 +36,7 @@ fn setting(name: &str, usual: u64) -> u64 {
 }
 
 #[test]
-fn no_frame_and_no_setup_ends_the_tracker() {
+fn no_frame_or_setup_crashes_the_tracker() {
     let (frames, first) = (setting("STAGEPOSE_RANDOM_FRAMES", USUAL_FRAMES), setting("STAGEPOSE_RANDOM_SEED", 1));
     let (mut tracked, mut all) = (0, 0);
     for seed in first..first + frames.div_ceil(FRAMES_A_SCENE) {

@@ -53,7 +53,7 @@ fn scored(scene: &VirtualStage, samples: &[PoseSample]) -> (usize, f64, f64) {
 }
 
 #[test]
-fn a_cloth_whose_shape_is_told_is_tracked_like_a_flat_one() {
+fn a_cloth_with_a_configured_shape_tracks_like_a_flat_one() {
     let flat = hung(|_| {});
     let (_, _, flat_mm) = scored(&flat, &track(&flat, FRAMES));
     let bent = hung(|scene| scene.stage.surfaces[0].shape = folds());
@@ -68,7 +68,7 @@ fn a_cloth_whose_shape_is_told_is_tracked_like_a_flat_one() {
 }
 
 #[test]
-fn folds_and_draughts_that_nobody_told_are_in_the_covariance() {
+fn unconfigured_folds_and_draughts_are_in_the_covariance() {
     for (height_m, rate_hz) in [(0.008, 0.0), (0.006, 0.4)] {
         let scene = hung(|scene| scene.draughts = vec![Draught { surface: 0, waves: waves(height_m, rate_hz) }]);
         let (count, nees, mm) = scored(&scene, &track(&scene, FRAMES));

@@ -37,7 +37,7 @@ fn count(samples: &[PoseSample], reason: Reason) -> usize {
 }
 
 #[test]
-fn a_pan_to_a_smaller_print_is_no_motion_and_the_stage_is_taken_back() {
+fn a_pan_to_a_smaller_print_is_not_tracked_as_motion() {
     let path = looking(&[(0.0, 0.2), (0.2, 0.2), (0.7, 4.2), (1.0, 4.2), (1.5, 0.4), (2.0, 0.4)]);
     let scene = with_scenery(path, vec![print(0.5, Vector3::new(3.3, 0.0, 0.1))]);
     let samples = track(&scene, (1.9 * FPS) as u64);
@@ -49,7 +49,7 @@ fn a_pan_to_a_smaller_print_is_no_motion_and_the_stage_is_taken_back() {
 }
 
 #[test]
-fn of_two_prints_none_is_given_until_one_is_gone() {
+fn no_pose_is_reported_while_two_look_alikes_are_visible() {
     for share in [1.0, 0.6] {
         let path = looking(&[(0.0, 1.8), (0.4, 1.8), (0.9, -1.2), (3.0, -1.2)]);
         let mut path = path;
@@ -71,7 +71,7 @@ fn of_two_prints_none_is_given_until_one_is_gone() {
 }
 
 #[test]
-fn a_print_that_comes_into_view_ends_no_track() {
+fn a_second_print_coming_into_view_ends_no_track() {
     let path = looking(&[(0.0, -0.5), (0.3, -0.5), (0.8, 1.2), (3.0, 1.2)]);
     let scene = with_scenery(path, vec![print(0.5, Vector3::new(3.2, 0.0, 0.0))]);
     let samples = track(&scene, 36);
@@ -82,7 +82,7 @@ fn a_print_that_comes_into_view_ends_no_track() {
 /// Frames hide borders, masks hide halves, and the scenery beside the stage has another picture;
 /// none of them is a copy.
 #[test]
-fn what_hides_borders_refuses_nobody() {
+fn scenery_hiding_the_borders_does_not_prevent_tracking() {
     let board = |x: f64, z: f64, size: [f64; 2]| surface("board", other_art(), size, Vector3::new(x, -0.05, z), 0.0);
     let frame =
         vec![board(-1.95, 0.0, [0.6, 3.4]), board(1.95, 0.0, [0.6, 3.4]), board(0.0, 1.5, [4.4, 0.5]), board(0.0, -1.5, [4.4, 0.5])];
@@ -97,7 +97,7 @@ fn what_hides_borders_refuses_nobody() {
 }
 
 #[test]
-fn a_covered_camera_that_was_carried_is_found_elsewhere() {
+fn a_camera_carried_while_dark_is_found_elsewhere() {
     let keys = [(0.0, -0.9), (0.2, -0.9), (1.2, 1.0), (2.0, 1.0)].map(|(t, x)| (t, Vector3::new(x, -3.3, 0.2)));
     let path = CameraPath { position: Spline::straight(&keys).unwrap(), ..CameraPath::fixed(Point3::origin(), Point3::origin()) };
     let mut scene = with_scenery(path, Vec::new());
@@ -109,7 +109,7 @@ fn a_covered_camera_that_was_carried_is_found_elsewhere() {
 
 /// A quick pan at 5, 30 and 240 frames a second: 0.6 m and 40 degrees within 0.4 s.
 #[test]
-fn a_quick_camera_is_given_at_any_rate() {
+fn a_quick_pan_is_tracked_at_any_frame_rate() {
     for fps in [5.0, 30.0, 240.0] {
         let targets = [
             (0.0, Vector3::new(-1.4, 0.0, 0.0)),
@@ -136,7 +136,7 @@ fn a_quick_camera_is_given_at_any_rate() {
 }
 
 #[test]
-fn a_stage_alone_is_given_in_its_first_frame() {
+fn a_stage_without_look_alikes_tracks_in_its_first_frame() {
     let scene = with_scenery(past(), Vec::new());
     for row in rows(&scene, 3) {
         let samples = track_rows(setup(&scene), &[row]);

@@ -40,7 +40,7 @@ fn join(running: RunningDaemon) {
 }
 
 #[test]
-fn subscribers_get_what_the_tracker_alone_says_on_any_number_of_threads() {
+fn subscribers_get_the_same_records_on_any_number_of_threads() {
     let alone = lines(track(&scene(), 9));
     assert!(alone.iter().any(|l| l.contains("\"tracking\"")) && alone.iter().any(|l| l.contains("\"coasting\"")));
     for threads in [1, 2] {
@@ -103,7 +103,7 @@ fn sequences(samples: &Receiver<PoseSample>) -> Vec<u64> {
 }
 
 #[test]
-fn a_live_subscriber_that_sleeps_loses_the_oldest_and_holds_nobody_up() {
+fn a_sleeping_live_subscriber_loses_its_oldest_records() {
     let (mut daemon, published) = beating(400, Delivery::DropOldest);
     let (sleeper, reader) = (daemon.subscribe(), daemon.subscribe());
     let running = daemon.start().unwrap();

@@ -21,7 +21,7 @@ fn from_the_side() -> CameraPath {
 }
 
 #[test]
-fn a_stretched_print_is_in_the_covariance() {
+fn a_stretched_print_is_covered_by_the_covariance() {
     let scene = quiet(camera(640, 360), from_the_side(), backdrop());
     let mut told = setup(&scene);
     told.stage = body(vec![surface("backdrop", backdrop_art(), [4.04, 3.0], Vector3::zeros(), 0.0)]);
@@ -84,7 +84,7 @@ fn a_zoom_is_withheld_until_the_lens_is_back() {
 }
 
 #[test]
-fn a_zoom_is_withheld_where_cloth_hides_it() {
+fn poses_are_withheld_during_a_zoom_hidden_by_cloth() {
     let mut scene = quiet(camera(640, 360), from_the_side(), backdrop());
     let wave = |height_m, wave_vector, phase_rad| Wave { height_m, wave_vector, rate_hz: 0.0, phase_rad };
     scene.draughts = vec![Draught { surface: 0, waves: vec![wave(0.009, [4.4, 0.4], 0.9), wave(0.009, [8.0, -0.8], 2.1)] }];
@@ -98,7 +98,7 @@ fn a_zoom_is_withheld_where_cloth_hides_it() {
 }
 
 #[test]
-fn a_flat_that_was_moved_is_told_once_and_the_others_lead_on() {
+fn a_moved_flat_is_reported_once_and_the_others_track_on() {
     let flats = |moved: Vector3<f64>| {
         let tree = surface("tree.png", other_art(), [1.2, 0.9], Vector3::new(0.9, -0.7, -0.3) + moved, 0.3);
         let house = surface(
@@ -140,7 +140,7 @@ fn a_flat_that_was_moved_is_told_once_and_the_others_lead_on() {
 }
 
 #[test]
-fn of_a_stage_as_told_nothing_is_told() {
+fn a_correctly_configured_stage_reports_no_misfit() {
     let scene = quiet(camera(480, 360), from_the_side(), backdrop());
     let mut matcher =
         Matcher::new(scene.camera, scene.shutter.into(), None, &[&backdrop()], Default::default(), ComputeClock::default(), None);

@@ -83,7 +83,7 @@ fn mixtures_are_withheld_while_the_camera_moves() {
 
 /// The fields of an interlaced camera are half a frame interval apart.
 #[test]
-fn fields_of_an_interlaced_camera_are_named_once_and_withheld() {
+fn interlaced_frames_are_withheld_and_reported_once() {
     let scene = quiet(camera(640, 360), panning_by(0.3), backdrop());
     let mut camera = VirtualCamera::new(scene.clone(), 2.0 * FPS, 41);
     let fields: Vec<ClipEntry> = std::iter::from_fn(|| camera.next_entry()).collect();
@@ -103,7 +103,7 @@ fn fields_of_an_interlaced_camera_are_named_once_and_withheld() {
 }
 
 #[test]
-fn light_that_flickers_in_bands_is_no_mixture() {
+fn banded_light_flicker_is_not_a_mixed_frame() {
     let scene = quiet(camera(640, 360), panning_by(0.4), backdrop());
     let mut rows = rows(&scene, 14);
     for (k, row) in rows.iter_mut().enumerate() {
@@ -117,7 +117,7 @@ fn light_that_flickers_in_bands_is_no_mixture() {
 }
 
 #[test]
-fn mixtures_of_a_still_camera_are_fine() {
+fn mixed_frames_of_a_still_camera_are_tracked() {
     let scene = quiet(camera(640, 360), aside(), backdrop());
     let whole = rows(&scene, 6);
     for mix in [blend as fn(u32, u8, u8) -> u8, weave, tear] {
@@ -133,7 +133,7 @@ fn assert_unmixed(scene: &VirtualStage, rows: &[ClipEntry], least: usize) {
 }
 
 #[test]
-fn an_exposure_as_long_as_the_frame_is_no_mixture() {
+fn a_full_frame_exposure_is_not_a_mixed_frame() {
     for exposure_s in [0.2 / FPS, 0.98 / FPS] {
         let mut scene = quiet(camera(640, 360), panning(), backdrop());
         scene.shutter.exposure_s = exposure_s;
@@ -143,7 +143,7 @@ fn an_exposure_as_long_as_the_frame_is_no_mixture() {
 }
 
 #[test]
-fn a_rolling_shutter_under_a_shaking_hand_is_no_tear() {
+fn a_shaken_rolling_shutter_is_not_a_tear() {
     for (readout_s, is_known) in [(0.012, true), (0.03, true), (0.012, false)] {
         let mut path = panning();
         path.shake = Some(Shake::new(0.01, 0.02, 4.0, 5));
@@ -158,7 +158,7 @@ fn a_rolling_shutter_under_a_shaking_hand_is_no_tear() {
 }
 
 #[test]
-fn lossy_pictures_are_no_mixture() {
+fn lossy_pictures_are_not_mixed_frames() {
     let scene = quiet(camera(640, 360), panning(), backdrop());
     let mut rows = rows(&scene, 10);
     for row in &mut rows {
@@ -171,7 +171,7 @@ fn lossy_pictures_are_no_mixture() {
 }
 
 #[test]
-fn fine_stripes_are_no_woven_fields() {
+fn fine_stripes_are_not_taken_for_interlacing() {
     let art = GrayImage::from_fn(1000, 750, |x, y| {
         let own = i32::from(backdrop_art().get_pixel(x, y)[0]);
         image::Luma([(own + if y % 4 < 2 { 40 } else { -40 }).clamp(0, 255) as u8])

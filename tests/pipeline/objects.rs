@@ -153,7 +153,7 @@ fn is_whole(scene: &VirtualStage, sample: &PoseSample) -> bool {
 /// The object was not seen before, and it is smeared by several pixels. Its blur reveals its speed,
 /// or else the next frame does.
 #[test]
-fn an_object_that_comes_in_quickly_is_given_as_soon_as_it_is_whole() {
+fn a_fast_object_is_reported_as_soon_as_it_is_fully_visible() {
     for (seed, exposure_s) in [(31, 0.004), (32, 0.005), (33, 0.006), (34, 0.007)] {
         let mut scene = quiet(camera(640, 480), aside(), backdrop());
         let keys = [(0.0, [-3.6, -0.8, 0.0]), (0.1, [-3.6, -0.8, 0.0]), (1.2, [0.4, -0.8, 0.1])];
@@ -185,7 +185,7 @@ fn an_object_that_leaves_comes_back() {
 /// The poster on the stage has another shape than configured, so it is recognised in every frame
 /// and never fits.
 #[test]
-fn an_object_that_is_tried_in_vain_takes_no_time_from_another() {
+fn an_object_that_never_fits_does_not_starve_another() {
     let mut scene = quiet(camera(960, 720), aside(), backdrop());
     scene.objects.push(prop("poster", 52, 1.1, along(&[(0.0, [-0.7, -0.5, 0.0]), (1.0, [-0.7, -0.5, 0.0])], 0.1, 0.0)));
     scene.objects.push(prop("prop", 53, 0.4, along(&[(0.0, [0.7, -0.6, 0.1]), (1.0, [0.9, -0.6, 0.1])], 0.2, 0.0)));
@@ -215,7 +215,7 @@ fn an_object_that_is_thrown_is_lost_honestly() {
 }
 
 #[test]
-fn objects_in_front_leave_the_stage_s_pose_alone() {
+fn objects_in_front_do_not_change_the_stage_pose() {
     let bare = quiet(camera(640, 480), aside(), backdrop());
     let mut crowded = bare.clone();
     for k in 0..4 {

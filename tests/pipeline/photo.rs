@@ -18,7 +18,7 @@ fn photographer() -> CameraModel {
 /// A still of the clip may serve as the photograph; then the frame and the photograph are
 /// identical, even in their noise.
 #[test]
-fn a_clip_that_begins_with_the_very_photograph_is_given_in_that_frame() {
+fn a_clip_starting_with_its_own_photograph_tracks_at_once() {
     for place in [Point3::new(0.7, -4.4, -0.2), Point3::new(-0.3, -5.0, 0.3)] {
         let path = CameraPath::fixed(place, Point3::new(0.05, 0.0, 0.02));
         let scene = quiet(photographer(), path, backdrop());
@@ -82,7 +82,7 @@ fn a_photograph_serves_as_the_stage() {
 /// The print is 350 pixels wide in its photograph, its corners have typical reading errors, and the
 /// camera moves in front of it.
 #[test]
-fn corners_that_are_typed_a_pixel_off_accuse_no_lens_and_are_in_the_covariance() {
+fn photo_corners_a_pixel_off_widen_the_covariance_only() {
     let (stage, lens) = (backdrop(), camera(640, 480));
     let spec = &stage.surfaces[0];
     let photo_path = CameraPath::fixed(Point3::new(0.2, -7.2, -0.1), Point3::new(0.0, 0.0, 0.0));

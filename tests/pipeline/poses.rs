@@ -12,13 +12,13 @@ const SHARE: f64 = 0.001;
 const DEGREES: f64 = 0.05;
 
 #[test]
-fn a_still_camera_is_where_it_is() {
+fn a_still_camera_is_tracked_accurately() {
     let scene = quiet(camera(640, 360), aside(), backdrop());
     assert_tracks_within(&scene, &track(&scene, 6), SHARE, DEGREES);
 }
 
 #[test]
-fn a_moving_camera_is_where_it_is() {
+fn a_moving_camera_is_tracked_accurately() {
     let scene = quiet(camera(640, 360), past(), backdrop());
     assert_tracks_within(&scene, &track(&scene, 15), SHARE, DEGREES);
 }

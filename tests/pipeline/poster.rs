@@ -34,7 +34,7 @@ fn the_poster_is_tracked_near_far_askew_and_in_dim_light() {
 /// At ten widths, the poster is 55 pixels wide. The camera stops abruptly there, which no motion
 /// filter predicts.
 #[test]
-fn it_is_followed_to_ten_widths_and_to_75_degrees() {
+fn the_poster_is_followed_to_ten_widths_and_75_degrees() {
     let picture = paint_poster(850, 1200, 7);
     for (from, to) in [((5.0, 0.0), (10.0, 0.0)), ((1.0, 45.0), (1.0, 75.0))] {
         let scene = one_picture(picture.clone(), walk(from, to, 1.0), 1.0);
@@ -63,7 +63,7 @@ fn it_is_followed_to_ten_widths_and_to_75_degrees() {
 /// `cargo bench --bench poster` takes all pictures at all distances; these are the most telling
 /// ones.
 #[test]
-fn its_sigma_is_below_that_of_natural_pictures_of_the_same_width() {
+fn a_poster_has_smaller_sigma_than_natural_pictures() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/textures");
     let names = ["starry_night.jpg", "astronaut.png", "Wine_by_Jakkub_Mede.jpg"];
     let pictures: Vec<_> = names.iter().filter_map(|name| Some((*name, image::open(folder.join(name)).ok()?.to_luma8()))).collect();

@@ -5,7 +5,7 @@ use stagepose::{Shake, State};
 use super::scene::{backdrop, camera, errors, nees_per_freedom, past, quiet, rows, setup, track_rows};
 
 #[test]
-fn knowing_the_readout_is_worth_much() {
+fn a_known_readout_reduces_the_scatter() {
     let mut path = past();
     path.shake = Some(Shake::new(0.01, 0.012, 4.0, 5));
     let mut scene = quiet(camera(640, 360), path, backdrop());
@@ -27,7 +27,7 @@ fn knowing_the_readout_is_worth_much() {
 }
 
 #[test]
-fn a_shaken_camera_whose_shutter_nobody_described_is_followed() {
+fn a_shaken_camera_with_an_unconfigured_shutter_is_followed() {
     for seed in [3, 7] {
         let mut path = past();
         path.shake = Some(Shake::new(0.015, 0.02, 5.0, seed));
@@ -76,7 +76,7 @@ const MAX_NEES: f64 = 9.0;
 
 /// The prediction for the first tracked frame is zero velocity, whatever the camera does.
 #[test]
-fn the_first_poses_of_a_shaken_camera_contain_the_unknown_readout() {
+fn first_poses_include_the_unknown_readout_in_their_sigma() {
     for seed in [3, 5, 7, 9, 11] {
         let mut path = past();
         path.shake = Some(Shake::new(0.015, 0.02, 5.0, seed));

@@ -60,7 +60,7 @@ fn skipped(row: &ClipEntry, timestamp: Timestamp) -> ClipEntry {
 }
 
 #[test]
-fn undecodable_and_skipped_rows_make_a_line_and_disturb_nothing() {
+fn undecodable_and_skipped_rows_yield_records_only() {
     let scene = small();
     let whole = rows(&scene, 9);
     let undisturbed = track_rows(setup(&scene), &whole);
@@ -83,7 +83,7 @@ fn undecodable_and_skipped_rows_make_a_line_and_disturb_nothing() {
 
 /// A capture card without a new picture repeats the last one byte for byte, with a new timestamp.
 #[test]
-fn a_picture_that_comes_again_is_no_measurement() {
+fn a_repeated_picture_is_not_a_measurement() {
     let scene = small();
     let mut rows = rows(&scene, 14);
     let EntryContent::Frame(frozen) = rows[3].content.clone() else { panic!("rendered rows are frames") };
@@ -102,7 +102,7 @@ fn a_picture_that_comes_again_is_no_measurement() {
 }
 
 #[test]
-fn a_frame_that_does_not_fit_is_an_error_and_counts_as_never_seen() {
+fn a_frame_that_does_not_fit_is_refused_without_effect() {
     let scene = small();
     let frames: Vec<Frame> = rows(&scene, 4).into_iter().filter_map(|row| frame_of(row.content)).collect();
     let (mut told, mut alone) =
@@ -158,7 +158,7 @@ fn a_skipped_row_does_not_end_a_track() {
 }
 
 #[test]
-fn a_first_row_without_a_picture_is_searching() {
+fn a_first_row_without_a_picture_has_state_searching() {
     let scene = quiet(camera(320, 240), aside(), backdrop());
     let mut rows = rows(&scene, 4);
     rows[0] = undecodable(&rows[0]);
@@ -167,7 +167,7 @@ fn a_first_row_without_a_picture_is_searching() {
 }
 
 #[test]
-fn a_frame_of_another_size_shows_nothing() {
+fn a_frame_of_another_size_is_not_tracked() {
     let scene = small();
     let mut rows = rows(&scene, 4);
     let EntryContent::Frame(frame) = &mut rows[2].content else { panic!("rendered rows are frames") };

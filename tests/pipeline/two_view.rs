@@ -85,7 +85,7 @@ fn a_stage_with_depth_is_an_essential_matrix() {
 }
 
 #[test]
-fn at_the_reference_cameras_place_there_is_no_direction() {
+fn at_the_reference_position_there_is_no_direction() {
     // 2 cm of 4 m are half a percent.
     for (x, is_null) in [(0.02, true), (0.25, false)] {
         let path = CameraPath::fixed(Point3::new(x, -4.0, 0.0), Point3::new(0.3, 0.0, 0.1));

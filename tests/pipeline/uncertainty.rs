@@ -23,7 +23,7 @@ fn errors_are_as_large_as_the_covariance_says() {
 }
 
 #[test]
-fn a_guessed_lens_is_doubted_as_much_as_it_deserves() {
+fn the_covariance_covers_a_guessed_lens() {
     for (off, k1) in [(0.97, 0.0), (1.0, 0.03), (1.03, -0.03)] {
         let mut real = *camera(640, 360).intrinsics();
         real.distortion = [k1, 0.0, 0.0, 0.0, 0.0];

@@ -71,7 +71,7 @@ fn arrows_of_rooms(modules: &Modules) -> BTreeSet<(String, String)> {
 }
 
 #[test]
-fn every_room_uses_only_rooms_above_it() {
+fn every_module_group_uses_only_groups_before_it() {
     let place =
         |room: &str| ROOMS.iter().position(|r| *r == room).unwrap_or_else(|| panic!("`{room}` has no place in the order of the rooms"));
     let arrows = arrows_of_rooms(&read());
@@ -122,7 +122,7 @@ fn every_room_of_track_uses_only_rooms_above_it() {
 }
 
 #[test]
-fn only_the_codecs_the_two_views_and_the_diagnostics_are_public_modules() {
+fn only_protocols_two_views_and_diagnostics_are_public() {
     let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/lib.rs")).expect("lib.rs is there");
     let lib = syn::parse_file(&text).expect("lib.rs is Rust");
     let public = lib.items.iter().filter_map(|item| match item {
@@ -148,7 +148,7 @@ fn sources() -> Vec<PathBuf> {
 }
 
 #[test]
-fn no_file_stands_beside_a_folder_of_its_name() {
+fn no_module_file_sits_beside_a_folder_of_its_name() {
     let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     let files = sources();
     assert!(files.len() > 300, "the reader sees only {} files", files.len());
@@ -191,7 +191,7 @@ fn circle(children: &BTreeSet<String>, arrows: &BTreeMap<&String, BTreeSet<&Stri
 }
 
 #[test]
-fn no_modules_beside_each_other_need_each_other() {
+fn sibling_modules_have_no_circular_dependencies() {
     let modules = read();
     let uses = modules.uses();
     let mut circles = Vec::new();
@@ -249,7 +249,7 @@ fn is_reached_otherwise(user: &str, used: &str, arrows: &BTreeSet<(String, Strin
 }
 
 #[test]
-fn the_drawn_modules_are_those_of_the_source() {
+fn the_module_diagram_matches_the_source() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/modules.md");
     let wanted = drawn(&arrows_of_rooms(&read()));
     if std::env::var_os("STAGEPOSE_REMAKE").is_some() {

@@ -56,7 +56,7 @@ fn paths(text: &str) -> BTreeSet<&str> {
 }
 
 #[test]
-fn files_that_documents_name_are_there() {
+fn files_named_in_documents_exist() {
     for document in ["CONTRIBUTING.md", "docs/glossary.md"] {
         let text = std::fs::read_to_string(Path::new(ROOT).join(document)).expect("the document is there");
         let all = paths(&text);
@@ -67,9 +67,9 @@ fn files_that_documents_name_are_there() {
 }
 
 #[test]
-fn what_is_no_test_is_found_out() {
+fn a_name_that_is_not_a_test_is_detected() {
     let here = "tests/structure/specification.rs";
-    assert_eq!(fault(&format!("{here}::what_is_no_test_is_found_out")), None);
+    assert_eq!(fault(&format!("{here}::a_name_that_is_not_a_test_is_detected")), None);
     assert!(fault(&format!("{here}::has_test")).is_some(), "a function that is no test");
     assert!(fault(&format!("{here}::never")).is_some() && fault("tests/never.rs").is_some());
 }

@@ -15,7 +15,7 @@ fn survey<'a>(clip: &'a str, more: &[&'a str]) -> Vec<&'a str> {
 }
 
 #[test]
-fn clips_that_are_no_walk_give_a_sentence_and_write_nothing() {
+fn clips_that_are_not_a_walk_are_refused_with_the_reason() {
     let walk = Walk::new();
     let other = grey(&paint(480, 270, 77));
     walk.save("elsewhere", &vec![other; 4]);
@@ -35,7 +35,7 @@ fn clips_that_are_no_walk_give_a_sentence_and_write_nothing() {
 }
 
 #[test]
-fn an_earlier_survey_is_replaced_whole_and_its_shapes_belong_to_their_pictures() {
+fn an_earlier_survey_is_replaced_completely() {
     let walk = Walk::new();
     std::fs::create_dir(walk.path("surveyed")).expect("it can be made");
     walk.write("surveyed/mine.txt", "keep");
@@ -71,7 +71,7 @@ fn a_shape_of_another_picture_or_size_is_refused_with_the_mend(walk: &Walk) {
 }
 
 #[test]
-fn an_interrupted_survey_says_so_leaves_the_earlier_one_as_it_was_and_goes_on_when_asked_again() {
+fn an_interrupted_survey_keeps_the_earlier_one_and_resumes() {
     let walk = Walk::new();
     walk.run(&survey("walk", &[])).assert_success();
     let first = walk.files("surveyed");

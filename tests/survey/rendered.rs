@@ -22,7 +22,7 @@ pub(super) fn errors(json: &Value, k: usize) -> (f64, f64) {
 }
 
 #[test]
-fn a_flat_that_stands_elsewhere_is_found_and_the_folder_is_complete_by_itself() {
+fn a_misplaced_flat_is_surveyed_into_a_self_contained_folder() {
     let walk = Walk::new();
     let run =
         walk.run(&["survey", "walk", "--config", "stage.toml", "--output", "surveyed", "--json", "out.json", "--report", "report.html"]);
@@ -48,7 +48,7 @@ fn a_flat_that_stands_elsewhere_is_found_and_the_folder_is_complete_by_itself() 
 }
 
 #[test]
-fn a_measured_length_mends_sizes_that_are_wrong_and_one_that_contradicts_all_else_is_named() {
+fn measured_lengths_correct_sizes_or_are_named_as_wrong() {
     let walk = Walk::new();
     // All sizes are two percent too small, and the position of the flat is off as well. The
     // measured distances are the diagonal and the width of the backdrop.
@@ -85,7 +85,7 @@ fn a_measured_length_mends_sizes_that_are_wrong_and_one_that_contradicts_all_els
 }
 
 #[test]
-fn a_lens_that_is_two_percent_off_is_found_from_the_stage_alone_and_the_same_bytes_come_twice() {
+fn a_lens_two_percent_off_is_surveyed_reproducibly() {
     let walk = Walk::new();
     let told = Intrinsics { fx: 1.02 * LENS.fx, fy: 1.02 * LENS.fy, cx: 239.5, cy: 134.5, distortion: [0.0; 5], ..LENS };
     walk.write("camera.toml", &calibration(&told));

@@ -41,7 +41,7 @@ fn people_in_front_for_half_of_the_walk_are_left_out() {
 }
 
 #[test]
-fn a_flat_that_few_frames_show_is_where_its_sigma_says_or_that_is_said() {
+fn a_rarely_seen_flat_is_within_its_sigma_or_flagged() {
     let walk = Walk::new();
     let wall = BodySpec::new("stage", stage().surfaces.into_iter().take(1).collect());
     let without = filmed(path(), wall);
@@ -66,7 +66,7 @@ fn a_flat_that_few_frames_show_is_where_its_sigma_says_or_that_is_said() {
 }
 
 #[test]
-fn a_lens_with_which_nothing_aligns_is_found_by_features_first() {
+fn a_lens_too_wrong_to_align_is_first_found_by_features() {
     let walk = Walk::new();
     let told = Intrinsics { fx: 1.3 * LENS.fx, fy: 1.3 * LENS.fy, cx: 239.5, cy: 134.5, distortion: [0.0; 5], ..LENS };
     walk.write("camera.toml", &calibration(&told));
@@ -82,7 +82,7 @@ fn a_lens_with_which_nothing_aligns_is_found_by_features_first() {
 }
 
 #[test]
-fn a_walk_that_cannot_tell_its_lens_is_refused_with_the_view_that_is_missing() {
+fn an_insufficient_walk_is_refused_with_the_missing_view() {
     let walk = Walk::new();
     // Along a wall and always head-on, focal length and distance cannot be told apart.
     let along = |y: f64| Spline::new(&[(-0.5, Vector3::new(-1.0, y, 0.0)), (3.5, Vector3::new(1.0, y, 0.0))]).expect("keys in order");

@@ -250,7 +250,7 @@ mod tests {
     const STEP: [Vector2<f64>; 2] = [Vector2::new(12.0, 2.0), Vector2::new(-2.5, 8.0)];
 
     #[test]
-    fn it_takes_what_single_pixels_give() {
+    fn gather_matches_per_pixel_sampling() {
         for (with_edges, x, y, blur) in [(false, 30.3, 22.4, 0.6), (true, 30.3, 22.4, 2.4), (true, 3.2, 4.1, 1.5), (false, 58.9, 44.8, 3.0)]
         {
             let ((level, around), centre) = (drawn(with_edges), Vector2::new(x, y));

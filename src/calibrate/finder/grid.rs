@@ -129,7 +129,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn it_is_as_a_search_tree(steps in proptest::collection::vec(((-12..12_i32, -12..12_i32), any::<u8>(), any::<bool>()), 0..80)) {
+        fn grid_equals_a_search_tree(steps in proptest::collection::vec(((-12..12_i32, -12..12_i32), any::<u8>(), any::<bool>()), 0..80)) {
             let (mut grid, mut tree) = (Grid::default(), BTreeMap::new());
             for (at, value, insert) in steps {
                 if insert {
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn places_beyond_any_board_are_passed_over() {
+    fn grid_ignores_cells_beyond_any_board() {
         let mut grid = Grid::default();
         assert_eq!(grid.insert((REACH + 1, 0), 1), None);
         assert_eq!(grid.len(), 0);

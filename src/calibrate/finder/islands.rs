@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn a_piece_at_the_wrong_place_goes() {
+    fn a_misplaced_island_is_dropped() {
         let astray = |at: Place| (5..8).contains(&at.0) && (4..6).contains(&at.1);
         let shifted = |at: Place| place(if astray(at) { (at.0 + 2, at.1 - 3) } else { at });
         let mut folded = lattice(all().map(|at| (at, shifted(at))));
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn a_piece_beyond_a_reflection_stays() {
+    fn an_island_beyond_a_reflection_is_kept() {
         let mut split = lattice(all().filter(|at| !(6..8).contains(&at.0)).map(|at| (at, place(at))));
         let before = split.len();
         split.drop_islands();

@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn equations_without_a_solution_are_none() {
+    fn unsolvable_damped_equations_return_none() {
         let mut normal = [[0.0; N]; N];
         normal[3][3] = -1.0;
         assert!(damped(&Linearised { cost: 1.0, normal, gradient: [1.0; N], weight: 1.0 }, 0.1, None).is_none());

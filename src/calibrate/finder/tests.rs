@@ -90,7 +90,7 @@ fn a_shadow_across_the_board_hides_corners_on_its_edge_only() {
 }
 
 #[test]
-fn a_board_partly_outside_is_none() {
+fn a_cut_off_board_is_reported_as_cut() {
     let board = Board::new(9, 6, 0.03).unwrap();
     let camera = photographer();
     for aside in [0.18, 0.24, 0.3] {
@@ -102,7 +102,7 @@ fn a_board_partly_outside_is_none() {
 }
 
 #[test]
-fn darkness_noise_and_falling_light_are_borne() {
+fn corners_survive_darkness_noise_and_uneven_light() {
     let board = Board::new(10, 10, 0.022).unwrap();
     let dark = Photograph { dark: 4.0, light: 26.0, background: 2.0, margin: 0.3, blur_px: 1.0, noise: 1.5, falloff: 0.5, seed: 3 };
     let error = error_px(&board, &dark, &[5.0, 35.0, 50.0], 0.5);
@@ -130,7 +130,7 @@ fn a_reflection_hides_its_corners_and_no_others() {
 }
 
 #[test]
-fn the_origin_is_the_dark_corner_however_the_board_is_turned() {
+fn the_origin_is_the_dark_corner_at_any_board_rotation() {
     let board = Board::new(9, 6, 0.025).unwrap();
     let camera = photographer();
     for quarter in 0..4 {
@@ -143,7 +143,7 @@ fn the_origin_is_the_dark_corner_however_the_board_is_turned() {
 }
 
 #[test]
-fn another_board_is_named_and_no_board_is_none() {
+fn another_board_is_named_and_a_missing_one_is_an_error() {
     let camera = photographer();
     let there = Board::new(8, 5, 0.03).unwrap();
     let picture = camera.photograph(&there, &pose(&there, 15.0, 1.0, 0.0, 0.5), &Photograph::default());

@@ -272,7 +272,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_error_function_is_as_good_as_its_source_says() {
+    fn erf_is_within_its_documented_error() {
         // erf(0.5), erf(1), erf(2), erf(3) from tables.
         for (z, erf) in [(0.5, 0.520_499_9), (1.0, 0.842_700_8), (2.0, 0.995_322_3), (3.0, 0.999_977_9), (0.0, 0.0)] {
             for sign in [1.0, -1.0] {
@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn levels_of_the_shape_are_as_if_drawn_with_them() {
+    fn solved_grey_levels_match_the_drawn_model() {
         let (mut window, mut shape) = drawn();
         (shape.0[5], shape.0[6]) = (0.0, 1.0);
         let (model, found) = window.with_levels(&shape).unwrap();

@@ -142,14 +142,14 @@ mod tests {
     }
 
     #[test]
-    fn a_moved_principal_point_is_mostly_a_turn() {
+    fn a_moved_principal_point_mostly_acts_as_rotation() {
         let field = lengths(&difference(&camera(600.0, 319.5), &camera(600.0, 329.5)));
         assert!(field.worst() < 3.5, "{}", field.worst());
         assert!(lengths(&difference(&camera(600.0, 319.5), &camera(600.0, 319.5))).worst() < 1e-9);
     }
 
     #[test]
-    fn another_focal_length_is_no_turn() {
+    fn a_focal_length_error_does_not_act_as_rotation() {
         let field = lengths(&difference(&camera(600.0, 319.5), &camera(606.0, 319.5)));
         assert!((field.worst() - 4.0).abs() < 0.1, "{}", field.worst()); // 1 % of 400 px, the distance to a corner
     }

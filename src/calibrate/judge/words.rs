@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_in_the_background_is_told_from_the_one_asked_for() {
+    fn a_background_board_is_not_mistaken_for_the_requested_one() {
         let board = Board::new(8, 6, 0.025).unwrap();
         let pictures = [found(), another((9, 6), false), another((9, 6), true), another((7, 5), true)];
         let sentence = another_board(&pictures, &board).unwrap();
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn a_size_of_board_is_advised_where_most_pictures_show_it() {
+    fn a_board_size_is_advised_if_most_pictures_show_it() {
         let board = Board::new(9, 6, 0.025).unwrap();
         let none = || picture(Err("no board".to_owned()), None);
         let said = nothing_found(&[another((8, 5), false), another((8, 5), false), none()], &board);
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_of_two_sizes_have_their_mend() {
+    fn pictures_of_two_sizes_get_a_fix_hint() {
         let of = |size| Inspected { size: Some(size), ..found() };
         let pictures = [of((640, 480)), of((640, 480)), of((320, 240))];
         assert!(mend_for_sizes(&pictures, (640, 480), (320, 240)).contains("1 of 3 are not 640 x 480"));
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_that_are_too_few_repeat_nothing() {
+    fn the_repeated_view_hint_needs_three_pictures() {
         let board = Board::new(8, 6, 0.025).unwrap();
         assert!(!mend_for_few(&[found(), found()], &board).contains("the same view"));
         assert!(mend_for_few(&[found(), found(), found()], &board).contains("the same view again"));

@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn colours_rise_with_the_pixels_and_end_in_red() {
+    fn colour_scale_rises_with_the_error_and_ends_in_red() {
         assert_eq!([0.0, 0.05, 0.051, 0.7, 5.0, 5.1, f64::INFINITY].map(step), [0, 0, 1, 4, 6, 7, 7]);
         assert_eq!((colour(0.0), colour(100.0)), ("#4575b4", "#d73027"));
     }

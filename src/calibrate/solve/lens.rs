@@ -105,7 +105,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn derivatives_are_the_differences() {
+    fn lens_derivatives_agree_with_differences() {
         let lens = Lens(LensVector::from([800.0, 790.0, 320.0, 240.0, 0.01, -0.3, 0.1, 0.001, -0.002, 0.05]));
         let point = Vector2::new(0.3, -0.2);
         let (pixel, by_point, by_lens) = lens.project_with_derivatives(point);

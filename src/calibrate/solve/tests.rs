@@ -59,7 +59,7 @@ fn exact_corners_give_the_exact_lens() {
 }
 
 #[test]
-fn skew_and_k3_come_back_when_asked_for() {
+fn skew_and_k3_are_recovered_when_freed() {
     let mut random = Pcg64Mcg::seed_from_u64(4);
     let mut lens = truth();
     (lens.0[4], lens.0[9]) = (0.003, -0.05);
@@ -71,7 +71,7 @@ fn skew_and_k3_come_back_when_asked_for() {
 }
 
 #[test]
-fn what_is_held_stays_and_square_pixels_are_square() {
+fn held_parameters_stay_and_square_pixels_stay_square() {
     let mut random = Pcg64Mcg::seed_from_u64(5);
     let views = corners(&truth(), &poses(8, 1.0, &mut random), 0.1, &mut random);
     let mut options = SolveOptions::default();
@@ -128,7 +128,7 @@ fn uncertainties_are_right() {
 }
 
 #[test]
-fn wild_corners_are_left_out_and_change_little() {
+fn outlier_corners_are_rejected_and_change_little() {
     let mut random = Pcg64Mcg::seed_from_u64(7);
     let mut views = corners(&truth(), &poses(10, 1.0, &mut random), 0.1, &mut random);
     let clean = estimate(&views, SIZE, &SolveOptions::default()).unwrap();
@@ -145,7 +145,7 @@ fn wild_corners_are_left_out_and_change_little() {
 }
 
 #[test]
-fn views_that_leave_the_lens_open_are_refused() {
+fn views_that_do_not_determine_the_lens_are_refused() {
     let mut random = Pcg64Mcg::seed_from_u64(8);
     let views = corners(&truth(), &poses(2, 1.0, &mut random), 0.1, &mut random);
     assert!(estimate(&views, SIZE, &SolveOptions::default()).is_none());

@@ -117,7 +117,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn slips_are_answered_by_what_to_type() {
+    fn typing_slips_get_the_corrected_line() {
         for (line, wanted) in [
             ("fov_deg = 50,5", "fov_deg = 50.5"),
             ("x = -0,25 # metres", "x = -0.25"),
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn an_array_of_twice_the_numbers_has_decimal_commas() {
+    fn an_array_of_twice_the_length_means_decimal_commas() {
         let of = |text: &str, wanted| points_for_commas(text, 0..text.len(), wanted);
         assert!(of("[0,4, 0,22]", 2).unwrap().ends_with("write: [0.4, 0.22]"));
         assert!(of("[-1,5, 0,0, 2,25]", 3).unwrap().ends_with("write: [-1.5, 0.0, 2.25]"));

@@ -39,7 +39,7 @@ const BOUGUET: &str = "% Intrinsic and Extrinsic Camera Parameters\n%-- Focal le
     omc_1 = [ 1.654 ; NaN ; -0.669 ];\nTc_1  = [ -1.77 ; -8.3 ; 8.5 ];\n";
 
 #[test]
-fn stagepose_toml_is_read_whole() {
+fn every_field_of_a_stagepose_toml_is_read() {
     let c = read("camera.toml", STAGEPOSE).unwrap();
     let i = c.model.intrinsics();
     assert_eq!((i.width, i.height, i.fx, i.fy, i.cx, i.cy, i.skew), (1280, 720, 900.5, 901.0, 640.25, 359.0, 0.001));
@@ -107,7 +107,7 @@ const SENSOR: &str = "image_width: 960\nimage_height: 540\ncamera_matrix:\n  row
     distortion_model: plumb_bob\nD: [-0.11, 0.06, 0.0006, -0.0004, 0]\n";
 
 #[test]
-fn a_window_of_the_sensor_and_binning_are_applied_in_both_conventions() {
+fn roi_and_binning_are_applied_in_both_conventions() {
     let plain = intrinsics("c.yaml", SENSOR);
     let roi =
         |[x, y, w, h]: [u32; 4]| format!("roi:\n  x_offset: {x}\n  y_offset: {y}\n  height: {h}\n  width: {w}\n  do_rectify: false\n");
@@ -143,7 +143,7 @@ fn a_window_of_the_sensor_and_binning_are_applied_in_both_conventions() {
 }
 
 #[test]
-fn binned_pixels_are_the_mean_of_the_sensors() {
+fn binning_scales_the_intrinsics_by_the_half_pixel_rule() {
     let c = read("c.yaml", &format!("{SENSOR}binning_x: 2\nbinning_y: 2\n")).unwrap();
     let i = c.model.intrinsics();
     assert_eq!((i.width, i.height, i.fx, i.fy, i.cx, i.cy), (480, 270, 288.0, 290.0, 240.71, 133.67));
@@ -155,7 +155,7 @@ fn binned_pixels_are_the_mean_of_the_sensors() {
 }
 
 #[test]
-fn other_lenses_are_refused_by_whatever_word_says_so() {
+fn other_lens_models_are_refused_under_every_known_key() {
     for (word, model) in [
         ("fisheye: 1", "fisheye"),
         ("fisheye: true", "fisheye"),
@@ -187,7 +187,7 @@ fn other_lenses_are_refused_by_whatever_word_says_so() {
 }
 
 #[test]
-fn what_is_not_sure_or_not_read_has_a_word() {
+fn ambiguous_or_ignored_entries_are_reported() {
     let four = "image_width: 64\nimage_height: 48\nK: [50, 0, 32, 0, 51, 24, 0, 0, 1]\nD: [0.01, 0.02, 0.003, 0.004]\n";
     assert!(read("c.yml", four).unwrap().notes[0].contains("`D` has four numbers"));
     assert_eq!(read("c.yml", &format!("{four}distortion_model: plumb_bob\n")).unwrap().notes, [""; 0]);
@@ -263,7 +263,7 @@ fn wrong_values_are_named_with_key_and_line() {
 }
 
 #[test]
-fn a_key_that_stands_twice_is_refused_in_every_grammar_that_does_not_let_the_last_win() {
+fn duplicate_keys_are_refused_unless_the_last_one_wins() {
     let message = refusal("c.yml", &format!("{OPENCV}image_width: 320\n"));
     assert!(message.contains("line 20: `image_width` is repeated here, after `image_width` in line 5; remove one"), "{message}");
     let message = refusal("c.yaml", &format!("{ROS}Image_Height: 320\n"));
@@ -272,7 +272,7 @@ fn a_key_that_stands_twice_is_refused_in_every_grammar_that_does_not_let_the_las
 }
 
 #[test]
-fn numbers_of_no_camera_are_refused_in_every_form() {
+fn impossible_camera_numbers_are_refused_in_every_format() {
     for (name, text, from, to, wanted) in [
         ("c.toml", STAGEPOSE, "fx = 900.5", "fx = 1e300", "c.toml line 3: fx is 1e300, which no camera has"),
         ("c.toml", STAGEPOSE, "cx = 640.25", "cx = 5000", "c.toml line 5: cx is 5000"),
@@ -291,7 +291,7 @@ fn numbers_of_no_camera_are_refused_in_every_form() {
 }
 
 #[test]
-fn what_is_missing_and_what_is_no_text_has_a_line_too() {
+fn missing_keys_and_invalid_utf8_are_reported_with_a_line() {
     for key in ["width", "fx", "cy", "distortion"] {
         let text: String = STAGEPOSE.lines().filter(|line| !line.starts_with(key)).map(|line| format!("{line}\n")).collect();
         assert!(refusal("c.toml", &text).contains(&format!("c.toml line 1: `{key}` is missing; add it")), "{key}");
@@ -304,7 +304,7 @@ fn what_is_missing_and_what_is_no_text_has_a_line_too() {
 }
 
 #[test]
-fn broken_yaml_and_unknown_forms_say_so() {
+fn broken_yaml_and_unknown_formats_are_reported() {
     assert!(refusal("c.yml", "image_width: [1, 2\nfoo: }\n").contains("fix the file's syntax"));
     assert!(refusal("c.yml", "").contains("is missing"));
     assert!(refusal("c.yml", &OPENCV.replace("5.34e+02", ".Nan")).contains("line 7: fx is NaN"));
@@ -357,7 +357,7 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_end_without_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+    fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
         for name in ["c.toml", "c.yml", "c.m", "c"] {
             let _ = parse_calibration(&bytes, Path::new(name));
         }
@@ -373,7 +373,7 @@ proptest! {
 }
 
 #[test]
-fn what_is_written_as_yaml_reads_back() {
+fn written_yaml_reads_back() {
     let intrinsics = Intrinsics {
         width: 640,
         height: 480,

@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn deep_levels_become_those_of_eight_bits() {
+    fn deep_levels_convert_to_eight_bits() {
         assert!((0..=255u16).all(|level| (9..=16).all(|bits| u16::from(upper_bits(level << (bits - 8), bits)) == level)));
         assert_eq!((upper_bits(1023, 10), upper_bits(65_535, 16), upper_bits(2, 10), upper_bits(1, 10)), (255, 255, 1, 0));
         assert_eq!([0, 512, 1023, 2000].map(|level| of_all_levels(level, 10)), [0, 128, 255, 255]);

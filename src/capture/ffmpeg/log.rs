@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_complaint_is_kept_and_an_early_end_is_known() {
+    fn the_first_error_is_kept_and_truncation_is_detected() {
         let mut log = Log::default();
         log.note("[info] Input #0, truncated, from 'a.mp4':");
         assert_eq!((log.complaint(), log.is_cut_off()), (None, false));

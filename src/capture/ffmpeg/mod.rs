@@ -307,7 +307,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_missing_program_is_named_with_the_mend() {
+    fn a_missing_ffmpeg_is_named_with_a_hint() {
         let gone = Ffmpeg::of_program(OsStr::new("no-such-program-as-this"), Path::new("a.mp4"), None).err().map(|e| e.to_string());
         assert!(gone.is_some_and(|e| e.contains("a.mp4") && e.contains("install it")));
     }
@@ -315,7 +315,7 @@ mod tests {
     /// Runs a program that writes one picture more than it announces and then blocks until it is
     /// read.
     #[test]
-    fn a_stream_out_of_step_ends_and_does_not_hang() {
+    fn an_out_of_step_stream_ends_instead_of_hanging() {
         let folder = tempfile::tempdir().unwrap();
         let program = folder.path().join("ffmpeg");
         let script = "#!/bin/sh\necho 'ffmpeg version 5.1.9'\necho '[Parsed_showinfo_0 @ 0x5] [info] n: 0 pts: 0 fmt:gray s:8x2 i:P' >&2\n\

@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn what_ffmpeg_says_of_a_file_is_understood() {
+    fn ffmpeg_probe_output_is_parsed() {
         let (probe, said) = read(
             "[info] ffmpeg version 5.1.9-0+deb12u1 Copyright (c) 2000-2026 the FFmpeg developers\n\
              [info] Input #0, mov,mp4,m4a,3gp,3g2,mj2, from 'file:a.mp4':\n\

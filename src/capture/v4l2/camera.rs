@@ -143,7 +143,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn faults_are_told_in_plain_words() {
+    fn camera_faults_are_described_in_plain_words() {
         let said = |system: &str| reading_fault(&format!("Could not capture frame: {system}"));
         assert_eq!(said("No such device (os error 19)"), "it was unplugged");
         assert_eq!(said("Interrupted system call (os error 4)"), "it was opened and gave no picture");

@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn automatic_and_flicker_are_warned_of() {
+    fn automatic_controls_and_flicker_get_a_warning() {
         let there = [control("Exposure Time, Absolute", EXPOSURE_ABSOLUTE, 0)];
         assert_eq!(automatic(&there, Some(1), Some(0)), Vec::<String>::new());
         assert_eq!(automatic(&there, Some(3), Some(1)).len(), 2);

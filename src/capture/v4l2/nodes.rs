@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn of_twins_the_one_in_the_same_place_is_meant() {
+    fn between_identical_cameras_the_one_at_the_same_port_wins() {
         let twins = [camera(0, "usb-1"), camera(2, "usb-2")];
         let found = |identity, bus| same_camera(&twins, Known { identity, bus }).map(|n| n.number);
         assert_eq!(found("usb 1:2", "usb-2"), Some(2));
@@ -203,13 +203,13 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_camera_is_said_with_what_there_is() {
+    fn a_missing_camera_is_reported_with_those_present() {
         assert!(not_there("front", &[camera(3, "usb-1")]).to_string().contains("there is no camera front; there is Cam (/dev/video3);"));
         assert!(find_node("/dev/v4l/by-id/no-such-camera", None).is_err());
     }
 
     #[test]
-    fn who_holds_a_file_is_found() {
+    fn the_process_holding_a_file_is_found() {
         let mut child = std::process::Command::new("sleep").arg("30").stdin(fs::File::open("/dev/zero").unwrap()).spawn().unwrap();
         let holders = programs_that_hold(Path::new("/dev/zero"));
         child.kill().unwrap();

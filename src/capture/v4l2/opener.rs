@@ -159,7 +159,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn another_camera_and_another_port_are_said() {
+    fn a_changed_camera_or_port_is_reported() {
         let camera = |identity: &str, bus: &str| Node {
             number: 4,
             card: "Cam".into(),

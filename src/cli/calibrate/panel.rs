@@ -94,7 +94,7 @@ mod tests {
     use crate::calibrate::guide::ViewShape;
 
     #[test]
-    fn what_is_missing_is_to_be_seen() {
+    fn the_panel_shows_which_views_are_missing() {
         let mut taken = ViewSet::default();
         let normal = Vector3::new(0.5, 0.0, 0.866);
         taken.add(ViewShape { corners: vec![Vector2::new(0.1, 0.1), Vector2::new(0.9, 0.4)], normal });

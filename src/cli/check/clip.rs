@@ -228,7 +228,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rate_that_nobody_gave_is_told() {
+    fn an_assumed_frame_rate_is_reported() {
         assert!(of_rate(Path::new("walk.mjpeg"), None).is_some());
         assert!(of_rate(Path::new("walk.mjpeg"), Some(25.0)).is_none());
         assert!(of_rate(Path::new("walk.y4m"), None).is_none());

@@ -105,7 +105,7 @@ mod tests {
     use crate::capture::camera::PixelLayout;
 
     #[test]
-    fn a_newcomer_is_told_what_to_do() {
+    fn a_camera_without_a_calibration_gets_next_steps() {
         let mode = CameraMode {
             name: "Cam (/dev/video0)".into(),
             size: (640, 480),

@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_guess_says_how_much_it_is_worth() {
+    fn a_guessed_lens_reports_its_uncertainty() {
         let guess = LensGuess::FieldOfView(60.0);
         let lens = LensSource::Guess(guess, None);
         assert_eq!(source(&lens), "guessed from fov_deg = 60, for pictures of any size");

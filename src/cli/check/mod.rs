@@ -378,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_is_named_must_be_there_and_any_other_is_waited_for() {
+    fn a_named_camera_must_be_present_and_any_other_is_awaited() {
         let named = Some("front".to_owned());
         let says = |named: &Option<String>, tried: Result<&str, &str>| {
             let (line, finding) = of_camera(named, tried.map(str::to_owned).map_err(str::to_owned));
@@ -412,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn the_field_of_view_is_that_of_the_outer_edges() {
+    fn the_field_of_view_spans_the_outer_edges() {
         let camera = CameraModel::pinhole(1000, 500, 500.0, 500.0, 499.5, 249.5).unwrap();
         assert_eq!(field_of_view(&camera), "field of view 90.0 x 53.1 degrees");
     }

@@ -115,7 +115,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_lead_nowhere_else() {
+    fn names_become_safe_file_names() {
         assert_eq!(as_file_name("../a b/c.png"), "___a_b_c_png");
         assert_eq!(as_file_name("Wägen-2"), "Wägen-2");
     }

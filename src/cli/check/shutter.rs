@@ -130,14 +130,14 @@ mod tests {
     }
 
     #[test]
-    fn a_clear_readout_gives_the_line_for_the_config() {
+    fn a_clear_readout_prints_the_config_line() {
         let line = readout(time(0.01523, 1e-4), 0.0);
         assert!(line.contains("15.23 ms +- 0.30") && line.contains("readout_s = 0.01523 belongs"), "{line}");
         assert!(readout(time(0.01523, 1e-4), 0.0152).ends_with("as the config has it"));
     }
 
     #[test]
-    fn only_a_rolling_shutter_that_the_config_does_not_have_is_another() {
+    fn only_an_unconfigured_rolling_shutter_is_tried() {
         let found = |readout, exposure| ShutterEstimate { readout, exposure, frames: 50, aligned: 50, has_settled: true };
         let unset = Shutter::default();
         let both = found(time(0.012, 1e-4), time(0.008, 1e-4));
@@ -151,14 +151,14 @@ mod tests {
     }
 
     #[test]
-    fn a_global_shutter_is_called_so() {
+    fn a_global_shutter_is_reported_as_global() {
         assert!(readout(time(1e-4, 1e-4), 0.0).contains("readout_s = 0.0, as the config has it"));
         assert!(readout(time(1e-4, 1e-5), 0.0).contains("global shutter"));
         assert!(readout(time(-1e-4, 1e-5), 0.0).contains("global shutter"));
     }
 
     #[test]
-    fn what_cannot_be_told_is_said_with_the_mend() {
+    fn an_undetermined_shutter_is_reported_with_a_hint() {
         assert!(readout(None, 0.0).contains("shake the camera"));
         assert!(readout(time(0.004, 0.003), 0.0).contains("shake the camera"));
         assert!(exposure(None, 0.0).contains("leave exposure_s = 0"));

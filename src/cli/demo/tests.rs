@@ -62,7 +62,7 @@ fn bad_arguments_are_refused() {
 }
 
 #[test]
-fn a_session_scores_what_the_tracker_says_against_the_truth() {
+fn a_session_scores_the_trackers_poses_against_the_truth() {
     let arguments = parse("--frames 31 --width 80 --height 64 --fps 20").unwrap();
     let mut camera = VirtualCamera::new(scene(&arguments, arguments.frame_count(false)).unwrap(), 20.0, 31);
     let truth: Vec<_> = (0..31).map(|k| camera.truth(k)).collect();
@@ -86,7 +86,7 @@ fn a_session_scores_what_the_tracker_says_against_the_truth() {
 }
 
 #[test]
-fn a_terminal_sees_one_line_rewritten() {
+fn a_terminal_gets_one_rewritten_line() {
     let arguments = parse("--frames 2 --width 64 --height 64").unwrap();
     let mut camera = VirtualCamera::new(scene(&arguments, arguments.frame_count(false)).unwrap(), 30.0, 2);
     let mut printed = Vec::new();
@@ -146,7 +146,7 @@ fn nothing_that_is_in_the_folder_is_written_over() {
 }
 
 #[test]
-fn jpeg_frames_are_named_so_and_stay_close() {
+fn jpeg_frames_get_their_extension_and_stay_close() {
     let folder = tempfile::tempdir().unwrap();
     let stage = scene(&parse("--width 80 --height 64").unwrap(), FRAMES).unwrap();
     let mut saved = SavedClip::create(folder.path(), &stage, Some(95)).unwrap();
@@ -174,7 +174,7 @@ fn a_folder_that_cannot_be_made_is_named() {
 }
 
 #[test]
-fn a_terminal_with_the_page_has_time_to_look() {
+fn a_demo_with_the_page_on_a_terminal_runs_longer() {
     let frames = |line: &str, is_terminal| parse(line).unwrap().frame_count(is_terminal);
     assert_eq!(frames("--no-page", true), FRAMES);
     assert_eq!(frames("--save clip", true), FRAMES);

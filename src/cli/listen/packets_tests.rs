@@ -69,7 +69,7 @@ fn bundle(messages: &[Vec<u8>]) -> Vec<u8> {
 }
 
 #[test]
-fn what_the_decoder_does_not_know_is_shown_all_the_same() {
+fn packets_unknown_to_the_decoder_are_still_shown() {
     let of = |parts: &[&[u8]]| parts.concat();
     let symbol = of(&[&filled(b"/b"), &filled(b",S"), &filled(b"symbol")]);
     let untagged = filled(b"/info");
@@ -116,7 +116,7 @@ fn nested_arrays(levels: usize) -> Vec<u8> {
 }
 
 #[test]
-fn what_nests_without_end_is_refused() {
+fn deeply_nested_packets_are_refused() {
     assert_eq!(line(Spoken::Osc, &nested_bundles(MAX_LEVELS - 1)), "/a 5");
     assert!(line(Spoken::Osc, &nested_arrays(MAX_LEVELS)).starts_with("/a [[["));
     for packet in [nested_bundles(MAX_LEVELS), nested_bundles(3000), nested_arrays(MAX_LEVELS + 1), nested_arrays(32_000)] {
@@ -130,7 +130,7 @@ fn what_nests_without_end_is_refused() {
 }
 
 #[test]
-fn lengths_that_lie_allocate_nothing() {
+fn false_lengths_allocate_nothing() {
     for (announced, payload) in [(b"\x9b\xff\xff\xff\xff\xff\xff\xff\xff", 9), (b"\x7b\xff\xff\xff\xff\xff\xff\xff\xff", 9)] {
         let datagram = opentrackio::datagram(opentrackio::Encoding::Cbor, 1, &announced[..payload]).unwrap();
         assert!(line(Spoken::OpenTrackIo, &datagram).contains("cannot be read"));

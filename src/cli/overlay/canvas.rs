@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_outside_the_picture_is_touched_or_panics() {
+    fn drawing_outside_the_picture_neither_writes_nor_panics() {
         let mut canvas = canvas(7);
         canvas.text(Lettering { size_px: 300.0 }, (-500.0, 10.0), [255; 3], "MMMMMMMM");
         canvas.label(Lettering { size_px: 20.0 }, (35.0, 500.0), [255; 3], "M");

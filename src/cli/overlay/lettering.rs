@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn letters_have_their_size_and_stand_on_the_baseline() {
+    fn letters_have_their_size_and_sit_on_the_baseline() {
         let (sum, [_, top, right, bottom]) = ink("H", 40.0);
         // A capital is 0.73 em high in this typeface.
         assert!((98..=100).contains(&bottom) && (28..=31).contains(&(bottom - top)), "{top} {bottom}");
@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn digits_are_equally_wide_and_signs_are_there() {
+    fn digits_are_equally_wide_and_symbols_are_present() {
         let width = |text: &str| Lettering { size_px: 20.0 }.width_px(text);
         assert!("0123456789+\u{2212}".chars().all(|c| c == '+' || c == '\u{2212}' || (width(&c.to_string()) - width("0")).abs() < 1e-3));
         // A missing letter is drawn as a box. These are not.

@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn the_outline_lies_where_the_pinhole_puts_it() {
+    fn the_outline_matches_the_pinhole_projection() {
         let picture = drawn(&sample(State::Tracking, -4.0), 0.0, &[]);
         // 3 x 2 m at 4 m with f = 600: 450 x 300 pixels about the centre.
         for at in [(95, 240), (545, 240), (320, 90), (320, 390)] {
@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn the_outline_of_a_bent_surface_is_bent_as_it_hangs() {
+    fn the_outline_of_a_bent_surface_follows_its_shape() {
         // A cylinder about the vertical: the middle of the upper side 0.5 m nearer than its ends,
         // which lie in the plane.
         let mut height = BicubicSpline::zero([8, 2], [3.0, 2.0]);

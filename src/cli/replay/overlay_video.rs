@@ -246,7 +246,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_tell_videos_from_folders() {
+    fn video_outputs_are_recognised_by_name() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::create_dir(folder.path().join("a.mp4")).unwrap();
         assert!(["x.mp4", "x.MKV", "a/b.webm", "x.mov", "x.avi"].iter().all(|name| is_video(&folder.path().join(name))));
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_program_is_named_with_the_mend() {
+    fn a_missing_ffmpeg_is_named_with_a_hint() {
         let refused = refuse_without(Path::new("seen.mp4"), "no-such-program-as-this").unwrap_err();
         assert!(
             matches!(&refused, Failure::Usage(said) if said.contains("seen.mp4") && said.contains("install") && said.contains("folder"))
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_rows_are_bridged_and_jitter_is_not() {
+    fn missing_rows_repeat_frames_and_jitter_does_not() {
         let mut pacing = Pacing { first: Timestamp::from_ns(5_000), interval_ns: 100, written: 0 };
         let stamps = [5_000, 5_110, 5_190, 5_300, 5_700, 5_790];
         assert_eq!(stamps.map(|ns| pacing.repeats_before(Timestamp::from_ns(ns))), [0, 0, 0, 0, 3, 0]);

@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn the_summary_says_what_shutter_poses_were_given_with() {
+    fn the_summary_reports_the_shutter_used_for_the_poses() {
         let configured = KnownShutter { readout_s: Some(0.01), exposure_s: None };
         let mut tally = Tally::new(Instant::now(), configured, "clip");
         let mut learnt = sample(State::Tracking, 1.0);
@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn every_frame_that_is_not_tracked_counts_under_its_reason() {
+    fn every_untracked_frame_is_counted_under_its_reason() {
         let mut tally = Tally::new(Instant::now(), KnownShutter::default(), "nothing");
         tally.add(&sample(State::Tracking, 1.0));
         for reason in [Reason::TooDark, Reason::Covered, Reason::TooDark] {
@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_pose_is_told_in_degrees_beside_the_quaternion() {
+    fn the_last_pose_is_reported_in_degrees_and_as_a_quaternion() {
         let mut tally = Tally::new(Instant::now(), KnownShutter::default(), "nothing");
         let mut tracked = sample(State::Tracking, 1.0);
         let turn = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);

@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn both_kinds_of_socket_are_reached_and_none_is_no_fault() {
+    fn notify_reaches_both_socket_kinds_or_none_without_error() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("notify");
         let abstract_name = format!("stagepose-test-{}", std::process::id());

@@ -155,7 +155,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_line_says_what_matters() {
+    fn the_status_line_reports_state_rate_age_and_recording() {
         let s = Statistics::default();
         assert_eq!(status(&s, (0, 0.0), None), "waiting for the camera, 0.0 frames/s");
         s.camera_opened("Cam", false);

@@ -105,7 +105,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_earlier_survey_is_back_in_its_place_where_the_new_one_cannot_take_it() {
+    fn a_failed_replacement_restores_the_earlier_survey() {
         let room = tempfile::tempdir().unwrap();
         let [folder, new, aside] = ["stage", ".stage.new", ".stage.old"].map(|name| room.path().join(name));
         fs::create_dir(&folder).unwrap();

@@ -307,7 +307,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_that_a_terminal_would_obey_is_escaped() {
+    fn control_characters_in_event_names_are_escaped() {
         let name = "Cam\u{9b}2J\x1b]0;x\x07\u{202e}".to_owned();
         let line = StampedEvent { timestamp: Timestamp::from_ns(1), event: Event::NoDriverStamp { name: name.clone() } }.to_json_line();
         assert!(line.chars().all(crate::printable::stands_for_itself), "{line:?}");
@@ -316,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn listeners_get_lines_and_may_be_gone() {
+    fn listeners_get_event_lines_and_may_disconnect() {
         let log = EventLog::default();
         let (kept, gone) = (log.listen(), log.listen());
         drop(gone);

@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn silence_is_too_long_before_the_third_frame_time_is_over() {
+    fn silence_times_out_before_three_frame_intervals() {
         let pulse = Pulse::default();
         pulse.set_rate(50.0);
         let at = Timestamp::from_ns;

@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn the_cameras_locked_exposure_counts_where_none_is_set() {
+    fn the_cameras_locked_exposure_is_the_default() {
         let (set, unset) = (Shutter { exposure_s: 0.01, readout_s: 0.0 }, Shutter::default());
         assert_eq!(exposure_of(&unset, &mode(Some(0.0083))), 0.0083);
         assert_eq!(exposure_of(&set, &mode(Some(0.0083))), 0.01);

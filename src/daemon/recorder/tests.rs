@@ -125,7 +125,7 @@ fn a_full_disk_ends_the_recording_with_a_good_clip() {
 }
 
 #[test]
-fn a_recorder_that_is_killed_leaves_a_clip_that_replays() {
+fn a_recording_cut_off_by_a_kill_still_replays() {
     let folder = tempfile::tempdir().unwrap();
     let clip = folder.path().join("take");
     let (link, mut disk) = (LiveLink::default(), RealDisk::default());
@@ -171,7 +171,7 @@ fn the_ring_keeps_the_last_seconds_and_saves_them_as_a_clip() {
 }
 
 #[test]
-fn a_saved_ring_has_the_config_that_ran_whatever_became_of_the_file() {
+fn a_saved_ring_contains_the_config_that_was_running() {
     let (home, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/dolly");
     for name in ["backdrop.png", "flat.png", "camera.toml", "stage.toml"] {
@@ -203,7 +203,7 @@ fn a_saved_ring_has_the_config_that_ran_whatever_became_of_the_file() {
 }
 
 #[test]
-fn a_recording_says_what_was_known_of_the_camera_before_its_first_row() {
+fn a_recording_states_the_camera_state_learnt_before_it() {
     let folder = tempfile::tempdir().unwrap();
     let clip = folder.path().join("take");
     let link = LiveLink::default();
@@ -272,7 +272,7 @@ fn saved_rings_and_ended_recordings_leave_no_file_open() {
 }
 
 #[test]
-fn a_ring_that_is_saved_as_a_recording_begins_takes_another_folder() {
+fn a_ring_saved_at_a_recordings_start_gets_its_own_folder() {
     let folder = tempfile::tempdir().unwrap();
     let plan = RecorderPlan { clip: None, ring: Some((folder.path().to_owned(), 2.0)), about: about() };
     let link = LiveLink::default();
@@ -295,7 +295,7 @@ fn a_ring_that_is_saved_as_a_recording_begins_takes_another_folder() {
 }
 
 #[test]
-fn where_no_folder_can_be_made_a_recording_has_a_name_and_says_why_it_does_not_begin() {
+fn a_recording_without_a_folder_reports_name_and_cause() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("recordings");
     std::fs::write(&file, "no folder").unwrap();
@@ -307,7 +307,7 @@ fn where_no_folder_can_be_made_a_recording_has_a_name_and_says_why_it_does_not_b
 }
 
 #[test]
-fn a_recording_that_is_given_up_leaves_no_file_open() {
+fn an_abandoned_recording_closes_its_files() {
     let folder = tempfile::tempdir().unwrap();
     let config: usize = about().config.copy(None).unwrap().iter().map(|(_, bytes)| bytes.len()).sum();
     let plan = RecorderPlan { clip: Some(folder.path().join("take")), ring: Some((folder.path().to_owned(), 2.0)), about: about() };

@@ -16,7 +16,7 @@
 //! | other pictures | features that no other surface has | it is taken for another |
 //!
 //! The limits were set from the tracker's results with graded pictures on the virtual stage
-//! (`ratings_order_pictures_by_what_the_tracker_does_with_them`).
+//! (`ratings_order_pictures_by_how_well_they_are_tracked`).
 
 mod repeated;
 mod strength_map;

@@ -51,7 +51,7 @@ fn good_artwork_is_rated_best() {
 }
 
 #[test]
-fn a_plain_picture_and_a_gradient_hold_nothing() {
+fn a_plain_picture_and_a_gradient_get_no_stars() {
     let gradient = GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| Luma([((x * 128 / SIZE.0) + (y * 100 / SIZE.1)) as u8]));
     for art in [GrayImage::from_pixel(SIZE.0, SIZE.1, Luma([128])), gradient] {
         let rating = alone(&art);
@@ -92,7 +92,7 @@ fn photographed_squares(margin: u32) -> GrayImage {
 }
 
 #[test]
-fn squares_in_rows_repeat_themselves_whatever_noise_makes_of_them() {
+fn rows_of_squares_are_rated_repeating_despite_noise() {
     for margin in [0, 12] {
         let rating = alone(&photographed_squares(margin));
         println!("margin {margin}: {} of 5; {}", rating.stars, said(&rating));
@@ -103,7 +103,7 @@ fn squares_in_rows_repeat_themselves_whatever_noise_makes_of_them() {
 }
 
 #[test]
-fn a_picture_amidst_stripes_is_there_once() {
+fn a_picture_amid_stripes_is_not_rated_repeating() {
     let stripes = GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| match (150..650).contains(&x) && (100..500).contains(&y) {
         true => *painted_once().get_pixel(x, y),
         false => Luma([if x % 50 < 25 { 210 } else { 50 }]),
@@ -114,7 +114,7 @@ fn a_picture_amidst_stripes_is_there_once() {
 }
 
 #[test]
-fn a_picture_that_two_objects_have_tells_neither() {
+fn a_picture_shared_by_two_objects_is_rated_poor() {
     // Photographed again: slightly softer, brighter, and cropped.
     let near_copy = imageops::blur(&painted(7), 0.8);
     let near_copy =
@@ -141,7 +141,7 @@ fn a_prop_that_is_small_in_the_frame_is_named() {
 }
 
 #[test]
-fn the_map_shows_where_a_picture_is_plain() {
+fn the_rating_map_shows_plain_areas() {
     let half = GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| if x < SIZE.0 / 2 { *painted_once().get_pixel(x, y) } else { Luma([90]) });
     let map = alone(&half).map;
     let mean = |is_in: &dyn Fn(u32) -> bool| {
@@ -208,7 +208,7 @@ fn tracked(art: &GrayImage) -> (f64, f64) {
 const VIEWS: u32 = 5;
 
 #[test]
-fn ratings_order_pictures_by_what_the_tracker_does_with_them() {
+fn ratings_order_pictures_by_how_well_they_are_tracked() {
     let graded = |contrast: f64, blur: f32, plain: f64| {
         let art = if blur > 0.0 { imageops::blur(painted_once(), blur) } else { painted_once().clone() };
         let edge = (f64::from(SIZE.0) * (1.0 - plain)) as u32;

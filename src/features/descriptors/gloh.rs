@@ -277,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn an_edge_is_in_the_places_and_the_direction_where_it_is() {
+    fn an_edge_falls_into_its_location_and_direction_bins() {
         // An edge along y, 16 pixels to the right, 8 of the normalised region: the inner ring's
         // first sector, direction 0.
         let numbers = grid(|x, _| if x > 16.0 { 100.0 } else { 0.0 }, 0.0);
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn the_grid_is_that_of_its_definition() {
+    fn the_grid_matches_a_plain_implementation() {
         let value = |k: usize| ((k % 71 / 6 * 73 + k / 71 / 5 * 151 + k * 37 % 29) % 200) as f32;
         let image = FloatImage { width: 71, height: 64, values: (0..71 * 64).map(value).collect() };
         for (sigma, turn, middle) in
@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reduced_description_is_the_product_with_each_component() {
+    fn a_reduced_descriptor_is_the_projection_on_each_component() {
         let (basis, numbers) = (Basis::own(), std::array::from_fn(|k| (k * 7 % 13) as f32 * 0.01));
         let reduced = Reduction::by(&basis).of(&numbers);
         for (value, component) in reduced.iter().zip(basis.components.chunks_exact(FULL_LENGTH)) {
@@ -346,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pixel_counts_once_however_it_is_shared() {
+    fn a_pixels_bin_weights_sum_to_one() {
         // Shares of two neighbours add up to 1 by construction; the rings' total is limited only by
         // the fade.
         for (radius, place, inside) in
@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn the_own_basis_is_of_unit_vectors_at_right_angles() {
+    fn the_built_in_basis_is_orthonormal() {
         let basis = Basis::own();
         let components: Vec<&[f32]> = basis.components.chunks_exact(FULL_LENGTH).collect();
         assert_eq!((components.len(), basis.mean.len()), (REDUCED_LENGTH, FULL_LENGTH));
@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_place_is_known_again_when_the_picture_is_turned() {
+    fn descriptors_match_in_a_rotated_picture() {
         let level = |x: u32, y: u32| ((x / 11 * 73 + y / 9 * 151 + (x * x + y * 3) / 400 * 37) % 200 + 20) as u8;
         let picture = GrayImage::from_fn(150, 130, |x, y| Luma([level(x, y)]));
         let turned = image::imageops::rotate90(&picture);
@@ -410,7 +410,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_described_is_left_out() {
+    fn undescribable_keypoints_are_dropped() {
         let even = GrayImage::from_pixel(64, 64, Luma([77]));
         let at = |x: f64, shape: Matrix2<f64>| Keypoint { position: Vector2::new(x, 30.0), shape, response: 1.0 };
         let keypoints = [at(30.0, Matrix2::identity()), at(f64::NAN, Matrix2::identity()), at(3.0, Matrix2::zeros())];

@@ -61,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn directions_are_those_of_atan2() {
+    fn gradient_directions_match_atan2() {
         for k in 0..=4000_i16 {
             let angle = (f32::from(k) / 2000.0 - 1.0) * 0.999 * std::f32::consts::PI;
             for length in [1e-3, 1.0, 300.0] {

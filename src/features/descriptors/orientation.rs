@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn two_directions_of_like_strength_are_both_found() {
+    fn two_equally_strong_orientations_are_both_found() {
         let mut found = directions(|x, y| 10.0 * x.max(y));
         found.sort_by(f32::total_cmp);
         assert_eq!(found.len(), 2, "{found:?}");
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn an_even_region_has_none() {
+    fn a_uniform_region_has_no_orientation() {
         assert!(directions(|_, _| 9.0).is_empty());
     }
 }

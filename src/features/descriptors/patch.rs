@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn patch_of_half_width_20_has_1681_values_of_zero_mean_and_unit_norm() {
+    fn a_half_width_20_patch_has_1681_zero_mean_unit_norm_values() {
         let (count, values) = describe(PatchDescriber::default(), &waves(50.0, 120.0), &[(40.0, 30.0)]);
         assert_eq!((count, values.len()), (1, 1681));
         assert!(values.iter().sum::<f32>().abs() < 1e-3);
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn the_dot_product_bears_other_brightness_and_contrast() {
+    fn the_dot_product_ignores_brightness_and_contrast() {
         let describer = PatchDescriber { half_width: 8 };
         let (_, a) = describe(describer, &waves(50.0, 120.0), &[(40.3, 30.6), (25.0, 20.0)]);
         let (_, b) = describe(describer, &waves(20.0, 60.0), &[(40.3, 30.6)]);
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_read_between_the_pixels() {
+    fn patches_are_sampled_at_subpixel_positions() {
         // A step of 100 grey levels: half a pixel further, the step moves along.
         let describer = PatchDescriber { half_width: 3 };
         let picture = GrayImage::from_fn(40, 40, |x, _| Luma([if x < 20 { 50 } else { 150 }]));
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn even_patches_and_those_across_the_border_are_left_out() {
+    fn uniform_patches_and_those_across_the_border_are_dropped() {
         let places = [(40.0, 30.0), (19.9, 30.0), (40.0, 39.1), (f64::NAN, 3.0), (f64::INFINITY, 9.0)];
         assert_eq!(describe(PatchDescriber::default(), &waves(50.0, 120.0), &places).0, 1);
         assert_eq!(describe(PatchDescriber::default(), &GrayImage::from_pixel(80, 60, Luma([9])), &places).0, 0);

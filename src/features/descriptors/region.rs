@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn a_patch_is_that_of_its_definition() {
+    fn a_region_patch_matches_its_definition() {
         let picture = texture();
         let forms = PictureForms::new(&picture);
         let mut patch = Patch::default();

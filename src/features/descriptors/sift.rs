@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn regions_are_known_again_turned_larger_and_tilted() {
+    fn descriptors_match_under_rotation_scale_and_tilt() {
         let turn = |angle: f64| Matrix2::new(angle.cos(), -angle.sin(), angle.sin(), angle.cos());
         for (matrix, least) in [
             (turn(0.7), 16),
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn descriptions_are_of_unit_length_and_bear_other_light() {
+    fn descriptors_have_unit_length_and_ignore_lighting() {
         let picture = seen_through(Matrix2::identity());
         let dim = GrayImage::from_fn(181, 181, |x, y| Luma([(picture.get_pixel(x, y)[0] as f32 * 0.6 + 30.0).round() as u8]));
         let middle = Vector2::from_element(MIDDLE);
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn the_grid_is_that_of_its_definition() {
+    fn the_grid_matches_a_plain_implementation() {
         let picture = seen_through(Matrix2::identity());
         let forms = PictureForms::new(&picture);
         for (sigma, direction, middle) in [(1.7, 0.3, 90.2), (4.0, 2.0, 60.0), (2.4, 5.9, 8.4)] {
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_described_is_left_out() {
+    fn undescribable_keypoints_are_dropped() {
         let picture = seen_through(Matrix2::identity());
         let at = |x: f64, y: f64, shape: Matrix2<f64>| Keypoint { position: Vector2::new(x, y), shape, response: 1.0 };
         let round = Matrix2::identity() * 3.0;

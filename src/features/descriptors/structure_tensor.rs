@@ -58,7 +58,7 @@ mod tests {
     use nalgebra::Vector2;
 
     #[test]
-    fn of_a_ramp_it_is_the_products_of_the_slopes_and_what_is_even_or_outside_is_left_out() {
+    fn structure_tensor_of_a_ramp_is_its_slope_products() {
         let ramp = GrayImage::from_fn(40, 40, |x, y| Luma([(2 * x + 3 * y) as u8]));
         let at = |x: f64, y: f64| Keypoint::round(Vector2::new(x, y), 2.0, 1.0);
         let keypoints = [at(20.3, 19.6), at(-1.0, 3.0), at(3.0, f64::NAN)];

@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn places_are_found_again_in_a_turned_and_scaled_picture_of_other_contrast() {
+    fn surf_descriptors_match_under_rotation_scale_and_contrast() {
         let reference = places(&texture(0.0, 1.0, 60.0), 0.0, 1.0);
         for (values, _) in &reference {
             assert!((values[..64].iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-4);
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn the_direction_is_that_of_the_gradient() {
+    fn the_orientation_follows_the_gradient() {
         for angle in [0.0f64, 0.3, 0.8, 1.7, 3.0, -0.6, -2.2] {
             let (sin, cos) = angle.sin_cos();
             let ramp = GrayImage::from_fn(200, 200, |x, y| {
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn bright_and_dark_blobs_differ_by_two_at_least() {
+    fn bright_and_dark_blob_descriptors_differ_by_at_least_two() {
         let blob = |sign: f64| {
             GrayImage::from_fn(200, 200, |x, y| {
                 let d = Vector2::new(f64::from(x) - 100.0, f64::from(y) - 100.0);
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_described_is_left_out() {
+    fn undescribable_keypoints_are_dropped() {
         let round = |x: f64, y: f64, scale: f64| Keypoint::round(Vector2::new(x, y), scale, 1.0);
         let wild =
             [round(f64::NAN, 1.0, 1.0), round(-1.0, 1.0, 1.0), round(1.0, 1.0, 0.0), round(1.0, 1.0, f64::INFINITY), round(0.0, 0.0, 1.0)];

@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn elliptic_blobs_are_found_with_their_place_axes_and_direction() {
+    fn elliptic_blobs_are_found_with_position_axes_and_direction() {
         for contrast in [-100.0, 100.0] {
             for (k, axes) in [[6.0, 6.0], [9.0, 4.5], [5.0, 3.0], [14.0, 4.0], [10.0, 9.0]].into_iter().enumerate() {
                 let middle = Vector2::new(68.3 + 0.37 * k as f64, 64.8 - 0.21 * k as f64);
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn keypoints_and_shapes_are_found_again_from_other_sides() {
+    fn keypoints_and_shapes_repeat_across_views() {
         let painting = Painting::new();
         for measure in MEASURES {
             let first = detect(measure, &painting.seen(&view(0.0, 0.0, 1.0)));
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_than_wanted_the_strongest_and_none_twice() {
+    fn the_strongest_keypoints_are_kept_without_duplicates() {
         let picture = Painting::new().seen(&view(0.0, 0.0, 1.0));
         for measure in MEASURES {
             let all = detect(measure, &picture);
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_picture_gives_the_same_and_nothing_gives_nothing() {
+    fn detection_is_repeatable_and_finds_nothing_in_blank_pictures() {
         let picture = noise(160, 120);
         for measure in MEASURES {
             assert_eq!(detect(measure, &picture), detect(measure, &picture));

@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn a_blob_has_its_height_at_its_own_scale_and_less_at_others() {
+    fn a_blob_responds_most_at_its_own_scale() {
         let blob = picture(121, |x, y| 80.0 * (-0.5 * (x * x + y * y) / 36.0).exp());
         let [before, own, after] = [5.0, 6.0, 7.2].map(|sigma| AffineMeasure::Hessian.at_scale(&blob.blurred(sigma), sigma, 60, 60));
         assert!((AffineMeasure::Hessian.contrast(own) - 80.0).abs() < 2.0, "{own}");
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn a_right_angle_has_its_height_and_an_edge_none() {
+    fn a_right_angle_corner_responds_and_an_edge_does_not() {
         let corner = picture(161, |x, y| if x > 0.0 && y > 0.0 { 100.0 } else { 0.0 });
         let edge = picture(161, |x, _| if x > 0.0 { 100.0 } else { 0.0 });
         let most = |picture: &FloatImage| {
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_blob_is_bounded_by_the_ratio_of_its_axes() {
+    fn the_response_to_a_long_blob_is_bounded_by_its_axis_ratio() {
         let blob = picture(121, |x, y| 80.0 * (-0.5 * (x * x / 144.0 + y * y / 9.0)).exp()).blurred(6.0);
         assert!(AffineMeasure::Hessian.is_bounded(&blob, 60, 60, 4.3) && !AffineMeasure::Hessian.is_bounded(&blob, 60, 60, 3.7));
         assert!(!AffineMeasure::Hessian.is_bounded(&blob, 0, 60, 9.0) && AffineMeasure::Harris.is_bounded(&blob, 60, 60, 2.0));

@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn the_four_corners_of_a_square_are_found_between_the_pixels() {
+    fn square_corners_are_located_to_subpixels() {
         for (measure, (dx, angle)) in MEASURES.iter().flat_map(|m| [(0.0, 0.0), (0.3, 0.0), (0.5, 0.4), (0.8, 1.1)].map(|p| (*m, p))) {
             let middle = Vector2::new(50.0 + dx, 44.0 - 0.7 * dx);
             let found = detect(HarrisDetector { measure, count: 4, ..Default::default() }, &square(middle, 20.0, angle));
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn the_measures_are_those_of_their_formulas() {
+    fn corner_measures_match_their_formulas() {
         let one = |v: f32| FloatImage { width: 1, height: 1, values: vec![v] };
         let moments = SecondMoments { xx: one(5.0), yy: one(2.0), xy: one(2.0) };
         // Eigenvalues 6 and 1.
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn suppression_ends_and_keeps_the_strongest_of_each_neighbourhood() {
+    fn suppression_keeps_the_strongest_of_each_neighbourhood() {
         let picture = noise(160, 120);
         let all = detect(HarrisDetector::default(), &picture);
         let kept = detect(HarrisDetector { suppress: 12.0, ..Default::default() }, &picture);
@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_on_count_strength_share_and_border_hold() {
+    fn limits_on_count_strength_and_border_hold() {
         let picture = noise(160, 120);
         let all = detect(HarrisDetector::default(), &picture);
         let middle = f64::from(all[all.len() / 2].response);
@@ -323,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_without_corners_have_none_and_none_is_too_small() {
+    fn cornerless_and_tiny_pictures_have_no_corners() {
         let ramp = GrayImage::from_fn(60, 50, |x, _| Luma([(3 * x) as u8]));
         let edge = GrayImage::from_fn(60, 50, |x, _| Luma([if x < 30 { 20 } else { 220 }]));
         let sizes = [(0, 0), (1, 1), (40, 1), (1, 40), (3, 3)].map(|(w, h)| noise(w, h));

@@ -335,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn the_tree_holds_what_a_flood_at_each_level_finds() {
+    fn the_component_tree_matches_flood_fills_at_each_level() {
         // Few levels, so that sets are large.
         let picture = noise(23, 17);
         let picture = GrayImage::from_fn(23, 17, |x, y| Luma([picture.get_pixel(x, y).0[0] / 32]));
@@ -370,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn regions_are_found_again_from_other_sides() {
+    fn regions_repeat_across_views() {
         let painting = Painting::new();
         let first = detect(&painting.seen(&view(0.0, 0.0, 1.0)));
         assert!(first.len() > 50, "{}", first.len());
@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn other_light_changes_nothing() {
+    fn regions_are_invariant_to_lighting() {
         let picture = Painting::new().seen(&view(0.0, 0.0, 1.0));
         let darker = GrayImage::from_fn(300, 300, |x, y| Luma([20 + picture.get_pixel(x, y).0[0] / 2]));
         let still = view(0.0, 0.0, 1.0);
@@ -393,7 +393,7 @@ mod tests {
     }
 
     #[test]
-    fn of_two_alike_regions_one_is_kept() {
+    fn one_of_two_similar_regions_is_kept() {
         let picture = Painting::new().seen(&view(0.0, 0.0, 1.0));
         let kept = |least_diversity| MserDetector { least_diversity, ..MserDetector::default() }.detect(&PictureForms::new(&picture)).len();
         assert!(kept(0.0) >= kept(0.2) && kept(0.2) > kept(0.9), "{} {} {}", kept(0.0), kept(0.2), kept(0.9));
@@ -401,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_picture_gives_the_same_and_nothing_gives_nothing() {
+    fn detection_is_repeatable_and_finds_nothing_in_blank_pictures() {
         let picture = noise(200, 150);
         assert_eq!(detect(&picture), detect(&picture));
         for (width, height) in DEGENERATE {

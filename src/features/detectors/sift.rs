@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn the_strongest_come_first_dark_ones_too_and_no_more_than_wanted() {
+    fn the_strongest_bright_and_dark_blobs_come_first() {
         let picture = blobs(200, 160, &[[40.0, 40.0, 3.0, 60.0], [140.0, 50.0, 3.0, 120.0], [90.0, 120.0, 4.0, -90.0]]);
         let found = detect(&picture);
         let places = [[140.0, 50.0], [90.0, 120.0], [40.0, 40.0]];
@@ -397,7 +397,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_without_anything_to_find_have_nothing() {
+    fn blank_pictures_have_no_keypoints() {
         for (width, height) in [(0, 0), (1, 1), (300, 1), (1, 300), (11, 11), (64, 64)] {
             let even = GrayImage::from_pixel(width, height, Luma([128]));
             assert!(detect(&even).is_empty(), "{width} x {height}");

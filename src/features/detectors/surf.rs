@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn blobs_of_every_scale_are_found_wherever_they_lie_between_the_samples() {
+    fn blobs_of_every_scale_are_found_at_any_subsample_offset() {
         let mut ratios = Vec::new();
         for sigma in [2.2, 2.6, 3.5, 4.5, 6.279, 9.0, 12.64] {
             for k in 0..8 {
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn sides_are_those_of_the_paper() {
+    fn filter_sizes_match_the_paper() {
         assert_eq!(sides(0), [9, 15, 21, 27]);
         assert_eq!(sides(1), [15, 27, 39, 51]);
         assert_eq!(sides(2), [27, 51, 75, 99]);
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn the_filters_answer_to_curvature_alone() {
+    fn hessian_filters_respond_to_curvature_only() {
         let ramp = GrayImage::from_fn(60, 60, |x, y| Luma([(2 * x + y) as u8]));
         let bowl = GrayImage::from_fn(60, 60, |x, y| Luma([((x as i32 - 30) * (y as i32 - 30) + 128).clamp(0, 255) as u8]));
         assert!(hessian(&IntegralImage::of(&ramp), 30, 30, 15).iter().all(|v| v.abs() < 1e-4));
@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_found_in_nothing() {
+    fn no_blobs_are_found_in_blank_pictures() {
         for (w, h) in [(0, 0), (1, 1), (200, 1), (5000, 3), (12, 300), (28, 29)] {
             assert_eq!(detect(&GrayImage::from_pixel(w, h, Luma([90]))), []);
         }

@@ -56,7 +56,7 @@ fn no_steady_state_rings_or_alternates() {
 }
 
 #[test]
-fn a_filter_that_swings_is_known_by_its_eigenvalues() {
+fn an_oscillating_filter_is_recognised_by_its_eigenvalues() {
     for rate in [5.0, 30.0, 60.0] {
         let (step_s, sigma) = (1.0 / rate, 1e-6);
         let mut filter = WhiteAcceleration::at_rest(UNKNOWN.acceleration);
@@ -76,7 +76,7 @@ fn a_filter_that_swings_is_known_by_its_eigenvalues() {
 /// Irregular intervals, dropped frames and changing noise: the propagation of the initial error is
 /// a positive number times a matrix of known form, never a power of something that rotates.
 #[test]
-fn errors_fade_over_any_intervals_and_noise() {
+fn errors_decay_at_any_interval_and_noise() {
     let mut random = (1u64..).map(|k| (k.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40) as f64 / (1u64 << 24) as f64);
     let mut next = || random.next().expect("an endless row");
     for memory_s in [0.002, 0.03, 0.125, 0.5] {

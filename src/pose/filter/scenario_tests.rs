@@ -74,7 +74,7 @@ fn judged(row: &[(f64, f64)], end: f64) -> (f64, f64, usize) {
 }
 
 #[test]
-fn kicks_end_stops_and_cuts_settle_and_never_alternate() {
+fn jolts_stops_and_cuts_settle_without_oscillation() {
     let cases = [Event::Kick, Event::EndStop, Event::Cut];
     for (event, rate, sigma) in product(&cases) {
         for (kind, begin) in [(0, 0.0), (0, 0.4), (1, 0.0), (2, 0.0), (2, 0.4)] {
@@ -99,7 +99,7 @@ fn kicks_end_stops_and_cuts_settle_and_never_alternate() {
 }
 
 #[test]
-fn a_filter_that_swings_is_rejected() {
+fn an_oscillating_filter_is_rejected() {
     let (sigma, predict_s, rate): (f64, f64, f64) = (1e-6, 0.1, 30.0);
     for event in [Event::Kick, Event::EndStop, Event::Cut] {
         let mut filter = WhiteAcceleration::at_rest(30.0);
@@ -121,7 +121,7 @@ fn product(events: &[Event]) -> Vec<(Event, f64, f64)> {
 }
 
 #[test]
-fn with_noise_they_settle_too() {
+fn jolts_stops_and_cuts_settle_despite_noise() {
     for event in [Event::Kick, Event::EndStop, Event::Cut] {
         for (rate, sigma) in RATES.iter().flat_map(|rate| [1e-6, 1e-5, 1e-4].map(|sigma| (*rate, sigma))) {
             for predict_s in [0.0, 0.1, 0.2] {
@@ -135,7 +135,7 @@ fn with_noise_they_settle_too() {
 }
 
 #[test]
-fn a_jump_leaves_no_liveliness_behind() {
+fn scatter_returns_to_normal_after_a_jump() {
     for (rate, sigma) in RATES.iter().flat_map(|rate| [1e-5, 1e-4, 1e-3].map(|sigma| (*rate, sigma))) {
         let rows = told(kalman(0.1), &stamps(rate, 0, 0.0), sigma, sigma, |t| Event::Cut.at(t));
         let scatter = |from: f64, end: f64| {
@@ -150,7 +150,7 @@ fn a_jump_leaves_no_liveliness_behind() {
 /// For any input: a prediction reaches at most twice as far as the body moved in the last
 /// `predict_s`.
 #[test]
-fn predictions_reach_no_further_than_measurements_support() {
+fn predictions_reach_at_most_twice_the_recent_motion() {
     let mut random = Pcg64::seed_from_u64(3);
     let predict_s = 0.1;
     for kind in [kalman(0.0).kind, one_euro().kind] {
@@ -178,7 +178,7 @@ fn predictions_reach_no_further_than_measurements_support() {
 }
 
 #[test]
-fn one_euro_does_not_alternate_and_a_body_that_stands_has_no_prediction() {
+fn one_euro_never_oscillates_or_predicts_a_body_at_rest() {
     for event in [Event::Kick, Event::EndStop, Event::Cut] {
         for rate in RATES {
             for predict_s in [0.0, 0.1, 0.2] {
@@ -223,7 +223,7 @@ fn coasting_does_not_run_away() {
 }
 
 #[test]
-fn coasting_goes_on_no_further_than_the_last_way() {
+fn coasting_moves_no_further_than_the_recent_motion() {
     for rate in RATES {
         let mut filter = PoseFilter::<Camera>::new(kalman(0.0));
         let mut random = Pcg64::seed_from_u64(5);
@@ -243,7 +243,7 @@ fn coasting_goes_on_no_further_than_the_last_way() {
 }
 
 #[test]
-fn five_frames_a_second_bear_a_dropped_frame() {
+fn five_frames_per_second_tolerate_a_dropped_frame() {
     for rate in [2.0, 5.0, 7.5] {
         let stamps = stamps(rate, 2, 0.0);
         let rows = told(kalman(0.1), &stamps, 1e-4, 0.0, |t| 0.4 * t);

@@ -77,14 +77,14 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 #[test]
-fn off_gives_what_was_measured_to_the_bit() {
+fn filter_off_returns_measurements_bit_for_bit() {
     for (told, measured) in filtered(FilterSettings::default(), 10, |t| pose(Vector3::x() * t, Vector3::z() * t)) {
         assert_eq!(told, measured);
     }
 }
 
 #[test]
-fn at_rest_the_scatter_shrinks_and_a_prediction_does_not_blow_it_up() {
+fn at_rest_the_filter_reduces_scatter_even_with_prediction() {
     let still = |_| pose(Vector3::new(1.0, -4.0, 1.6), Vector3::new(-1.5, 0.1, 0.0));
     for (settings, most) in [(kalman(0.0), 0.8), (one_euro(), 0.5), (kalman(0.033), 1.0)] {
         let track = filtered(settings, 300, still);
@@ -111,7 +111,7 @@ fn a_prediction_meets_uniform_motion() {
 }
 
 #[test]
-fn a_motion_that_begins_is_noticed_at_once() {
+fn the_start_of_a_motion_is_followed_at_once() {
     let path = |t: f64| pose(Vector3::x() * (t - 2.0).max(0.0), Vector3::zeros());
     let track = filtered(kalman(0.0), 90, path);
     // 60 frames at rest, then 1 m/s: a lag of 33 mm per frame if it went unnoticed.
@@ -137,7 +137,7 @@ fn nothing_is_carried_across_a_loss_or_a_long_gap() {
 }
 
 #[test]
-fn without_measurements_it_goes_on_and_comes_to_rest() {
+fn without_measurements_the_pose_continues_then_rests() {
     let noise = Matrix6::identity() * SIGMA * SIGMA;
     let mut filter = PoseFilter::new(kalman(0.0));
     for k in 0..60 {
@@ -149,7 +149,7 @@ fn without_measurements_it_goes_on_and_comes_to_rest() {
 }
 
 #[test]
-fn numbers_that_are_no_covariance_do_no_harm() {
+fn invalid_covariances_do_no_harm() {
     let mut filter = PoseFilter::new(kalman(0.02));
     for (k, scale) in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e300, 1e-300].into_iter().cycle().take(40).enumerate() {
         let given = pose(Vector3::x() * 0.01 * k as f64, Vector3::zeros());

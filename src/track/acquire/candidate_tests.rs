@@ -70,7 +70,7 @@ fn outliers_do_not_move_the_pose() {
 }
 
 #[test]
-fn surfaces_of_a_body_speak_for_one_pose() {
+fn all_surfaces_of_a_body_support_one_pose() {
     let mut flat = cloth(2);
     flat.pose = Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.5, 0.0), Vector3::new(0.8, 0.1, 0.7));
     flat.size_m = [1.2, 0.9];
@@ -78,7 +78,7 @@ fn surfaces_of_a_body_speak_for_one_pose() {
 }
 
 #[test]
-fn too_few_or_only_wrong_matches_give_nothing() {
+fn too_few_or_only_wrong_matches_yield_no_candidate() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
     assert!(candidates_of(&body, &[], &camera).0.is_empty());
     assert!(candidates_of(&body, &matches(&body, &camera, 7, 0), &camera).0.is_empty());
@@ -90,7 +90,7 @@ fn too_few_or_only_wrong_matches_give_nothing() {
 
 /// With eight right matches among sixty, a sample of four right ones is unlikely.
 #[test]
-fn a_handful_of_right_matches_among_many_wrong_ones_puts_a_body_where_it_is() {
+fn eight_right_matches_among_sixty_locate_a_body() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
     // The cloth appears some 200 pixels wide.
     let pose = facing(0.3, -0.5, Vector3::new(0.1, 0.05, 12.0));
@@ -113,7 +113,7 @@ fn a_handful_of_right_matches_among_many_wrong_ones_puts_a_body_where_it_is() {
 }
 
 #[test]
-fn a_body_that_many_matches_speak_for_gets_no_candidates_of_few() {
+fn a_well_matched_body_gets_no_few_match_candidates() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
     let many = matches(&body, &camera, 80, 40);
     let (mut found, _) = candidates_of(&body, &many, &camera);
@@ -123,7 +123,7 @@ fn a_body_that_many_matches_speak_for_gets_no_candidates_of_few() {
 }
 
 #[test]
-fn wrong_matches_alone_hardly_ever_make_candidates() {
+fn wrong_matches_alone_rarely_yield_candidates() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
     let made = |seed| {
         let mut found = Vec::new();
@@ -134,7 +134,7 @@ fn wrong_matches_alone_hardly_ever_make_candidates() {
 }
 
 #[test]
-fn a_body_may_be_seen_where_a_handful_of_matches_agrees() {
+fn a_few_agreeing_matches_suggest_a_visible_body() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
     let pose = facing(0.3, -0.5, Vector3::new(0.1, 0.05, 12.0));
     let seen = |right: usize, wrong: usize| {
@@ -162,7 +162,7 @@ fn matches_go_to_the_body_that_owns_their_surface() {
 }
 
 #[test]
-fn five_refining_steps_bring_the_best_candidate_to_rest() {
+fn five_refinement_steps_converge_the_best_candidate() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
     let still = MovingCamera::still(&camera);
     let pose = facing(0.2, -0.3, Vector3::new(0.4, 0.2, 9.0));

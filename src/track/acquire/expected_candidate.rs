@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn four_matches_in_a_strip_tell_how_far_off_the_expectation_is() {
+    fn four_matches_in_a_strip_correct_the_expected_pose() {
         let (body, camera) = (prepared(vec![cloth(3)]), lens(640, 480));
         for seed in 0..20 {
             let matches = matches(&body, &camera, 4, 50, seed);
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn of_several_expected_poses_the_one_that_most_matches_speak_for_is_taken() {
+    fn the_expected_pose_with_the_most_matches_is_used() {
         let (body, camera) = (prepared(vec![cloth(3)]), lens(640, 480));
         let matches = matches(&body, &camera, 6, 50, 1);
         for expected in [[off_by(0.3, 0.0), off_by(0.02, 0.02)], [off_by(0.02, 0.02), off_by(0.3, 0.0)]] {
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_matches_alone_and_bodies_elsewhere_give_hardly_any() {
+    fn wrong_matches_or_distant_bodies_rarely_yield_candidates() {
         let (body, camera) = (prepared(vec![cloth(3)]), lens(640, 480));
         let found = |right: usize, expected: Pose<Camera, Body>, seed: u64| {
             expected_candidate(&body, &matches(&body, &camera, right, 60, seed), &camera, std::iter::once(expected)).is_some()
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn of_two_planar_poses_the_one_that_is_turned_as_before_comes_first() {
+    fn the_planar_pose_with_the_expected_tilt_comes_first() {
         let candidate = |turn: f64, inliers: usize| Candidate { pose: off_by(0.0, turn), inliers, cost: 1.0, off: [0.01; 2] };
         let order = |mut found: Vec<Candidate>, turn: f64| {
             prefer_expected_tilt(&mut found, &off_by(0.05, turn));

@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn its_back_is_not_drawn() {
+    fn the_back_of_a_cloth_is_not_drawn() {
         let rays = CameraRays::new(lens(640, 480), None);
         let body = prepared(vec![cloth(1)]);
         let behind = facing(0.2 + std::f64::consts::PI, -0.3, Vector3::new(0.1, 0.05, 3.4));

@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn a_glance_is_enough_of_what_is_seen_well_and_more_is_what_a_quick_look_takes() {
+    fn a_glance_suffices_for_a_clear_view() {
         let [shown, other] = [5, 6].map(|seed| texture(1200, 800, seed));
         let mut body =
             prepared(vec![SurfaceSpec::from_artwork("cloth".into(), shown, [3.0, 2.0], Pose::identity()).expect("texture enough")]);
@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn a_steep_view_is_recognised_by_a_close_look() {
+    fn a_steep_view_is_recognised_by_a_thorough_search() {
         let artwork = texture(2400, 480, 5);
         let mut body =
             prepared(vec![SurfaceSpec::from_artwork("cloth".into(), artwork, [20.0, 4.0], Pose::identity()).expect("texture enough")]);

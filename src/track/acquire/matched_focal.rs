@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn another_mode_of_the_camera_is_found_at_once() {
+    fn another_camera_mode_is_found_at_once() {
         let aside = facing(0.1, -0.3, Vector3::new(0.2, 0.05, 5.0));
         for by in [0.667, 0.8, 0.9, 1.1, 1.25, 1.5_f64] {
             let MatchedFocal::Changed(change) = said(with_flat(), with_flat(), &zoomed(by), &aside) else { panic!("{by}") };
@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn a_right_lens_is_not_doubted() {
+    fn a_correct_lens_is_not_doubted() {
         for tilt in [-0.4, -0.1, 0.0, 0.2, 0.5] {
             let pose = facing(0.5 * tilt, tilt, Vector3::new(0.3, -0.1, 5.0));
             assert_eq!(said(with_flat(), with_flat(), &lens(640, 480), &pose), MatchedFocal::Unclear, "{tilt}");
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn a_print_seen_from_ahead_tells_nothing_of_the_lens() {
+    fn a_frontal_print_gives_no_evidence_on_the_lens() {
         let ahead = facing(0.0, 0.0, Vector3::new(0.0, 0.0, 5.0));
         // Distortion would reveal the focal length even here, so this lens has none.
         let [calibrated, real] = [640.0, 800.0].map(|f| CameraModel::pinhole(640, 480, f, f, 319.5, 239.5).expect("a camera"));
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_that_are_a_pixel_off_accuse_no_lens() {
+    fn corners_off_by_a_pixel_do_not_blame_the_lens() {
         let aside = facing(0.15, -0.25, Vector3::new(0.1, 0.0, 5.0));
         for higher in [0.985, 0.995, 1.005, 1.015] {
             let mut cropped = cloth(1);
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flat_off_its_place_accuses_no_lens() {
+    fn a_misplaced_flat_does_not_blame_the_lens() {
         let aside = facing(0.1, -0.3, Vector3::new(0.2, 0.05, 5.0));
         for off in [Vector3::new(0.0, 0.0, 0.03), Vector3::new(0.02, 0.0, 0.0), Vector3::new(-0.02, 0.01, -0.03)] {
             let mut moved = with_flat();
@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_that_a_motion_displaces_accuse_no_lens() {
+    fn rows_displaced_by_motion_do_not_blame_the_lens() {
         let (body, calibrated) = (prepared(with_flat()), lens(640, 480));
         let aside = facing(0.1, -0.3, Vector3::new(0.2, 0.05, 5.0));
         for twist in [[0.02, 0.0, 0.0, 0.0, 0.02, 0.0], [0.0, 0.01, 0.02, 0.02, 0.0, 0.0], [-0.01, 0.0, -0.02, -0.01, 0.015, 0.01]] {
@@ -347,7 +347,7 @@ mod tests {
     }
 
     #[test]
-    fn a_doubt_is_taken_back_where_the_calibrated_lens_fits_better() {
+    fn a_lens_doubt_is_cleared_if_the_calibrated_lens_fits_better() {
         let body = prepared(with_flat());
         let calibrated = lens(640, 480);
         let aside = facing(0.1, -0.3, Vector3::new(0.2, 0.05, 5.0));

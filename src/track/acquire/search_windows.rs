@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn the_urgent_ones_are_the_first() {
+    fn the_most_urgent_windows_come_first() {
         let urgent = |w: &Window| Some((*w, [1.0, 5.0, 3.0][w.region]));
         assert_eq!(slice(&PROPS, urgent).iter().map(|w| w.region).collect::<Vec<_>>(), [1, 2, 0]);
         let slice = slice(&[FRAME, PROPS[1]], |w| Some((*w, w.region as f32)));
@@ -194,20 +194,20 @@ mod tests {
     }
 
     #[test]
-    fn what_is_narrow_is_one_window() {
+    fn a_narrow_region_is_one_window() {
         let strip = [[0, 0], [240, 720]];
         assert_eq!(slice(&[strip], |w| Some((*w, 1.0))).iter().map(extent).collect::<Vec<_>>(), [strip]);
     }
 
     #[test]
-    fn what_is_small_is_searched_beside_a_window_though_the_next_one_does_not_fit() {
+    fn small_regions_share_a_slice_with_a_window() {
         let (person, prop) = ([[200, 0], [600, 720]], [[800, 100], [1000, 400]]);
         let urgency = |w: &Window| Some((*w, [5.0, 1.0][w.region]));
         assert_eq!(slice(&[person, prop], urgency).iter().map(|w| w.region).collect::<Vec<_>>(), [0, 1]);
     }
 
     #[test]
-    fn what_holds_nothing_is_left_out() {
+    fn windows_without_content_are_skipped() {
         // The whole frame is unexplained, but only the person's place is worth searching.
         let person = |window: &Window| {
             let (first, end) = (window.origin[0].max(500), (window.origin[0] + window.size[0]).min(620));
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn where_a_body_should_be_is_searched_beside_the_most_urgent_window() {
+    fn an_expected_position_is_searched_beside_the_urgent_window() {
         let mut windows = SearchWindows::default();
         let urgency = |w: &Window| Some((*w, if w.origin[0] > 700 { 8.0 } else { 1.0 }));
         let place = [[100, 90], [600, 190]];

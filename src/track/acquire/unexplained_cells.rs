@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn what_appears_is_urgent_and_what_was_searched_waits() {
+    fn new_regions_are_urgent_and_searched_ones_wait() {
         let (person, prop) = ([30, 5, 45, 45], [5, 5, 9, 9]);
         let mut cells = UnexplainedCells::default();
         look(&mut cells, &[person]);
@@ -209,7 +209,7 @@ mod tests {
 
     /// Every square of half a window's side lies completely in a window that was searched.
     #[test]
-    fn a_frame_that_nothing_explains_is_searched_in_turns_that_miss_nothing() {
+    fn an_unexplained_frame_is_searched_completely_in_turns() {
         let (mut cells, mut windows, mut seen) = (UnexplainedCells::default(), SearchWindows::default(), Vec::new());
         for _ in 0..20 {
             look(&mut cells, &[[0, 0, SIZE[0], SIZE[1]]]);
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn a_window_is_as_large_as_what_it_holds() {
+    fn a_window_fits_its_content() {
         let mut cells = UnexplainedCells::default();
         look(&mut cells, &[[30, 5, 34, 9]]);
         let content = cells.content(&whole(0)).expect("cells enough").0;

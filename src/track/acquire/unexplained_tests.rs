@@ -43,7 +43,7 @@ fn a_stage_alone_leaves_nothing_to_search() {
 }
 
 #[test]
-fn another_light_is_no_other_thing() {
+fn different_lighting_is_not_an_unexplained_region() {
     let dim =
         GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| Luma([(f64::from(frame_at(x, y)) * (0.4 + 0.4 * f64::from(x) / 640.0) + 9.0) as u8]));
     assert!(regions(&dim).is_empty());
@@ -56,7 +56,7 @@ fn frame_at(x: u32, y: u32) -> u8 {
 }
 
 #[test]
-fn a_prop_before_it_is_a_region_of_its_own() {
+fn a_prop_in_front_is_a_separate_region() {
     let prop = texture(90, 70, 5);
     let mut frame = frame();
     image::imageops::replace(&mut frame, &prop, 300, 200);
@@ -76,7 +76,7 @@ fn a_plain_card_is_not_worth_a_search() {
 }
 
 #[test]
-fn a_prop_that_is_followed_explains_itself_and_hides_what_is_behind_it() {
+fn a_followed_prop_explains_its_own_pixels() {
     let camera = lens(SIZE.0, SIZE.1);
     let own = Pose::new(UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3), Vector3::new(0.4, -0.2, 0.5));
     let prop = SurfaceSpec::from_artwork("prop".into(), texture(200, 200, 5), [0.8, 0.8], own).expect("texture enough");
@@ -100,7 +100,7 @@ fn a_prop_that_is_followed_explains_itself_and_hides_what_is_behind_it() {
 }
 
 #[test]
-fn a_region_keeps_the_frame_s_own_mask() {
+fn a_region_keeps_the_frames_mask() {
     let mut frame = frame();
     image::imageops::replace(&mut frame, &texture(90, 70, 5), 300, 200);
     let region = regions(&frame).remove(0);
@@ -119,7 +119,7 @@ fn a_region_keeps_the_frame_s_own_mask() {
 }
 
 #[test]
-fn the_features_of_a_prop_are_where_the_frame_has_them() {
+fn region_features_have_frame_coordinates() {
     let prop = texture(90, 70, 5);
     let mut frame = frame();
     image::imageops::replace(&mut frame, &prop, 300, 200);

@@ -62,7 +62,7 @@ fn a_kept_bank_is_the_computed_one_to_the_bit() {
 }
 
 #[test]
-fn another_picture_and_another_share_of_the_bank_are_kept_beside_it() {
+fn banks_of_other_pictures_and_sizes_are_cached_separately() {
     let store = Arc::new(Memory::default());
     for (seed, pictures) in [(3, 1), (3, 4), (4, 1)] {
         let body = small_cloth(seed);
@@ -79,7 +79,7 @@ fn another_picture_and_another_share_of_the_bank_are_kept_beside_it() {
 }
 
 #[test]
-fn what_was_damaged_is_computed_anew() {
+fn a_damaged_bank_is_recomputed() {
     let (body, store) = (small_cloth(3), Arc::new(Memory::default()));
     let computed = bank(&body, 1, Some(&store));
     let whole = store.bytes().remove(0);
@@ -122,7 +122,7 @@ fn resealed(mut bytes: Vec<u8>) -> Vec<u8> {
 
 proptest! {
     #[test]
-    fn no_changed_bytes_are_taken(changes in proptest::collection::vec((any::<prop::sample::Index>(), 1..=255u8), 1..6)) {
+    fn changed_bank_bytes_are_rejected(changes in proptest::collection::vec((any::<prop::sample::Index>(), 1..=255u8), 1..6)) {
         let whole = few().to_bytes(&KEY);
         let mut bytes = whole.clone();
         changes.iter().for_each(|(at, change)| bytes[at.index(whole.len())] ^= change);
@@ -131,7 +131,7 @@ proptest! {
     }
 
     #[test]
-    fn no_other_length_is_taken(length in any::<prop::sample::Index>(), more in proptest::collection::vec(any::<u8>(), 1..200)) {
+    fn other_lengths_are_rejected(length in any::<prop::sample::Index>(), more in proptest::collection::vec(any::<u8>(), 1..200)) {
         let whole = few().to_bytes(&KEY);
         let cut = &whole[..length.index(whole.len())];
         for bytes in [cut.to_vec(), resealed(cut.to_vec()), [cut, &more].concat(), [whole.as_slice(), &more].concat()] {
@@ -142,7 +142,7 @@ proptest! {
     /// With a valid digest, any bank that parses is one that a picture may have, and serialises to
     /// the same bytes.
     #[test]
-    fn what_is_taken_of_forged_bytes_is_a_bank(
+    fn accepted_forged_bytes_form_a_valid_bank(
         changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         length in any::<prop::sample::Index>(),
         is_cut in any::<bool>(),
@@ -168,7 +168,7 @@ proptest! {
 }
 
 #[test]
-fn bytes_that_are_whole_are_taken_for_their_key_alone() {
+fn intact_bank_bytes_are_accepted_for_their_key_only() {
     let bytes = few().to_bytes(&KEY);
     assert_eq!(ViewBank::from_bytes(&bytes, &KEY, SIZE), Some(few()));
     assert_eq!(ViewBank::from_bytes(&bytes, &BankKey([8; KEY_BYTES]), SIZE), None);

@@ -69,7 +69,7 @@ fn a_bent_cloth_is_aligned_as_well_as_a_flat_one() {
 /// Up to two thirds of the stage are behind something with as much detail. The visible part is
 /// enough for a pose, and the rest must not pull it.
 #[test]
-fn what_stands_before_most_of_the_stage_does_not_pull_the_pose() {
+fn an_occluder_over_most_of_the_stage_does_not_bias_the_pose() {
     let (stage, other) = (view(&cloth(1), &truth(), &lens(480, 360)), view(&cloth(2), &truth(), &lens(480, 360)));
     let start = perturbed(&truth(), &Vector6::new(0.01, -0.008, 0.015, 0.003, -0.0025, 0.0015));
     // First one half is occluded, then so much that the better half of the tiles would include some
@@ -140,7 +140,7 @@ fn a_body_is_found_though_it_is_blurred() {
 /// A small body that is occluded by more than half has its blur (3 pixels) estimated once it is
 /// known which tiles fit. `open_columns` leave 0.4 to 0.5 of its tiles.
 #[test]
-fn what_is_seen_of_a_covered_body_is_asked_for_its_blur() {
+fn the_visible_part_of_an_occluded_body_reveals_its_blur() {
     let truth = facing(0.03, -0.05, Vector3::new(0.1, 0.05, 3.4));
     let small = SurfaceSpec::from_artwork("small".into(), texture(600, 450, 1), [1.3, 1.0], Pose::identity()).expect("texture enough");
     let start = perturbed(&truth, &Vector6::new(0.004, -0.003, 0.006, 0.001, -0.001, 0.0005));
@@ -157,7 +157,7 @@ fn what_is_seen_of_a_covered_body_is_asked_for_its_blur() {
 }
 
 #[test]
-fn what_is_not_the_stage_is_not_credible() {
+fn another_picture_is_not_a_credible_alignment() {
     for mut frame in [levels(2), {
         let mut dark = FrameLevels::default();
         dark.update(&image::GrayImage::from_pixel(480, 360, image::Luma([6])));
@@ -193,7 +193,7 @@ fn patches_lie_where_the_pose_puts_them() {
 /// After a jump within a frame, the reported motion is that of its last rows; the other rows'
 /// patches lie elsewhere.
 #[test]
-fn patches_are_those_of_the_motion_that_was_solved_for() {
+fn patches_follow_the_solved_motion_not_the_final_one() {
     // Configured with folds that it does not have, so that patches must be followed.
     let bent = SurfaceSpec { shape: folds(), ..cloth(1) };
     let expected = MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003);
@@ -214,7 +214,7 @@ fn patches_are_those_of_the_motion_that_was_solved_for() {
 }
 
 #[test]
-fn a_still_camera_keeps_its_pixels_and_gives_the_same_pose() {
+fn a_static_camera_reuses_its_pixels_and_pose() {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 0.0 });
     let rays = CameraRays::new(lens(480, 360), None);
     let mut frame = levels(1);
@@ -248,7 +248,7 @@ fn followed(coarse: &SurfaceSpec, picture: GrayImage) -> Aligner {
 }
 
 #[test]
-fn the_frame_tells_how_the_picture_was_enlarged() {
+fn the_frame_reveals_how_the_picture_was_enlarged() {
     let coarse = SurfaceSpec::from_artwork("coarse".into(), texture(160, 120, 4), [4.0, 3.0], Pose::identity()).expect("texture enough");
     // First linear between its pixels, as `view` samples it; then smooth.
     assert!(!followed(&coarse, coarse.artwork.clone()).slow.is_enlarged);
@@ -257,7 +257,7 @@ fn the_frame_tells_how_the_picture_was_enlarged() {
 }
 
 #[test]
-fn pixels_that_were_laid_out_anew_leave_nothing_to_conclude() {
+fn reselected_pixels_invalidate_the_last_solution() {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 0.0 });
     let rays = CameraRays::new(lens(480, 360), None);
     let mut frame = levels(1);
@@ -276,7 +276,7 @@ fn pixels_that_were_laid_out_anew_leave_nothing_to_conclude() {
 }
 
 #[test]
-fn a_frame_whose_pose_is_not_accepted_teaches_nothing() {
+fn a_rejected_frame_updates_no_estimates() {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 0.0 });
     let rays = CameraRays::new(lens(480, 360), None);
     let start = |x: f64| perturbed(&truth(), &Vector6::new(x, 0.0, 0.0, 0.0, 0.0, 0.0)).inverse();
@@ -296,7 +296,7 @@ fn a_frame_whose_pose_is_not_accepted_teaches_nothing() {
 }
 
 #[test]
-fn a_trial_that_changes_nothing_leaves_the_solution() {
+fn an_ineffective_enlargement_trial_keeps_the_solution() {
     let coarse = SurfaceSpec::from_artwork("coarse".into(), texture(160, 120, 4), [4.0, 3.0], Pose::identity()).expect("texture enough");
     let smooth = image::imageops::resize(&coarse.artwork, 1280, 960, image::imageops::FilterType::Lanczos3);
     let display = SurfaceSpec::from_artwork("display".into(), smooth, [4.0, 3.0], Pose::identity()).expect("texture enough");
@@ -315,7 +315,7 @@ fn a_trial_that_changes_nothing_leaves_the_solution() {
 }
 
 #[test]
-fn a_start_far_off_is_not_reached_from_nearby_alone() {
+fn a_far_start_needs_the_coarser_levels() {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 0.0 });
     let (mut frame, rays) = (levels(1), CameraRays::new(lens(480, 360), None));
     // Up to here, starts are off by a fifth of a pixel.

@@ -144,7 +144,7 @@ fn appearance_by_velocity(scene: &Scene, places: usize, predict: impl Fn(&Predic
 }
 
 #[test]
-fn derivatives_of_the_blur_by_the_velocity_agree_with_differences() {
+fn blur_derivatives_by_velocity_agree_with_differences() {
     for (mut scene, places) in scenes().into_iter().map(|scene| (scene, 5)).chain([3, 9, 15].map(|places| (scene(), places))) {
         // Some pixels of blur. A point that moves this fast and rotates as well follows a curve.
         scene.slow.shutter.exposure_s = 0.04;
@@ -171,7 +171,7 @@ fn derivatives_of_the_blur_by_the_velocity_agree_with_differences() {
 }
 
 #[test]
-fn the_plain_twin_predicts_the_same_derivatives_by_the_velocity() {
+fn the_scalar_twin_has_the_same_derivatives_by_velocity() {
     for places in [1, 3, 9] {
         let scene = scene();
         let fast = appearance_by_velocity(&scene, places, predict_by_velocity);
@@ -204,7 +204,7 @@ fn gradients_by_pixels_agree_with_differences() {
 }
 
 #[test]
-fn the_plain_twin_predicts_the_same() {
+fn the_scalar_twin_predicts_the_same() {
     for (scene, places) in scenes().iter().flat_map(|scene| [1, 3, 9].map(|places| (scene, places))) {
         let fast = appearance(scene, &scene.motion, places);
         let mut plain = Appearance::default();
@@ -218,7 +218,7 @@ fn the_plain_twin_predicts_the_same() {
 }
 
 #[test]
-fn plain_twins_sum_the_same_and_sums_are_products_of_the_columns() {
+fn scalar_twins_and_column_products_give_the_same_sums() {
     let scene = scene();
     let at = appearance(&scene, &scene.motion, 1);
     let noise = Noise { dark: 0.6, per_intensity: 0.01, model_px: 0.01 };

@@ -36,7 +36,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_clock_that_is_set_back_is_a_pause() {
+    fn a_clock_set_back_counts_as_a_pause() {
         let mut steps = ClockSteps::default();
         let own = [5, 7, 1, 3, 9, 2].map(|t| steps.own(Timestamp::from_ns(t)).ns());
         assert_eq!(own, [5, 7, 7 + PAUSE_NS, 9 + PAUSE_NS, 15 + PAUSE_NS, 15 + 2 * PAUSE_NS]);

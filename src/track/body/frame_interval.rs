@@ -56,7 +56,7 @@ mod tests {
     }
 
     #[test]
-    fn the_middle_interval_counts() {
+    fn the_frame_interval_is_the_median() {
         assert_eq!(after(&[]), 0.0);
         assert_eq!(after(&[70]), 0.0);
         assert!((after(&[0, 200]) - 0.25).abs() < 1e-9);

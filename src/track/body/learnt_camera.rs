@@ -113,14 +113,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_kept_comes_back() {
+    fn kept_data_reads_back() {
         for learnt in [learnt(), LearntCamera { readout: None, ..learnt() }, LearntCamera::default()] {
             assert_eq!(LearntCamera::from_bytes(&learnt.to_bytes()), Ok(learnt));
         }
     }
 
     #[test]
-    fn other_versions_and_other_files_are_refused_with_a_sentence() {
+    fn other_versions_and_files_are_refused_with_the_reason() {
         let text = String::from_utf8(learnt().to_bytes()).unwrap();
         let later = LearntCamera::from_bytes(text.replace("camera 1", "camera 2").as_bytes()).unwrap_err();
         assert_eq!(later, LearntError::Version("2".to_owned()));

@@ -349,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shaken_camera_teaches_its_readout_within_its_sigma() {
+    fn a_shaken_camera_reveals_its_readout_within_its_sigma() {
         for true_s in [0.0, 0.005, 0.012, 0.02, 0.03, -0.015] {
             let mut learnt = LearntReadout::new(None, None);
             assert_eq!(learnt.learnt(), None);
@@ -362,7 +362,7 @@ mod tests {
     }
 
     #[test]
-    fn a_short_shake_does_not_pass_for_a_long_one() {
+    fn a_short_shake_is_not_mistaken_for_a_long_one() {
         let mut learnt = LearntReadout::new(None, None);
         shaken(&mut learnt, 0.02, BLOCK as u32 - 1);
         assert_eq!(learnt.used(), Known::NOTHING);
@@ -387,14 +387,14 @@ mod tests {
     }
 
     #[test]
-    fn what_no_camera_has_is_not_believed() {
+    fn an_impossible_readout_is_not_adopted() {
         let mut learnt = LearntReadout::new(None, None);
         shaken(&mut learnt, 0.06, 100);
         assert!(learnt.used().sigma_s > 0.01 && learnt.news().is_none(), "{:?}", learnt.used());
     }
 
     #[test]
-    fn a_wrong_config_is_said_once_and_doubted_and_a_right_one_is_not() {
+    fn only_a_wrong_configured_readout_is_reported_and_doubted() {
         let mut wrong = LearntReadout::new(Some(0.01), None);
         shaken(&mut wrong, 0.02, 60);
         let news = wrong.news();
@@ -407,7 +407,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_learnt_before_is_used_from_the_first_frame_until_frames_contradict_it() {
+    fn a_learnt_readout_is_used_until_contradicted() {
         let before = Known { readout_s: 0.02, sigma_s: 2e-4 };
         let mut learnt = LearntReadout::new(None, Some(before));
         assert_eq!((learnt.used(), learnt.learnt()), (before, Some(before)));
@@ -419,7 +419,7 @@ mod tests {
     }
 
     #[test]
-    fn a_still_camera_is_not_asked() {
+    fn a_still_camera_is_not_asked_for_its_readout() {
         let mut learnt = LearntReadout::new(None, None);
         assert!(learnt.next_doubt().asks(|| 2.0).is_none() && learnt.next_doubt().asks(|| 200.0).is_some());
         let mut configured = LearntReadout::new(Some(0.01), None);

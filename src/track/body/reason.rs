@@ -177,7 +177,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_are_one_each_and_in_the_order_of_their_numbers() {
+    fn reason_words_are_unique_and_ordered_by_number() {
         let words: std::collections::HashSet<&str> = Reason::ALL.iter().map(|r| r.word()).collect();
         assert_eq!(words.len(), Reason::ALL.len());
         assert!(Reason::ALL.iter().enumerate().all(|(k, r)| *r as usize == k));

@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pose_that_is_not_given_has_its_doubt() {
+    fn an_unreported_pose_has_a_stated_doubt() {
         let mut lock = TrackStateMachine::default();
         let mut doubt = |k: usize, x: Option<f64>| {
             lock.update(stamp(k), x.map(at).as_ref(), 0.1, 2);
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn a_body_that_is_withheld_does_not_coast_and_needs_confirmation() {
+    fn a_withheld_body_is_lost_and_needs_confirmation() {
         let mut lock = TrackStateMachine::default();
         assert_eq!(lock.withhold(), State::Searching);
         let states: Vec<State> = (0..2).map(|k| lock.update(stamp(k), Some(&at(0.0)), 0.1, 2)).collect();
@@ -321,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_while_tracking_is_not_given() {
+    fn a_jump_while_tracking_is_not_reported() {
         use State::{Coasting, Searching, Tracking};
         assert_eq!(run(&[Some(0.0), Some(0.0), Some(3.0), Some(0.0)]), [Searching, Tracking, Coasting, Tracking]);
     }
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn a_copy_is_not_the_body_however_long_it_is_seen_without_the_body() {
+    fn a_copy_is_not_adopted_but_a_lasting_cut_is() {
         let given = |states: &[(State, bool)]| states.iter().filter(|(state, _)| *state == State::Tracking).count();
         // A pan to a copy 4 m aside for two seconds, with gaps, and back.
         let mut seen = vec![Some(0.0); 10];
@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn quick_motion_is_no_jump_at_any_rate() {
+    fn quick_motion_is_not_a_jump_at_any_frame_rate() {
         for per_s in [5.0, 30.0, 240.0] {
             // 8 m/s at 4 m.
             let states = sure(per_s, (0..20).map(|k| Some(8.0 / per_s * f64::from(k))));
@@ -367,7 +367,7 @@ mod tests {
     /// A copy that hides the stage stands 0.9 m in front of it. It is found a tenth of a second
     /// after the stage was last seen: a speed that a camera may have, but cannot reach that soon.
     #[test]
-    fn a_copy_is_no_motion_that_a_camera_cannot_begin() {
+    fn a_copy_needing_impossible_acceleration_is_rejected() {
         let seen = || [Some(0.0), Some(0.01), Some(0.02), None, None].into_iter().chain([Some(0.92); 20]);
         let run = |mut lock: TrackStateMachine| {
             let states = seen().enumerate().map(|(k, x)| lock.update(stamp(k), x.map(at).as_ref(), 0.2, 1));
@@ -378,7 +378,7 @@ mod tests {
 
     /// At any rate: from rest to 5 m/s within a fifth of a second, and a stop within a tenth.
     #[test]
-    fn a_camera_that_starts_and_stops_is_no_jump() {
+    fn a_camera_that_starts_and_stops_is_not_a_jump() {
         for per_s in [12.0, 30.0, 120.0] {
             let mut lock = TrackStateMachine::of_camera();
             for k in 0..60 {
@@ -394,7 +394,7 @@ mod tests {
     /// A prop that spins on the spot: relative to it the camera flies around it, but it stays in
     /// place before the camera.
     #[test]
-    fn a_spun_prop_is_no_jump() {
+    fn a_spinning_prop_is_not_a_jump() {
         let mut lock = TrackStateMachine::default();
         for k in 0..30 {
             let camera_body = Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.6 * k as f64, 0.0), Vector3::new(0.0, 0.0, 2.0));

@@ -134,14 +134,14 @@ mod tests {
     }
 
     #[test]
-    fn light_is_judged() {
+    fn too_dark_too_bright_and_blank_frames_are_recognised() {
         assert_eq!(FrameLook::at(&changed(|v| 0.1 * v)).fault(), Some(PictureFault::TooDark));
         assert_eq!(FrameLook::at(&changed(|v| 4.0 * v + 150.0)).fault(), Some(PictureFault::TooBright));
         assert_eq!(FrameLook::at(&changed(|_| 120.0)).fault(), Some(PictureFault::Blank));
     }
 
     #[test]
-    fn blur_is_judged() {
+    fn blurred_frames_are_recognised() {
         let blurred = blur(&half(), 5.0);
         assert_eq!(FrameLook::at(&blurred).fault(), Some(PictureFault::TooBlurred), "{:?}", FrameLook::at(&blurred));
     }

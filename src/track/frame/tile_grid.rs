@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn every_tile_has_its_nodes_and_places_lie_in_its_cell() {
+    fn every_tile_has_its_nodes_and_contains_its_positions() {
         for grid in [covering(21, 33), covering(40, 31), covering(900, 700)] {
             let nodes = grid.nodes()[0] * grid.nodes()[1];
             assert!((0..grid.len()).all(|tile| grid.nodes_of(tile).iter().all(|&node| node < nodes)), "{grid:?}");

@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn the_field_is_averaged_but_what_is_too_large_for_noise_counts_at_once() {
+    fn an_error_field_too_large_for_noise_counts_at_once() {
         let of = |by_pairs_px2: f64, at_least_px2: f64| ModelError {
             by_field: Matrix6::identity(),
             by_pairs_px2,
@@ -414,7 +414,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_that_is_larger_than_it_is_said_to_be_is_no_error_of_the_model() {
+    fn underestimated_noise_is_not_taken_for_a_model_error() {
         let field = found(2.0 * NOISE_PX, CORRELATION_LENGTH * f64::from(WIDTH), 1.0);
         let noise = found(0.0, 100.0, 1.7);
         assert!((2.3..3.5).contains(&noise.noise) && (0.6..1.4).contains(&noise.nees), "{} {}", noise.noise, noise.nees);
@@ -422,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pose_that_rests_on_the_frames_before_has_their_error() {
+    fn a_pose_based_on_earlier_frames_inherits_their_error() {
         let (body, camera, pose) = (prepared(vec![cloth(1)]), lens(WIDTH, 480), facing(0.1, -0.3, Vector3::new(0.4, 0.05, 5.0)));
         let mut anchors = seen_anchors(&body, &pose, &camera, 9, |_, _| Vector2::zeros());
         anchors.iter_mut().for_each(|a| a.observation.information /= NOISE_PX.powi(2));
@@ -442,7 +442,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_with_an_object_is_no_larger_than_the_object() {
+    fn the_model_error_of_an_object_is_bounded_by_its_size() {
         let (body, camera, pose) = (prepared(vec![cloth(1)]), lens(WIDTH, 480), facing(0.1, -0.3, Vector3::new(0.4, 0.05, 30.0)));
         let mut random = Pcg64Mcg::seed_from_u64(4);
         // Independent noise in every tile, of twice the stated standard deviation.

@@ -424,7 +424,7 @@ mod tests {
     }
 
     #[test]
-    fn a_zoom_is_seen_from_the_side_and_in_depth() {
+    fn a_zoom_is_detected_in_oblique_and_deep_views() {
         let ahead = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 5.0));
         for (surfaces, pose) in [(vec![cloth(1)], oblique()), (with_flat(), ahead)] {
             // From 20 degrees aside, 0.85 is what a print shows that is 1.8 % too wide: no evidence
@@ -438,7 +438,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_linear_step_can_report_accuses_no_lens() {
+    fn implausible_focal_clues_do_not_blame_the_lens() {
         // +507 %, -100 % and -73 % were reported for a calibrated lens when a corner of a
         // photograph was a pixel off.
         for change in [1.8, -7.0, -1.3, 0.3] {
@@ -470,7 +470,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_that_are_sheared_or_cropped_askew_convict_no_lens() {
+    fn sheared_or_skewed_pictures_do_not_blame_the_lens() {
         let mut doubted = 0;
         for by in [[0.0, 0.003, 0.0, 0.0], [0.0, 0.0, 0.002, 0.0], [0.0, 0.0, 0.0, -0.002], [0.002, -0.002, 0.0015, 0.002]] {
             for k in 0..30 {
@@ -484,7 +484,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pan_under_a_rolling_shutter_that_nobody_described_is_no_zoom() {
+    fn a_pan_under_an_unconfigured_rolling_shutter_is_no_zoom() {
         let (body, camera, height) = (prepared(vec![cloth(1)]), lens(640, 480), 480.0);
         for motion in [[0.0, 0.0, 0.4, 0.6, 0.0, 0.0], [0.0, 0.4, 0.0, 0.8, -0.4, 0.3]] {
             let still = seen_anchors(&body, &oblique(), &camera, 10, &mut |_, _| Vector2::zeros());
@@ -508,20 +508,20 @@ mod tests {
     }
 
     #[test]
-    fn the_calibrated_lens_is_right() {
+    fn a_correct_calibrated_lens_is_judged_right() {
         let (is_suspect, clue) = clue(with_flat(), with_flat(), &lens(640, 480), &oblique());
         assert!(!is_suspect && clue.is_right(0.0) && clue.change.abs() < 4.0 * clue.sigma, "{clue:?}");
     }
 
     #[test]
-    fn a_flat_stage_straight_ahead_says_nothing_of_it() {
+    fn a_frontal_flat_stage_gives_no_focal_evidence() {
         let pose = facing(0.0, 0.0, Vector3::new(0.2, 0.05, 5.0));
         let (_, clue) = clue(vec![cloth(1)], vec![cloth(1)], &zoomed(1.1), &pose);
         assert!(!clue.is_off(0.0) && !clue.is_right(0.0), "{clue:?}");
     }
 
     #[test]
-    fn careless_measures_are_no_zoom() {
+    fn small_measuring_errors_are_not_mistaken_for_a_zoom() {
         let mut stretched = cloth(1);
         stretched.size_m[0] *= 1.005;
         let (_, print) = clue(vec![stretched], vec![cloth(1)], &lens(640, 480), &oblique());

@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn a_zoom_seen_from_ahead_is_a_step() {
+    fn a_zoom_seen_from_ahead_is_a_focal_step() {
         let stand = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 5.0));
         let i = *lens(640, 480).intrinsics();
         for by in [1.15, 1.03, 0.9] {
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jolt_to_the_side_is_none() {
+    fn a_sideways_jolt_is_not_a_focal_step() {
         let stand = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 5.0));
         for (turn, shift) in [([0.03, 0.0], 0.0), ([0.0, -0.05], 0.1), ([0.01, 0.03], -0.2)] {
             let jolted = facing(0.02 + turn[0], 0.03 + turn[1], Vector3::new(0.2 + shift, 0.05, 5.0));
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn a_dolly_that_starts_between_two_slow_frames_is_none() {
+    fn a_dolly_start_between_slow_frames_is_not_a_focal_step() {
         let stand = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 5.0));
         let nearer = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 4.8));
         // 1 m/s at 5 frames a second; no camera reaches that within a thirtieth of a second.

@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_how_far_poses_go_astray_with_a_lens_that_is_off() {
+    fn lens_covariance_equals_the_pose_error_of_a_wrong_lens() {
         let told = LensGuess::FieldOfView(60.0).camera(1280, 720).unwrap();
         let turn = nalgebra::UnitQuaternion::from_euler_angles(0.1, -0.25, 0.05);
         let pose = Pose::new(turn, Vector3::new(0.2, -0.1, 4.0));
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lens_beyond_doubt_adds_nothing() {
+    fn an_exact_lens_adds_no_covariance() {
         let camera = CameraModel::pinhole(1280, 720, 1000.0, 1000.0, 639.5, 359.5).unwrap();
         let pose = Pose::new(nalgebra::UnitQuaternion::identity(), Vector3::new(0.0, 0.0, 4.0));
         assert_eq!(covariance_by_lens(&pose.inverse(), &camera, seen_by(&camera, &pose).iter()), None);

@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn one_frame_is_held_back_and_two_withhold_all() {
+    fn one_bad_frame_is_suspect_and_two_mean_the_lens_moved() {
         use LensState::{Fits, Moved, Suspect};
         let mut watch = LensWatch::default();
         let said = [0.0, 0.02, 0.001, 0.02, 0.04, 0.002].map(|change| watch.update(Some(&clue(change)), None, true, 0.0));
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn only_frames_that_tell_bring_the_lens_back() {
+    fn only_informative_frames_restore_the_lens() {
         use LensState::{Fits, Moved};
         let mut watch = LensWatch::default();
         assert_eq!([0.02, 0.03].map(|change| watch.update(Some(&clue(change)), None, true, 0.0))[1], Moved);
@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn a_zoom_shows_itself_through_folds() {
+    fn a_zoom_is_detected_despite_folds() {
         use LensState::{Fits, Moved, Suspect};
         let mut watch = LensWatch::default();
         assert!((0..40).all(|k| watch.update(Some(&folds(k)), None, true, 0.0) == Fits));
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn what_strays_less_far_is_given_and_doubted() {
+    fn small_focal_deviations_are_reported_as_uncertainty() {
         let strays = |of: FocalClue| FocalClue { change: of.change + 0.013, share: 0.1, ..of };
         let mut watch = LensWatch::default();
         assert!((0..40).all(|k| watch.update(Some(&folds(k)), None, true, 0.0) == LensState::Fits && watch.strayed().is_none()));
@@ -322,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lens_that_was_wrong_from_the_first_is_not_called_moved_in_another_view() {
+    fn an_initially_wrong_lens_is_not_called_moved_in_a_new_view() {
         let guessed = |k: u32| FocalClue { change: 0.03 + 0.001 * f64::from(k % 3), sigma: 0.003, share: 0.2, is_contested: false };
         let mut watch = LensWatch::default();
         assert!((0..20).all(|k| watch.update(Some(&guessed(k)), None, true, 0.0) == LensState::Fits));
@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn light_that_displaces_edges_is_no_zoom_where_the_view_hardly_tells() {
+    fn edges_shifted_by_light_are_not_a_zoom_in_weak_views() {
         let mut watch = LensWatch::default();
         // A print of red things on the way to a blue gel, from ever closer to head-on.
         let gel = [(-0.006, 0.005), (-0.0087, 0.0059), (-0.0128, 0.0082), (-0.0186, 0.0099), (-0.0394, 0.0119), (-0.0591, 0.0177)];
@@ -346,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_stays_in_doubt_until_a_frame_contradicts_it() {
+    fn a_focal_step_stays_suspected_until_contradicted() {
         let mut watch = LensWatch::default();
         let ahead = FocalClue { sigma: 0.02, ..clue(0.01) };
         assert_eq!(watch.update(Some(&ahead), Some(-0.03), true, 0.0), LensState::Fits);
@@ -359,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn what_matches_said_stays_in_doubt_until_matches_take_it_back() {
+    fn a_focal_doubt_from_matches_needs_matches_to_clear_it() {
         let mut watch = LensWatch::new(true);
         watch.hear_matches(MatchedFocal::Changed(0.4));
         // Few tiles are aligned through such a lens, and those may claim that it fits.
@@ -375,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_draught_says_changes_too_slowly() {
+    fn slow_focal_drift_from_moving_cloth_is_no_zoom() {
         let mut watch = LensWatch::default();
         let draught = |k: u32| FocalClue { change: 0.03 * (0.15 * f64::from(k)).sin(), sigma: 0.01, share: 0.03, is_contested: false };
         assert!((0..200).all(|k| watch.update(Some(&draught(k)), None, true, 0.0) == LensState::Fits));

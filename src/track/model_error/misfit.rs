@@ -208,7 +208,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sentences_have_the_size() {
+    fn misfit_sentences_state_the_size() {
         let lens = Part::Lens { focal_percent: 2.561, centre_px: [10.6, -7.1], radial: -0.19, farthest_px: 41.23 };
         assert!(lens.says("").contains("+2.56 %") && lens.says("").contains("41.2 px") && lens.mend().contains("--lens refine"));
         let place = Part::Place { surface: 2, moved_mm: [3.0, 0.0, -4.0], turned_deg: 0.5 };

@@ -64,13 +64,13 @@ fn walk(told: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, real_lens: &CameraModel,
 }
 
 #[test]
-fn a_stage_as_told_has_no_cause() {
+fn a_correctly_configured_stage_has_no_misfit() {
     assert_eq!(misfits(set(), set(), &lens(640, 480)), []);
     assert_eq!(misfits(vec![cloth(1)], vec![cloth(1)], &lens(640, 480)), []);
 }
 
 #[test]
-fn another_lens_is_told_with_its_numbers() {
+fn a_wrong_lens_is_reported_with_its_numbers() {
     let i = *lens(640, 480).intrinsics();
     let real = CameraModel::new(Intrinsics { fx: 1.02 * i.fx, fy: 1.02 * i.fy, cx: i.cx + 6.0, cy: i.cy - 4.0, ..i }).unwrap();
     for stage in [vec![cloth(1)], set()] {
@@ -85,7 +85,7 @@ fn another_lens_is_told_with_its_numbers() {
 }
 
 #[test]
-fn what_a_part_costs_is_how_far_poses_are_off() {
+fn the_cost_of_a_misfit_is_its_pose_error() {
     let i = *lens(640, 480).intrinsics();
     let zoomed = CameraModel::new(Intrinsics { fx: 1.01 * i.fx, fy: 1.01 * i.fy, ..i }).unwrap();
     let mut stretched = vec![cloth(1)];
@@ -106,7 +106,7 @@ fn a_missing_distortion_is_the_lens() {
 }
 
 #[test]
-fn a_flat_that_stands_elsewhere_is_told_by_how_much() {
+fn a_misplaced_flat_is_reported_with_its_offset() {
     let mut moved = set();
     moved[2].pose.translation += Vector3::new(0.006, -0.004, 0.012);
     let found = misfits(set(), moved, &lens(640, 480));
@@ -115,7 +115,7 @@ fn a_flat_that_stands_elsewhere_is_told_by_how_much() {
 }
 
 #[test]
-fn of_two_surfaces_it_is_not_the_first_that_moved() {
+fn between_two_surfaces_the_second_is_reported_as_moved() {
     let two = || set()[..2].to_vec();
     let mut moved = two();
     moved[1].pose = Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.41, 0.0), moved[1].pose.translation + Vector3::new(0.0, 0.01, 0.0));
@@ -127,7 +127,7 @@ fn of_two_surfaces_it_is_not_the_first_that_moved() {
 }
 
 #[test]
-fn a_stretched_print_is_told_by_its_ratio() {
+fn a_stretched_print_is_reported_with_its_ratio() {
     for (stage, k) in [(vec![cloth(1)], 0), (set(), 1)] {
         let mut real = stage.clone();
         real[k].size_m[0] *= 1.006;
@@ -138,7 +138,7 @@ fn a_stretched_print_is_told_by_its_ratio() {
 }
 
 #[test]
-fn a_picture_that_is_askew_is_told_by_its_corners() {
+fn a_skewed_picture_is_reported_with_its_corners() {
     // Sheared by 0.3 %, with keystones of 0.2 %: the worst corner is off by 4.5 + 7 mm across and 3
     // + 3 mm up.
     let (found, _) = walk(vec![cloth(1)], vec![cloth(1)], &lens(640, 480), [0.0, 0.003, 0.002, 0.002]);
@@ -147,7 +147,7 @@ fn a_picture_that_is_askew_is_told_by_its_corners() {
 }
 
 #[test]
-fn folds_are_told_by_their_height() {
+fn folds_are_reported_with_their_height() {
     let mut bent = vec![cloth(1)];
     // Without the stretch of these folds, which is a different cause.
     let SurfaceShape::Bent(shape) = folds() else { unreachable!("folds are bent") };

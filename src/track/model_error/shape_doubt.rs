@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn ways_side_by_side_leave_open_what_each_does_by_itself() {
+    fn batched_modes_give_the_same_covariance_as_single_ones() {
         let camera = lens(1280, 720);
         let turned = facing(0.3, 0.1, Vector3::new(0.4, 0.2, 0.5));
         // One of them has more ways than fit side by side.
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_flat_is_not_in_doubt() {
+    fn a_flat_shape_has_no_shape_uncertainty() {
         let body = prepared(vec![cloth(1)]);
         let pose = facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4)).inverse();
         assert_eq!(ShapeDoubt::of(&body.surfaces).covariance(&pose, &lens(1280, 720), &body.surfaces, &[]), None);

@@ -172,7 +172,7 @@ mod tests {
     use crate::track::synthetic::{cloth, facing, lens, prepared, seen_anchors};
 
     #[test]
-    fn the_covariance_is_that_of_all_shifts_carried_to_the_pose() {
+    fn the_field_covariance_propagates_all_shifts_to_the_pose() {
         let (body, camera, pose) = (prepared(vec![cloth(1)]), lens(640, 480), facing(0.1, -0.3, Vector3::new(0.4, 0.05, 5.0)));
         let mut residuals = TileResiduals::default();
         residuals.take(&pose, &camera, &seen_anchors(&body, &pose, &camera, 8, |_, _| Vector2::zeros())).expect("tiles enough");

@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_in_doubt_leave_open_what_each_of_them_does() {
+    fn corner_uncertainty_sums_the_effect_of_each_corner() {
         let corners = CORNERS.map(Vector2::from);
         let (configured, pose) = (photographed(corners), facing(0.1, -0.2, Vector3::new(0.2, 0.05, 5.0)));
         let mut scatter = Matrix6::zeros();
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_place_in_doubt_moves_the_pose_with_it() {
+    fn position_uncertainty_carries_over_to_the_pose() {
         let mut spec = cloth(1);
         (spec.doubt.position_m, spec.doubt.rotation_rad) = (0.004, 0.0);
         let (body, pose) = (prepared(vec![spec]), facing(0.1, -0.2, Vector3::new(0.2, 0.05, 5.0)));
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn flat_artwork_by_itself_is_not_in_doubt() {
+    fn flat_artwork_alone_has_no_uncertainty() {
         let (body, pose) = (prepared(vec![cloth(1)]), facing(0.1, -0.2, Vector3::new(0.2, 0.05, 5.0)));
         let anchors = seen_anchors(&body, &pose, &lens(640, 480), 8, |_, _| Vector2::zeros());
         assert_eq!(covariance_by_surfaces(&pose.inverse(), &lens(640, 480), &body.surfaces, &anchors), None);

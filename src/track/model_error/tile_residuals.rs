@@ -251,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn derivatives_are_those_of_the_pixel() {
+    fn tile_derivatives_match_the_pixel_derivatives() {
         let (body, camera, pose) = (prepared(vec![cloth(1)]), lens(640, 480), oblique());
         let mut residuals = TileResiduals::default();
         residuals.take(&pose, &camera, &seen_anchors(&body, &pose, &camera, 6, |_, _| Vector2::zeros())).expect("tiles enough");
@@ -277,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn another_focal_length_leads_the_pose_astray_as_told() {
+    fn a_wrong_focal_length_shifts_the_pose_as_predicted() {
         let (body, camera, pose) = (prepared(vec![cloth(1)]), lens(640, 480), oblique());
         let i = *camera.intrinsics();
         let by = 0.002_f64;
@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_that_show_something_else_count_nothing() {
+    fn tiles_showing_something_else_have_no_weight() {
         let (body, camera, pose) = (prepared(vec![cloth(1)]), lens(640, 480), oblique());
         let shift = |k: u32, _| if k.is_multiple_of(7) { Vector2::new(9.0, -4.0) } else { Vector2::new(0.03, 0.04) };
         let mut residuals = TileResiduals::default();

@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn the_wrong_twin_is_told_from_the_right_one() {
+    fn the_wrong_planar_twin_is_recognised() {
         let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
         let still = MovingCamera::still(&camera);
         let mut found = 0;
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn the_twin_keeps_the_place_and_mirrors_the_normal() {
+    fn the_planar_twin_keeps_position_and_mirrors_the_normal() {
         let body = prepared(vec![cloth(1)]);
         let truth = facing(0.4, -0.2, Vector3::new(0.3, 0.1, 6.0));
         let twin = flipped(&truth, &body, 0);

@@ -43,7 +43,7 @@ fn scatter(body: &PreparedBody, camera: &CameraModel, all: &[Registered]) -> (f6
 }
 
 #[test]
-fn patches_of_a_tilted_surface_are_found_to_a_twentieth_of_a_pixel() {
+fn tilted_patches_register_to_a_twentieth_of_a_pixel() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(480, 360));
     let frame = view(&body.surfaces[0].spec, &truth(), &camera);
     let all = registered(&body, &frame, 1.0, &nearby(), &camera);
@@ -68,7 +68,7 @@ fn light_does_not_move_a_patch() {
 }
 
 #[test]
-fn the_half_size_picture_speaks_in_full_size_pixels() {
+fn half_size_registration_reports_full_size_pixels() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(640, 480));
     let half = crate::features::halved(&view(&body.surfaces[0].spec, &truth(), &camera));
     let (rms, share) = scatter(&body, &camera, &registered(&body, &half, 2.0, &nearby(), &camera));
@@ -91,7 +91,7 @@ fn another_picture_fits_nowhere() {
 }
 
 #[test]
-fn hidden_masked_and_turned_away_anchors_are_not_asked() {
+fn hidden_masked_and_back_facing_anchors_are_skipped() {
     let mut front = cloth(2);
     front.pose = Pose::new(nalgebra::UnitQuaternion::identity(), Vector3::new(-1.5, 0.0, 0.5));
     front.size_m = [1.0, 3.2];
@@ -114,7 +114,7 @@ fn hidden_masked_and_turned_away_anchors_are_not_asked() {
 }
 
 #[test]
-fn a_patch_is_drawn_as_it_is_looked_at_pixel_by_pixel() {
+fn a_drawn_patch_equals_per_pixel_lookups() {
     let (body, camera) = (prepared(vec![cloth(1)]), lens(480, 360));
     let frame = view(&body.surfaces[0].spec, &truth(), &camera);
     let picture = SearchPicture { image: &frame, scale: 1.0, mask: None };

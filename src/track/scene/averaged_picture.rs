@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn one_look_is_the_mean_over_a_pixel() {
+    fn one_lookup_is_the_mean_over_a_pixel() {
         let octaves = noise();
         for side in [0.8_f64, 1.0, 1.5, 2.0, 2.8, 3.9, 5.0, 7.0] {
             let mut averaged = AveragedPicture::default();
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_made_anew_when_the_size_has_changed() {
+    fn the_averaged_picture_is_rebuilt_when_the_size_changes() {
         let octaves = noise();
         let mut averaged = AveragedPicture::default();
         let first = averaged.over(&octaves, 1.4).clone();
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn plain_parts_keep_their_grey_up_to_the_border() {
+    fn uniform_areas_keep_their_grey_up_to_the_border() {
         let plain = [Octave { image: GrayImage::from_pixel(40, 30, Luma([200])), anchors: Vec::new() }];
         for side in [0.5_f64, 1.7, 3.3, 9.0] {
             assert!(AveragedPicture::default().over(&plain, side.log2()).iter().all(|grey| *grey == 200), "{side}");

@@ -134,13 +134,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_whole_part_is_what_a_cast_gives() {
+    fn the_whole_part_equals_a_cast() {
         let some = (0..200_000).map(|k| k as f32 * 0.013).chain([0.0, 0.999_999_94, 1.0, 32_767.998, 8_388_607.0]);
         some.for_each(|v| assert_eq!(whole_part(v), v as i32, "{v}"));
     }
 
     #[test]
-    fn a_row_of_texels_is_what_each_place_shows_by_itself() {
+    fn a_row_of_texels_equals_single_lookups() {
         let picture = GrayImage::from_fn(53, 41, |x, y| image::Luma([(x * 37 + y * 91 + x * y) as u8]));
         let places: Vec<[f32; 2]> =
             (0..997).map(|k| [-3.0 + 0.0597 * k as f32, 46.0 - 0.0491 * k as f32]).chain([[f32::INFINITY, -1e30]]).collect();

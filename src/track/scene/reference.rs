@@ -145,7 +145,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn octaves_keep_places() {
+    fn octaves_keep_positions() {
         let art = GrayImage::from_fn(401, 301, |x, y| image::Luma([if (x / 16 + y / 16) % 2 == 0 { 200 } else { 50 }]));
         let octaves = octaves(&art);
         assert_eq!(octaves[1].image.dimensions(), (200, 150));

@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn windows_with_grain_have_both_of_their_periods() {
+    fn windows_on_a_grid_have_both_of_their_periods() {
         let grain = texture(1000, 750, 3);
         let windows = GrayImage::from_fn(1000, 750, |x, y| {
             let base: u32 = if x % 80 < 40 && y % 112 < 60 { 200 } else { 60 };
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn stripes_have_theirs_with_a_picture_amidst() {
+    fn stripes_around_a_picture_keep_their_period() {
         let middle = texture(1000, 750, 5);
         let stripes = GrayImage::from_fn(1000, 750, |x, y| {
             let is_middle = (400..600).contains(&x) && (250..500).contains(&y);
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn ordinary_pictures_have_none() {
+    fn ordinary_pictures_have_no_period() {
         for seed in 0..8 {
             assert_eq!(periods_of(texture(900, 700, seed)), Vec::<Vector2<f64>>::new());
         }

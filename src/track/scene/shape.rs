@@ -137,7 +137,7 @@ pub mod tests {
     }
 
     #[test]
-    fn a_ray_meets_the_point_that_it_goes_through() {
+    fn a_ray_intersects_the_surface_at_its_point() {
         let shape = folds();
         for k in 0..200 {
             let point = [f64::from(k % 20) * 0.19 - 1.8, f64::from(k / 20) * 0.28 - 1.3];
@@ -158,7 +158,7 @@ pub mod tests {
     }
 
     #[test]
-    fn the_touching_plane_is_that_of_differences() {
+    fn the_tangent_plane_agrees_with_differences() {
         let (shape, h) = (folds(), 1e-6);
         for point in [[0.1, 0.2], [-1.7, 1.3], [1.2, -0.9]] {
             let found = shape.at(point).by_picture;

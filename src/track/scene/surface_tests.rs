@@ -29,7 +29,7 @@ fn metres_span_the_outer_edges() {
 }
 
 #[test]
-fn pictures_without_hold_are_refused() {
+fn pictures_without_texture_are_refused() {
     assert!(matches!(artwork(GrayImage::from_pixel(400, 300, image::Luma([90]))), Err(SurfaceError::Textureless { found: 0, .. })));
     // Two long edges have no corners either.
     let stripes = GrayImage::from_fn(400, 300, |x, _| image::Luma([if (100..200).contains(&x) { 200 } else { 20 }]));
@@ -38,7 +38,7 @@ fn pictures_without_hold_are_refused() {
 }
 
 #[test]
-fn sizes_that_are_none_are_refused() {
+fn invalid_sizes_are_refused() {
     for size in [[0.0, 3.0], [4.0, -1.0], [f64::NAN, 3.0], [4.0, f64::INFINITY]] {
         let refused = SurfaceSpec::from_artwork("art".into(), texture(100, 100, 1), size, upright());
         assert!(matches!(refused, Err(SurfaceError::Size(_))), "{size:?}");
@@ -72,7 +72,7 @@ fn bad_corners_are_refused() {
 }
 
 #[test]
-fn a_photographed_checker_comes_out_straight() {
+fn a_photographed_checkerboard_is_rectified() {
     let checker = GrayImage::from_fn(640, 480, |x, y| image::Luma([if (x / 40 + y / 40) % 2 == 0 { 40 } else { 210 }]));
     let flat = SurfaceSpec::from_artwork("checker".into(), checker, [4.0, 3.0], Pose::identity()).unwrap();
     let (camera, pose) = (lens(640, 480), facing(0.25, -0.35, Vector3::new(0.1, -0.05, 6.0)));

@@ -1,4 +1,5 @@
-//! `GET /api/v1/backup`, `POST /api/v1/restore`: the config with all that it names, and the set, as one zip.
+//! `GET /api/v1/backup`, `POST /api/v1/restore`: the config with all that it names, and the set, as
+//! one zip.
 
 use std::collections::BTreeSet;
 use std::io::{self, Cursor, Read, Write};
@@ -22,10 +23,12 @@ use crate::web::download::Download;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
-/// Larger than a backup, bytes, packed and unpacked. Chosen: pictures of many surfaces. Raised, restoring takes more memory and disk.
+/// Larger than a backup, bytes, packed and unpacked. Chosen: pictures of many surfaces. Raised,
+/// restoring takes more memory and disk.
 const MAX_PACKED: u64 = 64 << 20;
 const MAX_UNPACKED: u64 = 256 << 20;
-/// Files in a backup at most: more than a stage has surfaces and models. Raised, a wrong zip takes longer to refuse.
+/// Files in a backup at most: more than a stage has surfaces and models. Raised, a wrong zip takes
+/// longer to refuse.
 const MAX_FILES: usize = 500;
 /// The config's name in a backup.
 const CONFIG: &str = "stage.toml";
@@ -116,7 +119,8 @@ fn restore(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     Ok(reply(200, &findings, true))
 }
 
-/// Moves files to their places: all of them, or none. What was in a place is kept in `before` until all are there.
+/// Moves files to their places: all of them, or none. What was in a place is kept in `before` until
+/// all are there.
 fn move_all(moves: &[(PathBuf, PathBuf)], before: &Path) -> Result<(), (PathBuf, io::Error)> {
     std::fs::create_dir(before).map_err(|e| (before.to_owned(), e))?;
     let mut done: Vec<(&Path, Option<PathBuf>)> = Vec::new();
@@ -203,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_kept_comes_back_and_the_former_is_kept() {
+    fn a_restore_brings_back_the_backup_and_keeps_the_former() {
         let (one, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let from = supervised(one.path());
         std::fs::write(one.path().join("set.json"), "{\"objects\":[1]}").unwrap();
@@ -232,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn a_zip_that_leads_out_or_cannot_be_used_changes_nothing() {
+    fn an_unsafe_or_unusable_zip_changes_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let supervisor = supervised(folder.path());
         let before = std::fs::read(supervisor.file()).unwrap();

@@ -1,5 +1,5 @@
-//! `GET`, `PUT /api/v1/config`: the config's text. A new one is judged before anything is written, the former one is kept, and the running
-//! session takes the new one over.
+//! `GET`, `PUT /api/v1/config`: the config's text. A new one is judged before anything is written,
+//! the former one is kept, and the running session takes the new one over.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -17,10 +17,12 @@ use crate::utc;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
-/// Former configs that are kept at most; the oldest go. Chosen: an evening of changes. Raised, only room on the disk.
+/// Former configs that are kept at most; the oldest go. Chosen: an evening of changes. Raised, only
+/// room on the disk.
 const MAX_FORMER: usize = 100;
-/// Configs that may be put at once, and the time after which each further one may: each begins tracking anew. Chosen: faster than people
-/// edit. Raised, a program that puts on and on keeps the stage from being tracked.
+/// Configs that may be put at once, and the time after which each further one may: each begins
+/// tracking anew. Chosen: faster than people edit. Raised, a program that puts on and on keeps the
+/// stage from being tracked.
 const AT_ONCE: u32 = 20;
 const ONE_EACH: Duration = Duration::from_secs(3);
 
@@ -166,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn a_config_that_cannot_be_run_here_is_refused_and_the_running_one_s_own_ports_are_not() {
+    fn ports_in_use_refuse_a_config_unless_they_are_our_own() {
         let folder = tempfile::tempdir().unwrap();
         let supervisor = supervised(folder.path());
         let routes = routes(&supervisor);

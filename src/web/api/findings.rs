@@ -1,4 +1,5 @@
-//! What a config comes to, as a list that a page can show: what refuses it, else what is odd about it.
+//! What a config comes to, as a list that a page can show: what refuses it, else what is odd about
+//! it.
 
 use std::io::ErrorKind;
 use std::path::Path;
@@ -28,7 +29,8 @@ pub(super) struct Finding {
     pub mend: Option<String>,
 }
 
-/// What follows the last semicolon of a message is its mend, by this project's own form of messages.
+/// What follows the last semicolon of a message is its mend, by this project's own form of
+/// messages.
 fn parts(message: &str) -> (String, Option<String>) {
     match message.rsplit_once("; ") {
         Some((says, mend)) => (says.to_owned(), Some(mend.to_owned())),
@@ -48,7 +50,8 @@ fn refused(error: &ConfigError) -> Finding {
     Finding { level: "error", key, line, sentence, mend }
 }
 
-/// What is wrong with the config in the file, where there is none to track with or the one before stays in force; nothing where it is used.
+/// What is wrong with the config in the file, where there is none to track with or the one before
+/// stays in force; nothing where it is used.
 pub(super) fn of_refused(supervisor: &Supervisor) -> Vec<Finding> {
     if supervisor.settings().is_some() && supervisor.refusal().is_none() {
         return Vec::new();
@@ -81,7 +84,8 @@ fn odd(found: &Diagnosed) -> Finding {
     Finding { level, key: None, line: None, sentence, mend }
 }
 
-/// As [`judged`], and whether this machine gives all that the config asks of it, as `run` finds it when it takes the config over.
+/// As [`judged`], and whether this machine gives all that the config asks of it, as `run` finds it
+/// when it takes the config over.
 pub(super) fn judged_to_run(text: &str, file: &Path, supervisor: &Supervisor) -> (Option<Settings>, Vec<Finding>) {
     match judged(text, file) {
         (Some(settings), findings) => match supervisor.rehearse(&settings) {
@@ -92,7 +96,8 @@ pub(super) fn judged_to_run(text: &str, file: &Path, supervisor: &Supervisor) ->
     }
 }
 
-/// Reads a config's text as if it stood in `file`: the settings, where it can be used, and what is to be said of it.
+/// Reads a config's text as if it stood in `file`: the settings, where it can be used, and what is
+/// to be said of it.
 pub(super) fn judged(text: &str, file: &Path) -> (Option<Settings>, Vec<Finding>) {
     let settings = match Settings::from_text(text, file) {
         Ok(settings) => settings,

@@ -1,5 +1,6 @@
-//! Whether a binary glTF file may be given to the page: whole, with nothing from elsewhere, and nothing that needs a decoder which the page
-//! has not. What its meshes look like is the page's to see.
+//! Whether a binary glTF file may be given to the page: whole, with nothing from elsewhere, and
+//! nothing that needs a decoder which the page has not. What its meshes look like is the page's to
+//! see.
 
 use std::fmt::Formatter;
 use std::io::{BufRead, BufReader, Read};
@@ -14,7 +15,8 @@ use crate::safe_file;
 /// `glTF` as the file begins (glTF 2.0, 4.4.2), and the kind of the first chunk, `JSON`.
 const MAGIC: u32 = 0x4654_6C67;
 const JSON: u32 = 0x4E4F_534A;
-/// Larger than the description in a model, bytes; meshes and pictures are behind it. Raised, judging one takes longer.
+/// Larger than the description in a model, bytes; meshes and pictures are behind it. Raised,
+/// judging one takes longer.
 const MAX_DESCRIPTION: u32 = 16 << 20;
 /// Extensions that need a decoder in WebAssembly, which the page's policy does not let in.
 const NEED_A_DECODER: [&str; 4] =
@@ -67,7 +69,8 @@ pub fn judge(file: &Path) -> Result<(), String> {
 /// Held while a model is judged: one at a time.
 static JUDGING: Mutex<()> = Mutex::new(());
 
-/// What is looked at of a description. It is read as a stream: everything else is passed over, and no list is kept.
+/// What is looked at of a description. It is read as a stream: everything else is passed over, and
+/// no list is kept.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Description {
@@ -198,7 +201,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn what_is_whole_and_by_itself_is_taken() {
+    fn complete_self_contained_models_are_accepted() {
         let inside = r#"{"asset":{"version":"2.0"},"buffers":[{"byteLength":4},{"uri":"data:application/octet-stream;base64,AAAA"}]}"#;
         assert_eq!(judged(&glb(inside)), Ok(()));
         for (text, word) in [
@@ -218,7 +221,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn what_is_not_looked_at_may_be_there_in_any_amount() {
+    fn ignored_model_parts_may_have_any_size() {
         let many = vec![r#"{"name":"a part","mesh":0,"children":[1,2],"extras":{"deep":[[[[]]]]}}"#; 10_000].join(",");
         let nodes = format!(r#"{{"asset":{{"version":"2.0","generator":"any"}},"nodes":[{many}],"images":[{{"bufferView":0}}]}}"#);
         assert_eq!(judged(&glb(&nodes)), Ok(()));
@@ -228,7 +231,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn any_cut_or_changed_file_is_judged_without_harm() {
+    fn truncated_or_changed_models_never_panic() {
         let good = glb(r#"{"asset":{"version":"2.0"}}"#);
         for n in 0..good.len() {
             assert!(judged(&good[..n]).is_err(), "{n}");

@@ -59,7 +59,7 @@ fn refused(server: &Server, method: &str, path: &str, headers: &str) -> u16 {
 }
 
 #[test]
-fn every_route_refuses_whom_it_must() {
+fn every_route_refuses_unauthorised_clients() {
     let folder = tempfile::tempdir().unwrap();
     let server = whole_server(&supervised(folder.path()), None);
     let routes = listed(&server);
@@ -91,7 +91,7 @@ fn every_route_refuses_whom_it_must() {
 }
 
 #[test]
-fn under_the_lock_nothing_changes_but_the_lock() {
+fn under_the_show_lock_only_the_lock_can_change() {
     let folder = tempfile::tempdir().unwrap();
     let server = whole_server(&supervised(folder.path()), None);
     let own = "Host: localhost\r\n";
@@ -106,7 +106,7 @@ fn under_the_lock_nothing_changes_but_the_lock() {
 }
 
 #[test]
-fn a_page_from_a_folder_is_held_as_the_program_s_own() {
+fn a_page_from_a_folder_gets_the_same_security_headers() {
     let folder = tempfile::tempdir().unwrap();
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/web/page");
     let server = whole_server(&supervised(folder.path()), Some(&page));
@@ -131,7 +131,7 @@ fn every_route_is_in_the_documents() {
 }
 
 #[test]
-fn marks_modes_and_configs_have_a_pace_that_no_hand_reaches() {
+fn rate_limits_are_beyond_manual_use() {
     let folder = tempfile::tempdir().unwrap();
     let supervisor = supervised(folder.path());
     let clock = Arc::new(FrameClock::new(crate::publish::Stamps::Live));

@@ -1,4 +1,5 @@
-//! `GET /api/v1/health`, `/healthz`, `/metrics`, `outputs`, `log`, `diagnostics`: each part of the daemon in one sentence, with the mend where something is wrong.
+//! `GET /api/v1/health`, `/healthz`, `/metrics`, `outputs`, `log`, `diagnostics`: each part of the
+//! daemon in one sentence, with the mend where something is wrong.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -21,7 +22,8 @@ use crate::track::{LearntCamera, LearntTime};
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
-/// Less room than this on the disk is worth a warning, and than that a fault, bytes: an hour, and minutes, of a camera's JPEGs.
+/// Less room than this on the disk is worth a warning, and than that a fault, bytes: an hour, and
+/// minutes, of a camera's JPEGs.
 const LITTLE_ROOM: f64 = 20e9;
 const NO_ROOM: f64 = 1e9;
 /// Lines of the log in one answer at most: all that are kept.
@@ -224,7 +226,8 @@ struct Look {
     rate: Option<f64>,
 }
 
-/// The shortest time between two looks of which a rate is made, seconds: several pages may ask. Lowered, rates jump.
+/// The shortest time between two looks of which a rate is made, seconds: several pages may ask.
+/// Lowered, rates jump.
 const LOOK_S: f64 = 0.5;
 
 impl Rates {
@@ -298,7 +301,7 @@ mod tests {
     use crate::web::api::tests::{asked, supervised};
 
     #[test]
-    fn each_part_says_how_it_is() {
+    fn each_part_reports_its_health() {
         let folder = tempfile::tempdir().unwrap();
         let supervisor = supervised(folder.path());
         let levels = |supervisor: &Supervisor| -> Vec<(String, &'static str)> {
@@ -321,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn the_shutter_says_whether_it_is_configured_or_learnt_or_unknown() {
+    fn shutter_health_states_configured_learnt_or_unknown() {
         let time = |seconds| LearntTime { seconds, sigma_s: 2e-4 };
         let learnt = LearntCamera { readout: Some(time(0.0201)), exposure: Some(time(0.008)) };
         let said = |configured: KnownShutter, learnt: LearntCamera| {
@@ -342,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn packets_a_second_are_counted_between_two_looks() {
+    fn packet_rates_are_measured_between_two_requests() {
         let (rates, begun) = (Rates::default(), Instant::now());
         let look = |sent, s: f64| {
             let output = OutputStatistics {

@@ -1,4 +1,5 @@
-//! Requests that are wrong in every way that we know of: each is answered with a sentence, and nothing is harmed.
+//! Requests that are wrong in every way that we know of: each is answered with a sentence, and
+//! nothing is harmed.
 
 use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
-//! Requests that take their time: what has changed meanwhile counts, and nobody else waits for them.
+//! Requests that take their time: what has changed meanwhile counts, and nobody else waits for
+//! them.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -65,7 +66,7 @@ fn all_of(folder: &Path) -> Vec<(String, Vec<u8>)> {
 }
 
 #[test]
-fn a_change_that_was_begun_before_the_show_lock_is_not_carried_out_under_it() {
+fn a_change_begun_before_the_show_lock_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let supervisor = supervised(folder.path());
     let server = whole_server(&supervisor, None);
@@ -130,7 +131,7 @@ fn drip(server: &Server, connections: usize, method: &str, path: &str, headers: 
 }
 
 #[test]
-fn nobody_waits_for_who_sends_a_byte_now_and_then() {
+fn a_client_sending_single_bytes_delays_no_other() {
     let folder = tempfile::tempdir().unwrap();
     let supervisor: Arc<Supervisor> = supervised(folder.path());
     let server = whole_server(&supervisor, None);
@@ -160,7 +161,7 @@ fn nobody_waits_for_who_sends_a_byte_now_and_then() {
 }
 
 #[test]
-fn who_is_slow_and_honest_is_heard_out() {
+fn a_slow_but_steady_client_is_served() {
     let folder = tempfile::tempdir().unwrap();
     let server = whole_server(&supervised(folder.path()), None);
     // A phone at the edge of its network: a few bytes, a pause longer than any hiccup, and so on.

@@ -1,5 +1,6 @@
-//! Where the lines of large files begin: a recording of an hour has a hundred thousand rows, and nobody shall wait until those before a row are
-//! read. A file is gone through once; while it grows, only what is new. What a recorder has not finished yet is read as it is.
+//! Where the lines of large files begin: a recording of an hour has a hundred thousand rows, and
+//! nobody shall wait until those before a row are read. A file is gone through once; while it
+//! grows, only what is new. What a recorder has not finished yet is read as it is.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -10,12 +11,14 @@ use std::sync::{Mutex, PoisonError};
 use crate::capture::timestamps::{StampRow, TimestampsError, is_row, read_timestamps};
 use crate::safe_file;
 
-/// Of so many lines one is remembered. Chosen: 64 records are 0.1 MB, which are read at once. Raised, each row is read after more of those before it;
-/// lowered, an hour takes more memory than its 13 kB.
+/// Of so many lines one is remembered. Chosen: 64 records are 0.1 MB, which are read at once.
+/// Raised, each row is read after more of those before it; lowered, an hour takes more memory than
+/// its 13 kB.
 const EACH: u64 = 64;
 /// Files that are remembered; a folder of a season's recordings has fewer. Raised, only memory.
 const MAX_FILES: usize = 1000;
-/// Bytes before the end of what was read that tell whether it is still the same file. Chosen: a record's last numbers. Raised, nothing is gained.
+/// Bytes before the end of what was read that tell whether it is still the same file. Chosen: a
+/// record's last numbers. Raised, nothing is gained.
 const TAIL: usize = 64;
 /// The index of a clip.
 const STAMPS: &str = "timestamps.csv";
@@ -25,7 +28,8 @@ const STAMPS: &str = "timestamps.csv";
 enum Kind {
     /// Every line is one.
     Records,
-    /// Those of a timestamps.csv that stand for rows: neither its first, nor empty ones, nor remarks.
+    /// Those of a timestamps.csv that stand for rows: neither its first, nor empty ones, nor
+    /// remarks.
     Stamps,
 }
 
@@ -170,7 +174,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_row_is_that_of_a_whole_reading_also_while_the_file_grows() {
+    fn indexed_rows_match_a_full_read_while_the_file_grows() {
         let folder = tempfile::tempdir().unwrap();
         let clip = folder.path();
         let (csv, poses) = (clip.join("timestamps.csv"), clip.join("poses.jsonl"));

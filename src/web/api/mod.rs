@@ -1,5 +1,5 @@
-//! What the page can see and change of a running daemon: one file a resource. Each handler runs aside, on a thread that stands back
-//! behind the tracker.
+//! What the page can see and change of a running daemon: one file a resource. Each handler runs
+//! aside, on a thread that stands back behind the tracker.
 
 mod backup;
 mod config;

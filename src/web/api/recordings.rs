@@ -1,4 +1,5 @@
-//! `GET /api/v1/recordings` and what is below it: what was recorded, its states over time, its pictures and records, and all of it as a zip.
+//! `GET /api/v1/recordings` and what is below it: what was recorded, its states over time, its
+//! pictures and records, and all of it as a zip.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -34,9 +35,11 @@ const MAX_RECORDS: u64 = 5000;
 pub(super) const MAX_POINTS: u64 = 4000;
 /// Downloads at a time, for all: each keeps the disk busy. Raised, the recorder has less of it.
 const MAX_DOWNLOADS: usize = 2;
-/// Seconds of pictures in a report at most, as the command has it. Raised, reports grow too large for mail.
+/// Seconds of pictures in a report at most, as the command has it. Raised, reports grow too large
+/// for mail.
 const MAX_PICTURE_SECONDS: u64 = 600;
-/// Folders within a recording's folder at most: frames/0000/picture. Deeper ones are not a recording's.
+/// Folders within a recording's folder at most: frames/0000/picture. Deeper ones are not a
+/// recording's.
 const DEEPEST: usize = 4;
 
 pub(super) fn routes(supervisor: &Arc<Supervisor>, lines: &Arc<LineIndex>) -> Vec<Route> {

@@ -1,5 +1,5 @@
-//! `POST /api/v1/recordings/ID/retrack` and what comes of it below `retracked`; `GET`, `DELETE /api/v1/jobs/N`: recordings tracked with
-//! today's config.
+//! `POST /api/v1/recordings/ID/retrack` and what comes of it below `retracked`; `GET`,
+//! `DELETE /api/v1/jobs/N`: recordings tracked with today's config.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -95,7 +95,7 @@ mod tests {
     use crate::web::api::tests::{asked, supervised};
 
     #[test]
-    fn what_was_recorded_is_tracked_again_beside_it_and_differs_nowhere_from_itself() {
+    fn retracking_a_recording_reproduces_it() {
         let folder = tempfile::tempdir().unwrap();
         let supervisor = supervised(folder.path());
         let clip = folder.path().join("recordings/clip-1");

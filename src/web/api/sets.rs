@@ -1,4 +1,5 @@
-//! `GET`, `PUT /api/v1/set` and `sets/NAME.glb`: the virtual set, as the page composes it, and the models in it; kept beside the config.
+//! `GET`, `PUT /api/v1/set` and `sets/NAME.glb`: the virtual set, as the page composes it, and the
+//! models in it; kept beside the config.
 
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
-//! `POST /api/v1/mode`, `ring/save`, `recordings/start`, `stop`, `mark`: what the running daemon is asked to do.
+//! `POST /api/v1/mode`, `ring/save`, `recordings/start`, `stop`, `mark`: what the running daemon is
+//! asked to do.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -18,8 +19,8 @@ const LARGEST: u64 = 4096;
 /// Longest text of a mark, characters: a line in a list. Raised, lists grow wide.
 const MAX_MARK: usize = 200;
 
-/// Marks that may come at once, and the time after which each further one may: faster than any hand. Raised, a program that marks on and on
-/// fills the list and the disk sooner.
+/// Marks that may come at once, and the time after which each further one may: faster than any
+/// hand. Raised, a program that marks on and on fills the list and the disk sooner.
 const MARKS_AT_ONCE: u32 = 30;
 const ONE_MARK_EACH: Duration = Duration::from_millis(500);
 /// The same of changes of the mode, each of which opens or closes the camera.

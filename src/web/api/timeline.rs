@@ -30,7 +30,8 @@ impl<'a> Row<'a> {
         Self::at_its_places(line).or_else(|| serde_json::from_str(line).ok())
     }
 
-    /// Looks only where this program's own records have it: a record has a hundred numbers, and an hour a hundred thousand records.
+    /// Looks only where this program's own records have it: a record has a hundred numbers, and an
+    /// hour a hundred thousand records.
     fn at_its_places(line: &'a str) -> Option<Self> {
         let (_, rest) = line.strip_suffix('}')?.strip_prefix("{\"sequence\":")?.split_once(",\"timestamp_ns\":")?;
         let (stamp, rest) = rest.split_once(",\"state\":\"")?;
@@ -125,7 +126,8 @@ fn joined(columns: Vec<Column>) -> Vec<Column> {
     joined
 }
 
-/// The events as they stand in the file, each with how much it matters, what it says, and the first row that is not before it.
+/// The events as they stand in the file, each with how much it matters, what it says, and the first
+/// row that is not before it.
 fn with_rows(clip: &Path, stamps: &[i64]) -> Vec<Value> {
     let Ok(file) = safe_file::open_below(clip, Path::new("events.jsonl")) else { return Vec::new() };
     let lines = BufReader::new(file).lines().map_while(Result::ok);
@@ -155,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_is_read_at_its_places_as_it_is_read_whole() {
+    fn fast_record_parsing_equals_full_parsing() {
         let [tracked, mut lost] = crate::web::api::types_tests::samples();
         lost.objects[0].name = "a\",\"rms_px\":7,\"state\":\"tracking".to_owned();
         for sample in [tracked, lost] {
@@ -167,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_keep_the_worst_and_lose_no_row() {
+    fn timeline_columns_keep_the_worst_and_count_every_row() {
         let folder = tempfile::tempdir().unwrap();
         let (poses, events) = (folder.path().join("poses.jsonl"), folder.path().join("events.jsonl"));
         let text: String =

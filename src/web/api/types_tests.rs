@@ -1,9 +1,12 @@
 //! `page/types.d.ts`: what the program sends, as types for the page's modules.
 //!
-//! They are inferred from answers that the program really serialises, for most of these have no Rust type that a derive macro could read: they are put
-//! together with `json!` from several places, and some are records of a contract with hand-written serialisers. What is sent is what is declared, and no
-//! crate is needed. Samples must show each field both with a value and, where it may be null, without: a field that was only null, or an
-//! empty list, fails the test. `STAGEPOSE_REMAKE=1 cargo test --lib types_tests` writes the file anew; tests/page/types.test.mjs holds the modules to it.
+//! They are inferred from answers that the program really serialises, for most of these have no
+//! Rust type that a derive macro could read: they are put together with `json!` from several
+//! places, and some are records of a contract with hand-written serialisers. What is sent is what
+//! is declared, and no crate is needed. Samples must show each field both with a value and, where
+//! it may be null, without: a field that was only null, or an empty list, fails the test.
+//! `STAGEPOSE_REMAKE=1 cargo test --lib types_tests` writes the file anew;
+//! tests/page/types.test.mjs holds the modules to it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -148,7 +151,8 @@ fn inner(form: &str) -> &str {
     form.strip_prefix("{ ").and_then(|form| form.strip_suffix(" }")).unwrap_or(form)
 }
 
-/// Whether an object of this form is one of the other: it has the same fields, of which some are never null here.
+/// Whether an object of this form is one of the other: it has the same fields, of which some are
+/// never null here.
 fn is_of(form: &str, other: &str) -> bool {
     let (own, others) = (top_level(inner(form)), top_level(inner(other)));
     own.len() == others.len() && own.iter().zip(others).all(|(own, other)| *own == other || format!("{own} | null") == other)
@@ -383,7 +387,7 @@ fn declared() -> String {
 }
 
 #[test]
-fn the_page_s_types_are_those_that_the_program_sends() {
+fn page_types_match_what_the_program_sends() {
     let wanted = declared();
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/src/web/page/types.d.ts");
     if std::env::var_os("STAGEPOSE_REMAKE").is_some() {

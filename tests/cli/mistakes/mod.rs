@@ -387,27 +387,27 @@ fn assert_named(mistakes: &[Mistake]) {
 }
 
 #[test]
-fn sizes_and_places() {
+fn mistakes_in_sizes_and_places_are_named() {
     assert_named(&LAYOUT);
 }
 
 #[test]
-fn the_corners_of_a_photograph() {
+fn mistakes_in_photograph_corners_are_named() {
     assert_named(&CORNERS);
 }
 
 #[test]
-fn the_file_of_the_picture() {
+fn mistakes_in_the_picture_file_are_named() {
     assert_named(&PICTURE);
 }
 
 #[test]
-fn the_camera() {
+fn mistakes_about_the_camera_are_named() {
     assert_named(&CAMERA);
 }
 
 #[test]
-fn the_clip() {
+fn mistakes_about_the_clip_are_named() {
     assert_named(&CLIP);
 }
 
@@ -419,7 +419,7 @@ fn first(said: &stage::Said) -> &str {
 /// Mistakes with a photograph whose corners were read by eye. The true cause comes first, although
 /// no corner is exact.
 #[test]
-fn of_a_photograph_the_cause_comes_first() {
+fn photograph_mistakes_are_named_before_inexact_corners() {
     let by_eye = |order: [usize; 4], from: &str, to: &str| {
         let stage = Stage::new();
         stage.photo_by_eye(order, from, to);
@@ -434,7 +434,7 @@ fn of_a_photograph_the_cause_comes_first() {
 }
 
 #[test]
-fn a_guessed_lens_is_mended_by_the_key_that_guessed_it() {
+fn a_guessed_lens_is_corrected_by_its_own_key() {
     for (line, wanted) in [("fov_deg = 85", "write fov_deg = 5"), ("focal_35mm_mm = 20", "write focal_35mm_mm = 3")] {
         let stage = Stage::new();
         stage.config("calibration = \"camera.toml\"", line);
@@ -463,7 +463,7 @@ fn a_stretched_clip_is_called_so() {
 
 /// The camera is shaken by hand and has a rolling shutter that the config does not mention.
 #[test]
-fn a_readout_that_is_not_configured_blames_no_lens() {
+fn an_unconfigured_readout_does_not_blame_the_lens() {
     let folder = tempfile::tempdir().unwrap();
     let fixture = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/dolly");
     let config = format!(
@@ -479,7 +479,7 @@ fn a_readout_that_is_not_configured_blames_no_lens() {
 }
 
 #[test]
-fn what_is_right_is_called_good() {
+fn a_right_config_is_rated_good() {
     let said = Stage::new().check();
     assert!(said.code == 0 && said.text.starts_with("stage.toml: good\n"), "{}", said.text);
     let stage = Stage::new();
@@ -489,7 +489,7 @@ fn what_is_right_is_called_good() {
 }
 
 #[test]
-fn a_camera_that_hangs_upside_down_is_asked_about() {
+fn an_upside_down_camera_is_questioned() {
     let stage = Stage::new();
     stage.frames(|_, f| imageops::rotate180(&f));
     stage.lens((480, 360), 432.0, [0.0; 5]);

@@ -120,7 +120,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_fits_but_for_its_detail_is_blurred_and_what_fits_in_part_only_if_its_detail_is_far_worse() {
+    fn missing_fine_detail_marks_a_body_as_blurred() {
         let above = |scale, open_share| LevelFit { scale, open_share };
         assert!(shows_blur(4.2, &above(2.9, 0.88)) && !shows_blur(4.2, &above(2.9, 0.55)));
         assert!(shows_blur(7.8, &above(5.0, 0.5)) && shows_blur(3.0, &above(3.1, 0.85)) && !shows_blur(7.8, &above(11.0, 0.9)));

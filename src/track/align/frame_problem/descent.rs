@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn a_way_from_further_up_ends_where_it_meets_the_one_from_nearby() {
+    fn a_descent_stops_where_it_meets_the_earlier_one() {
         with_problem(165, 0.01, |problem| {
             let nearby = problem.descend(FINEST + 1, None);
             let (found, kept) = (nearby.found.expect("the picture agrees in a third"), problem.verify().expect("solved").0);
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn a_way_that_leads_elsewhere_is_gone_to_its_end() {
+    fn a_descent_that_leads_elsewhere_is_completed() {
         // Off by twenty pixels of the frame: five pixels of the level above the finest.
         with_problem(480, 0.14, |problem| {
             let nearby = problem.descend(FINEST + 1, None);
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_tell_the_blur_of_a_body_that_was_just_found_before_the_finest_level() {
+    fn rows_reveal_a_new_bodys_blur_before_the_finest_level() {
         let shutter = Shutter { readout_s: 0.02, exposure_s: 0.012 };
         let still = Motion::still(facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4)).inverse());
         // A blur of twelve pixels of the frame.
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn a_covered_body_is_left_unsettled_until_it_is_known_what_fits() {
+    fn an_occluded_body_converges_once_its_inliers_are_known() {
         for open_columns in [160, 180, 200] {
             with_problem(open_columns, 0.01, |problem| {
                 problem.follows(false, true);

@@ -49,7 +49,7 @@ fn image_velocity(motion: &Motion) -> Vector2<f64> {
 }
 
 #[test]
-fn blur_tells_how_fast_a_picture_moves_and_along_which_way_but_not_in_which_direction() {
+fn blur_reveals_image_velocity_up_to_its_sign() {
     for (velocity, turn_rate) in [([2.0, 0.5, 0.0], [0.2, -0.7, 0.0]), ([-1.0, 1.5, 0.5], [-0.5, 0.3, 0.1])] {
         let truth = motion(FAR_M, velocity, turn_rate);
         let frame = blurred(&truth, &GLOBAL);
@@ -69,7 +69,7 @@ fn blur_tells_how_fast_a_picture_moves_and_along_which_way_but_not_in_which_dire
 /// A camera that rotates sees an object that is carried. The blur is by both motions, shorter than
 /// by the camera alone or longer.
 #[test]
-fn a_known_motion_of_the_camera_is_a_part_of_the_blur() {
+fn known_camera_motion_is_included_in_the_blur() {
     for (velocity, turn_rate) in [([6.0, 0.5, 0.0], [0.2, -0.7, 0.0]), ([-6.0, 1.5, 0.0], [0.1, -0.4, 0.1])] {
         let truth = motion(FAR_M, velocity, turn_rate);
         // In the axes of a stage that is aligned with the cloth.
@@ -87,7 +87,7 @@ fn a_known_motion_of_the_camera_is_a_part_of_the_blur() {
 }
 
 #[test]
-fn a_turn_and_a_velocity_that_move_a_point_alike_are_one() {
+fn rotation_and_velocity_with_equal_image_motion_are_one() {
     let pose = motion(NEAR_M, [0.0; 3], [0.0; 3]).pose;
     for point in [Vector3::new(0.1, -0.2, 3.0), Vector3::new(-1.8, 0.4, 2.5)] {
         let turns = turn_by_velocity(&pose.rotation_matrix(), &point).expect("before the camera");
@@ -119,7 +119,7 @@ fn a_still_picture_shows_no_velocity() {
 }
 
 #[test]
-fn rows_and_blur_together_tell_a_tilt_from_a_motion_ahead() {
+fn rows_and_blur_together_separate_tilt_from_forward_motion() {
     for velocity in [[1.4, 0.0, 0.6], [0.9, 1.1, -0.6]] {
         let truth = motion(NEAR_M, velocity, [0.0; 3]);
         let frame = blurred(&truth, &ROLLING);

@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn moments_are_those_of_a_velocity_that_jumped_at_any_instant() {
+    fn moments_match_a_velocity_jump_at_any_instant() {
         let mut random = Pcg64Mcg::seed_from_u64(3);
         let (dt_s, n) = (0.04, 200_000);
         let [speed, ..] = unseen(DISTANCE_M);
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn a_start_within_the_exposure_is_off_by_no_more_than_the_covariance_says() {
+    fn the_covariance_covers_a_start_during_the_exposure() {
         let exposure_s = GLOBAL.exposure_s;
         let [speed, ..] = unseen(DISTANCE_M);
         for k in 1..40 {

@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn an_exposure_that_is_half_or_twice_the_configured_one_is_named() {
+    fn an_exposure_off_by_a_factor_of_two_is_reported() {
         for ratio in [0.4, 0.5, 1.8] {
             let found = after(60, ratio, 3.0, 0.2).expect("a contradiction");
             assert!((found / ratio - 1.0).abs() < 0.15, "{ratio}: {found}");
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn a_right_one_is_not_and_neither_is_one_that_is_rounded() {
+    fn a_right_or_rounded_exposure_is_not_reported() {
         for ratio in [0.8, 1.0, 1.3] {
             assert_eq!(after(2000, ratio, 3.0, 0.4), None, "{ratio}");
         }
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn few_frames_and_sharp_frames_say_nothing() {
+    fn few_or_sharp_frames_do_not_judge_the_exposure() {
         assert_eq!(after(20, 0.5, 3.0, 0.1), None);
         assert_eq!(after(200, 0.5, 0.5, 0.1), None);
         // Frames that disagree with each other do not either.

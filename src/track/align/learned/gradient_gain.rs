@@ -147,7 +147,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn steps_that_change_less_than_predicted_flatten_the_slopes() {
+    fn smaller_changes_than_predicted_lower_the_gradient_gain() {
         let n = 64;
         let by_pose: [Vec<f32>; 6] = std::array::from_fn(|c| (0..n).map(|k| ((k * (c + 3)) as f32).sin() * 50.0).collect());
         let step = [0.1, -0.05, 0.2, 0.03, 0.07, -0.1];
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_of_nothing_tells_nothing() {
+    fn a_zero_step_does_not_change_the_gradient_gain() {
         let mut share = GradientGain::default();
         share.learn(&ChangeSums { count: 1000.0, predicted_squared: 1.0, product: 0.1 });
         assert_eq!(share, GradientGain::default());

@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_wrong_model_left_is_soon_forgotten() {
+    fn residuals_of_a_wrong_model_are_soon_forgotten() {
         let mut random = Pcg64Mcg::seed_from_u64(8);
         let [wrong, right] = [[20.0, 0.3, 2e-3], [0.6, 0.01, 1e-4]].map(Vector3::from);
         // Returns the ratio of the learnt to the true variance after three rounds with a better
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn what_frames_cannot_tell_stays_usual() {
+    fn unobservable_noise_terms_keep_their_defaults() {
         let usual = CameraNoise::usual(1);
         let mut learnt = usual.clone();
         learnt.learn(&NoiseSums::default());

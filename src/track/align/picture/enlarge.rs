@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_what_a_general_lanczos_resize_gives() {
+    fn enlarging_twice_matches_a_general_lanczos_resize() {
         let picture = GrayImage::from_fn(41, 37, |x, y| image::Luma([(x * x * 3 + y * 11 + x * y) as u8]));
         let (own, general) = (enlarged_twice(&picture), resize(&picture, 82, 74, FilterType::Lanczos3));
         assert_eq!(own.dimensions(), (82, 74));
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_pixel_is_repeated() {
+    fn enlarging_a_single_pixel_repeats_it() {
         assert!(enlarged_twice(&GrayImage::from_pixel(1, 1, image::Luma([77]))).pixels().all(|p| p[0] == 77));
     }
 }

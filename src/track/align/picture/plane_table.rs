@@ -154,7 +154,7 @@ mod tests {
     use crate::track::scene::shape::tests::folds;
 
     #[test]
-    fn it_is_the_shape_up_to_micrometres() {
+    fn the_plane_table_matches_the_shape_to_micrometres() {
         let (shape, size_m) = (folds(), [4.0, 3.0]);
         let table = PlaneTable::of(&shape, size_m).unwrap();
         for (i, j) in (0..=90).flat_map(|i| (0..=70).map(move |j| (i, j))) {

@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn a_texel_and_its_neighbours_lie_at_its_address() {
+    fn a_texel_and_its_neighbours_are_stored_at_its_address() {
         let picture = GrayImage::from_fn(50, 40, |x, y| image::Luma([(x * 5 + y * 3 + x * y % 7) as u8]));
         let t = Texture::new(&picture);
         let bytes: Vec<u8> = t.tiles.iter().flat_map(|tile| tile.0).collect();
@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn the_steepest_of_a_block_are_those_of_a_plain_sort() {
+    fn the_steepest_texels_of_a_block_match_a_sort() {
         for seed in [3u32, 8, 21] {
             // Small ranges of grey too, so that many texels are equally steep.
             let grey = |x: u32, y: u32| (x.wrapping_mul(2_654_435_761) ^ y.wrapping_mul(40_503).wrapping_mul(seed) ^ (x * y)) >> 7;

@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn blocks_give_what_is_free_inside_the_frame_and_clear_of_their_border() {
+    fn block_selection_matches_the_scalar_twin() {
         let mask = GrayImage::from_fn(640, 480, |x, y| Luma([if (x / 40 + y / 40) % 3 == 0 { 0 } else { 255 }]));
         let rays = CameraRays::new(lens(640, 480), Some(mask));
         let table = rays.table(1);

@@ -277,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn eight_pixels_at_a_time_have_the_planes_of_their_plain_twins() {
+    fn simd_tangent_planes_match_the_scalar_twin() {
         let surface = AlignSurface::new(&SurfaceSpec { shape: folds(), ..cloth(1) });
         let (AlignSurface { rectangle, planes: Some(table), .. }, shape) = (&surface, folds()) else { panic!("it is bent") };
         let motion = passing();
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ray_along_the_surface_has_the_surfaces_own_plane() {
+    fn a_ray_along_the_surface_gets_the_surfaces_own_plane() {
         let table = PlaneTable::of(&folds(), [4.0, 3.0]).unwrap();
         let rectangle = Rectangle::of(&cloth(1));
         let (mut x, y, delay_s) = ([0.1; LANES], [0.05; LANES], [0.0; LANES]);

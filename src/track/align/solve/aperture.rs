@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pose_that_slid_along_stripes_is_told_by_their_grain() {
+    fn texture_along_stripes_reveals_a_pose_that_slid() {
         for degrees in [0.0, 30.0, 77.0, 135.0] {
             assert!(agreeing(striped(degrees, 3.0, true)).may_have_slid(0.9), "{degrees}");
             assert!(!agreeing(striped(degrees, 3.0, false)).may_have_slid(1.0), "{degrees}");
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_gradients_are_borne_out_in_all_directions() {
+    fn equal_gradients_are_supported_in_all_directions() {
         let [worst, best] = striped(30.0, 3.0, false).borne_out().expect("both directions have detail");
         assert!((worst.share - 1.0).abs() < 0.05 && (best.share - 1.0).abs() < 0.01, "{worst:?} {best:?}");
         let [worst, best] = striped(30.0, 3.0, true).borne_out().expect("both directions have detail");
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn people_and_plain_stripes_refuse_nothing() {
+    fn people_and_plain_stripes_refute_no_pose() {
         // An occluded part supports no direction; this one has more expected gradients in one
         // direction than in the other.
         let mut sums = striped(30.0, 30.0, false);
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_before_a_part_of_the_picture_does_not_refute_what_agrees_beside_it() {
+    fn a_partial_occluder_does_not_refute_the_rest() {
         let agree = striped(30.0, 30.0, false);
         // The occluder's own stripes run across those expected behind it.
         let mut everywhere = agree;

@@ -42,7 +42,7 @@ fn bands(shutter: Shutter, instant_s: f64, speed: f64) -> RowBands {
 }
 
 #[test]
-fn the_mean_time_since_an_instant_is_that_of_the_exposure() {
+fn the_mean_time_since_a_jump_averages_over_the_exposure() {
     for t in [-0.011, -0.004, 0.0, 0.003, 0.02] {
         let at = |k: u32| t + 0.008 * ((f64::from(k) + 0.5) / 4000.0 - 0.5);
         let mean = (0..4000).map(|k| (at(k) - 0.001).max(0.0)).sum::<f64>() / 4000.0;
@@ -81,7 +81,7 @@ fn a_jump_is_found_at_its_instant() {
 }
 
 #[test]
-fn where_all_rows_are_exposed_together_the_covariance_covers_it() {
+fn a_global_shutter_covers_the_jump_by_its_covariance() {
     for k in 0..20 {
         let instant_s = GLOBAL.exposure_s * ((f64::from(k) + 0.5) / 20.0 - 0.5);
         let found = bands(GLOBAL, instant_s, 0.6).mixture(alone(known(), MotionError::zeros()), FRAME_S, DISTANCE_M).expect("regular");
@@ -96,7 +96,7 @@ fn where_all_rows_are_exposed_together_the_covariance_covers_it() {
 }
 
 #[test]
-fn a_camera_that_rests_stays_sure() {
+fn a_camera_at_rest_keeps_its_small_covariance() {
     for shutter in [ROLLING, GLOBAL] {
         let found = bands(shutter, 0.0, 0.0).mixture(alone(known(), MotionError::zeros()), FRAME_S, DISTANCE_M).expect("regular");
         assert!(found.pose.norm() < 1e-9 && found.motion.norm() < 1e-9);
@@ -105,7 +105,7 @@ fn a_camera_that_rests_stays_sure() {
 }
 
 #[test]
-fn an_even_motion_before_tells_a_small_start_from_jerk() {
+fn prior_uniform_motion_separates_a_small_start_from_jerk() {
     // A start at 0.05 m/s in the middle of the frame: a shift of a fifth of a millimetre, where
     // jerk explains a whole one. The true shift at the stamp is zero.
     let jerky = MotionMatrix::from_diagonal(&MotionError::from_fn(|k, _| f64::powi([1e-3, 0.1, 5.0][k / 6], -2)));
@@ -125,7 +125,7 @@ fn an_even_motion_before_tells_a_small_start_from_jerk() {
 }
 
 #[test]
-fn what_is_no_motion_is_no_panic() {
+fn invalid_motions_never_panic() {
     let empty = RowBands::new(ROLLING);
     let found = empty.mixture(alone(known(), MotionError::zeros()), FRAME_S, DISTANCE_M).expect("what was known");
     assert!(found.motion.norm() == 0.0 && found.pose_covariance[(0, 0)] > 0.0);
@@ -200,7 +200,7 @@ fn member_by_member(bands: &RowBands, expectations: [Option<Expectation>; EXPECT
 }
 
 #[test]
-fn it_is_the_mixture_of_its_members() {
+fn the_jump_estimate_is_the_mixture_of_its_members() {
     let jerky = MotionMatrix::from_diagonal(&MotionError::from_fn(|k, _| f64::powi([1e-3, 0.1, 5.0][k / 6], -2)));
     let error = MotionError::from_fn(|k, _| 1e-4 * f64::from(k as u8 % 5));
     let expectation =

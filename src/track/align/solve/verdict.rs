@@ -217,13 +217,13 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_whose_pose_is_sharp_bears_itself_out_behind_people() {
+    fn a_sharp_pose_is_supported_despite_occlusion() {
         assert!(found(30, 0.001, 0.0003).is_borne_out(4.0));
         assert!(!found(10, 0.001, 0.0003).is_borne_out(4.0));
     }
 
     #[test]
-    fn agreeing_tiles_alone_give_no_pose_that_the_picture_leaves_open() {
+    fn agreeing_tiles_alone_do_not_support_an_uncertain_pose() {
         // A small tray had 30 agreeing tiles at a pose that was 47 degrees off; only its standard
         // deviation showed it.
         for (shift_m, turn_rad) in [(0.001, 0.02), (0.05, 0.0003)] {
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_followed_to_where_nothing_expected_it_must_show_itself_as_a_whole() {
+    fn a_followed_pose_far_from_its_prediction_must_be_unoccluded() {
         let covered = found(26, 0.001, 0.0003);
         let pushed = |agreeing| Alignment { squared_mahalanobis: 140.0, ..found(agreeing, 0.001, 0.0003) };
         assert!(
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_known_body_that_is_half_covered_a_pose_that_is_nearly_sharp_waits_for_a_second_frame() {
+    fn a_half_occluded_known_body_may_be_confirmed_by_two_frames() {
         let open = |agreeing| found(agreeing, 0.003, 0.0015);
         assert!(!open(45).is_borne_out(4.0) && open(45).may_be_given(false, true, 4.0));
         // A body that was never reported may be another picture; one that fits badly may be
@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_tell_right_from_wrong_in_haze_too() {
+    fn tile_agreement_separates_right_from_wrong_in_haze() {
         let mut random = Pcg64Mcg::seed_from_u64(3);
         // From detail half as large as the noise, which is not judged, to clear detail.
         for (detail, tells, right) in [(1.0, 0..1, 0..1), (2.5, 1000..1001, 650..1001), (20.0, 1000..1001, 1000..1001)] {

@@ -29,7 +29,7 @@ fn is_followed(turn_acceleration: f64, is_told: bool) -> bool {
 }
 
 #[test]
-fn what_few_frames_make_of_an_acceleration_does_not_lose_a_body() {
+fn an_uncertain_acceleration_does_not_lose_a_body() {
     assert!(is_followed(0.0, false) && is_followed(0.0, true));
     // Predicted a ninth of a radian off in the next frame, beyond the basin of alignment.
     assert!(is_followed(200.0, false));
@@ -56,7 +56,7 @@ fn is_found(covered_share: f64) -> [bool; 2] {
 }
 
 #[test]
-fn what_fits_and_is_covered_is_told_from_what_does_not_fit() {
+fn an_occluded_fit_is_distinguished_from_a_misfit() {
     assert_eq!(is_found(0.0), [true, false]);
     assert_eq!(is_found(0.7), [false, true]);
     assert_eq!(is_found(1.0), [false, false]);
@@ -88,7 +88,7 @@ fn with_small_prop(
 }
 
 #[test]
-fn what_one_frame_leaves_open_is_followed_until_the_next_one_tells() {
+fn an_uncertain_pose_is_followed_until_the_next_frame() {
     with_small_prop(0.06, false, |body, found, frame, levels, rays| {
         assert!(found.is_none() && body.refusal == Some(Refusal::Uncertain), "{:?}", body.refusal);
         let open = body.motion_at(frame.timestamp).expect("followed from there").covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
@@ -101,7 +101,7 @@ fn what_one_frame_leaves_open_is_followed_until_the_next_one_tells() {
 }
 
 #[test]
-fn under_a_rolling_shutter_only_a_sharp_pose_resumes_a_track_by_itself() {
+fn rolling_shutter_tracks_resume_only_from_sharp_poses() {
     let is_given = |readout_s: f64, is_continued: bool| {
         let mut is_given = false;
         with_small_prop(readout_s, is_continued, |_, found, _, _, _| is_given = found.is_some());

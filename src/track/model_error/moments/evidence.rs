@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn one_moment_wherever_it_lies_and_however_it_is_lit_is_one() {
+    fn a_frame_of_one_moment_is_not_a_mixture_at_any_light() {
         for moved_px in [0.0, 0.3] {
             let seen = of_rows(|v, u| 20.0 + 0.6 * picture(moved_px)[v][u]);
             let (_, Shares { both, by_turns }) = shares(seen, 3.0);
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn an_exposure_as_long_as_the_frame_has_a_third() {
+    fn a_full_frame_exposure_has_a_mixture_share_of_a_third() {
         let moments: Vec<Greys> = (0..20).map(|k| picture(3.0 * ((k as f32 + 0.5) / 20.0 - 0.5))).collect();
         let seen = of_rows(|v, u| moments.iter().map(|m| m[v][u]).sum::<f32>() / 20.0);
         let (_, Shares { both, by_turns }) = shares(seen, 3.0);
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mean_of_two_moments_and_rows_by_turns_are_told_whichever_the_pose_is_of() {
+    fn blended_and_interlaced_frames_are_detected_at_any_pose() {
         for (shift_px, middle) in [(-1.5, 1), (0.0, 2), (1.5, 3)] {
             let [before, after] = [shift_px - 1.5, shift_px + 1.5].map(picture);
             let (found, blended) = shares(of_rows(|v, u| 0.5 * (before[v][u] + after[v][u])), 3.0);
@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn the_moment_of_a_cell_is_told() {
+    fn the_moment_of_a_cell_is_estimated() {
         for way_px in [2.0, 5.0] {
             for t in [-1.1_f32, -0.7, -0.3, 0.0, 0.2, 0.5, 0.9] {
                 let seen = of_rows(|v, u| 30.0 + 0.7 * picture(t * way_px)[v][u]);
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_something_else_says_nothing() {
+    fn cells_of_another_picture_give_no_evidence() {
         let other = of_rows(|v, u| 100.0 + 40.0 * (0.9 * v as f32).sin() * (0.8 * u as f32 + 1.0).cos());
         for seen in [other, [[80.0; ACROSS]; DOWN]] {
             assert!(cell(seen, 3.0).evidence().is_none() && cell(seen, 3.0).moment().is_none());

@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_is_a_tear_wherever_it_lies() {
+    fn a_step_at_any_row_is_a_tear() {
         for line in [0.2, 0.5, 0.75] {
             let step = torn_by(&cells(|row| if row < line { 0.4 } else { -0.6 })).unwrap();
             assert!((step + 1.0).abs() < 0.3, "{line}: {step}");
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_that_are_read_one_after_the_other_are_no_tear() {
+    fn a_rolling_shutter_is_not_a_tear() {
         assert_eq!(torn_by(&cells(|_| 0.0)), None);
         assert_eq!(torn_by(&cells(|row| 0.9 * (row - 0.5))), None);
         // A hand that starts in the middle of the frame, and one that shakes.

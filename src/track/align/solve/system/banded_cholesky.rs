@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn it_solves_as_the_whole_matrix_does() {
+    fn the_banded_solver_agrees_with_the_dense_one() {
         for (columns, rows, full) in [(1, 1, 1), (3, 2, 3), (6, 5, 20), (9, 7, 22)] {
             let (band, mut matrix, whole, right) = system(columns, rows, full);
             factor(&mut matrix, &band).expect("positive definite");
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn a_direction_that_is_left_free_has_no_factor() {
+    fn an_unconstrained_direction_has_no_factor() {
         let (band, mut matrix, ..) = system(4, 3, 5);
         let last = band.size * band.size - 1;
         matrix[last] = -1.0;
