@@ -6,6 +6,7 @@
 
 mod constants;
 mod modules;
+mod prose;
 mod specification;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -215,7 +216,7 @@ fn sibling_modules_have_no_circular_dependencies() {
 /// separate from the rest.
 fn drawn(arrows: &BTreeSet<(String, String)>) -> String {
     let mut text = String::from(
-        "# Modules\n\nWhich room of `src/` uses which; drawn from the source by `STAGEPOSE_REMAKE=1 cargo test --test stagepose structure`. An arrow that\nfollows from others is left out.\n\n```mermaid\ngraph BT\n",
+        "# Modules\n\nWhich room of `src/` uses which; drawn from the source by\n`STAGEPOSE_REMAKE=1 cargo test --test stagepose structure`. An arrow that follows from others is\nleft out.\n\n```mermaid\ngraph BT\n",
     );
     for (title, rooms) in [("core", &ROOMS[..CORE]), ("around", &ROOMS[CORE..])] {
         let _ = writeln!(text, "  subgraph {title}");
