@@ -1,9 +1,9 @@
 //! Paints the cloth: a different picture for every seed, with marks of every size.
 //!
-//! A backdrop has to hold a tracker from any distance, so it carries features of all scales and
-//! repeats nothing: a clouded sky and a hillside of cracked stones, a town of crooked houses, then
-//! some thousand patches, brush strokes and lines of made-up writing whose sizes follow a power
-//! law, as the things in real pictures do.
+//! A tracker must find features on a backdrop from any distance, so it has features of all scales
+//! and no repetition. It shows a clouded sky, a hillside of cracked stones and a town of crooked
+//! houses. On top are some thousand patches, brush strokes and lines of made-up writing, whose
+//! sizes follow a power law, as in real pictures.
 
 use std::f32::consts::TAU;
 
@@ -28,7 +28,7 @@ pub fn paint(width: u32, height: u32, seed: u64) -> RgbImage {
         painter.mark(&mut canvas);
     }
     let unit = height as f32;
-    // Cloth is never evenly lit or evenly painted: broad stains and the weave.
+    // Cloth is never evenly lit or painted: add broad stains and the weave.
     canvas.shade(|x, y| {
         let stain = 0.8 + 0.4 * layered_noise(x / unit * 3.0, y / unit * 3.0, 3, 0.5, noise_seed ^ 0x57a1);
         stain * (0.98 + 0.04 * lattice(x as i32, y as i32, noise_seed ^ 0xc107))
@@ -36,7 +36,7 @@ pub fn paint(width: u32, height: u32, seed: u64) -> RgbImage {
     canvas.finish()
 }
 
-/// Paints dark floor boards, their length across the picture.
+/// Paints dark floor boards that run across the picture.
 pub fn paint_boards(width: u32, height: u32, seed: u64) -> RgbImage {
     let seed = Pcg64Mcg::seed_from_u64(seed).random::<u32>();
     let board = height as f32 / 24.0;
@@ -52,7 +52,7 @@ pub fn paint_boards(width: u32, height: u32, seed: u64) -> RgbImage {
     canvas.finish()
 }
 
-/// The grey picture that a camera's luma makes of a coloured one (ITU-R BT.601).
+/// Converts a colour picture to grey by a camera's luma (ITU-R BT.601).
 pub fn grey(picture: &RgbImage) -> GrayImage {
     GrayImage::from_fn(picture.width(), picture.height(), |x, y| {
         let [r, g, b] = picture.get_pixel(x, y).0.map(u32::from);
@@ -60,7 +60,7 @@ pub fn grey(picture: &RgbImage) -> GrayImage {
     })
 }
 
-/// Sky above, stones below, an uneven horizon between.
+/// Paints sky above, stones below and an uneven horizon between them.
 fn ground(width: u32, height: u32, hue: f32, seed: u32) -> Canvas {
     let unit = height as f32;
     Canvas::from_fn(width, height, |x, y| {
@@ -72,7 +72,7 @@ fn ground(width: u32, height: u32, hue: f32, seed: u32) -> Canvas {
             let sky = hsv(hue + 0.1 * bend, 0.55, 0.35 + 0.45 * y / horizon);
             mix(sky, [0.95, 0.92, 0.85], ((cloud - 0.45) * 4.0).clamp(0.0, 0.9))
         } else {
-            // The warp makes the stones crooked; they grow towards the viewer.
+            // The warp makes the stones crooked; they are larger nearer to the viewer.
             let size = if y < horizon + 0.22 + 0.2 * (bend - 0.5) { 30.0 } else { 13.0 };
             let (joint, number) = cell((x + 0.05 * bend) * size, (y + 0.05 * bend) * size, seed ^ 0x33);
             let rough = layered_noise(x * 40.0, y * 40.0, 4, 0.7, seed ^ 0x44) - 0.5;
@@ -82,12 +82,12 @@ fn ground(width: u32, height: u32, hue: f32, seed: u32) -> Canvas {
     })
 }
 
-/// Hands out random marks.
+/// Paints random marks.
 struct Painter {
     random: Pcg64Mcg,
-    /// Leading hue of the picture, in turns.
+    /// Dominant hue of the picture, in turns.
     hue: f32,
-    /// Of the cloth, pixels.
+    /// Size of the cloth, pixels.
     size: [f32; 2],
 }
 
@@ -96,7 +96,8 @@ impl Painter {
         self.size.map(|side| self.random.random_range(0.0..side))
     }
 
-    /// A colour of the picture's palette; light and dark are equally likely, the middle is rarer.
+    /// Returns a colour of the picture's palette. Light and dark are equally likely; mid-tones are
+    /// left out.
     fn colour(&mut self) -> Colour {
         let hue = self.hue + [0.0, 0.45, 0.55, 0.12][self.random.random_range(0..4)] + self.random.random_range(-0.05..0.05);
         let dark = self.random.random::<bool>();
@@ -104,15 +105,15 @@ impl Painter {
         hsv(hue, self.random.random_range(0.1..0.75), value)
     }
 
-    /// A length in pixels: small ones are the most frequent, each doubling about half as frequent
-    /// as the one before.
+    /// Returns a random length in pixels. Small ones are most frequent; each doubling is about half
+    /// as frequent as the one before.
     fn length(&mut self, smallest: f32, largest: f32) -> f32 {
         let share: f32 = self.random.random();
-        // The inverse of the distribution 1 - (smallest / s), cut at the largest.
+        // The inverse of the distribution 1 - (smallest / s), truncated at the largest.
         (smallest / (1.0 - share * (1.0 - smallest / largest))) * self.size[1]
     }
 
-    /// A street of crooked houses along the middle of the cloth.
+    /// Paints a street of crooked houses along the middle of the cloth.
     fn houses(&mut self, canvas: &mut Canvas) {
         let [width, height] = self.size;
         let mut left = -0.02 * width;
@@ -153,7 +154,7 @@ impl Painter {
         }
     }
 
-    /// A convex patch of three to six corners, on a stretched circle.
+    /// Paints a convex patch of three to six corners, on a stretched circle.
     fn patch(&mut self, canvas: &mut Canvas) {
         let (middle, radius, turn) = (self.place(), self.length(0.006, 0.09), self.random.random::<f32>() * TAU);
         let (stretch, corners) = (self.random.random_range(0.4..1.0), self.random.random_range(3..7));
@@ -168,7 +169,7 @@ impl Painter {
         canvas.polygon(&points, colour, opacity);
     }
 
-    /// A bent brush stroke.
+    /// Paints a curved brush stroke.
     fn brush(&mut self, canvas: &mut Canvas) {
         let (mut at, length, colour) = (self.place(), self.length(0.02, 0.3), self.colour());
         let mut direction = self.random.random::<f32>() * TAU;
@@ -180,7 +181,7 @@ impl Painter {
         }
     }
 
-    /// A line of letters that no one can read.
+    /// Paints a line of illegible letters.
     fn writing(&mut self, canvas: &mut Canvas) {
         let (start, letter, colour) = (self.place(), self.length(0.012, 0.06), self.colour());
         let slope = self.random.random_range(-0.3..0.3_f32);

@@ -1,5 +1,5 @@
-//! A painter's canvas: smooth-edged polygons and brush strokes in colour, and the noise that paint
-//! is mixed from.
+//! A canvas to paint on: antialiased polygons and brush strokes in colour, and the noise functions
+//! that textures are made from.
 
 use image::{Rgb, RgbImage};
 
@@ -15,14 +15,14 @@ pub(super) struct Canvas {
 }
 
 impl Canvas {
-    /// Starts from a colour for every pixel.
+    /// Makes a canvas with a colour for every pixel.
     pub(super) fn from_fn(width: u32, height: u32, colour: impl Fn(f32, f32) -> Colour) -> Self {
         let (width, height) = (width as usize, height as usize);
         let colours = (0..width * height).map(|i| colour((i % width) as f32, (i / width) as f32)).collect();
         Self { width, height, colours }
     }
 
-    /// Lays a colour over the box around a shape; `coverage` is 0 to 1 at a pixel.
+    /// Blends a colour into the box around a shape; `coverage` is 0 to 1 at a pixel.
     fn lay(&mut self, from: [f32; 2], to: [f32; 2], colour: Colour, coverage: impl Fn(f32, f32) -> f32) {
         let range = |low: f32, high: f32, size: usize| (low - 1.0).max(0.0) as usize..((high + 2.0).max(0.0) as usize).min(size);
         for y in range(from[1], to[1], self.height) {
@@ -36,7 +36,7 @@ impl Canvas {
         }
     }
 
-    /// Fills a convex polygon, corners in either sense.
+    /// Fills a convex polygon, with its corners in either order.
     pub(super) fn polygon(&mut self, corners: &[[f32; 2]], colour: Colour, opacity: f32) {
         let fold = |axis: usize, pick: fn(f32, f32) -> f32, start: f32| corners.iter().map(|c| c[axis]).fold(start, pick);
         let from = [fold(0, f32::min, f32::INFINITY), fold(1, f32::min, f32::INFINITY)];
@@ -54,7 +54,7 @@ impl Canvas {
         });
     }
 
-    /// A straight stroke of a round brush; of no length, a dot.
+    /// Paints a straight stroke with a round brush; one of zero length is a dot.
     pub(super) fn stroke(&mut self, a: [f32; 2], b: [f32; 2], half_width: f32, colour: Colour, opacity: f32) {
         let from = [a[0].min(b[0]) - half_width, a[1].min(b[1]) - half_width];
         let to = [a[0].max(b[0]) + half_width, a[1].max(b[1]) + half_width];
@@ -75,7 +75,7 @@ impl Canvas {
         }
     }
 
-    /// The finished picture.
+    /// Returns the finished picture.
     pub(super) fn finish(&self) -> RgbImage {
         RgbImage::from_fn(self.width as u32, self.height as u32, |x, y| {
             Rgb(self.colours[y as usize * self.width + x as usize].map(|c| (c * 255.0 + 0.5) as u8))
@@ -83,12 +83,12 @@ impl Canvas {
     }
 }
 
-/// `share` of `over` on the rest of `under`.
+/// Blends `over` into `under`; `share` is the weight of `over`.
 pub(super) fn mix(under: Colour, over: Colour, share: f32) -> Colour {
     std::array::from_fn(|k| under[k] + (over[k] - under[k]) * share)
 }
 
-/// A colour from hue (turns), saturation and value, all 0 to 1.
+/// Converts hue (in turns), saturation and value, all 0 to 1, to a colour.
 pub(super) fn hsv(hue: f32, saturation: f32, value: f32) -> Colour {
     [5.0_f32, 3.0, 1.0].map(|n| {
         let k = (n + hue.rem_euclid(1.0) * 6.0) % 6.0;
@@ -96,7 +96,7 @@ pub(super) fn hsv(hue: f32, saturation: f32, value: f32) -> Colour {
     })
 }
 
-/// A random number from 0 to 1 that belongs to a lattice point.
+/// Returns a pseudo-random number from 0 to 1 for a lattice point.
 pub(super) fn lattice(x: i32, y: i32, seed: u32) -> f32 {
     let mut h = seed.wrapping_mul(0x27d4_eb2f) ^ (x as u32).wrapping_mul(0x9e37_79b1) ^ (y as u32).wrapping_mul(0x85eb_ca77);
     h = (h ^ (h >> 15)).wrapping_mul(0x2c1b_3c6d);
@@ -104,7 +104,7 @@ pub(super) fn lattice(x: i32, y: i32, seed: u32) -> f32 {
     (h ^ (h >> 15)) as f32 / u32::MAX as f32
 }
 
-/// Smooth noise from 0 to 1 with features of about one unit.
+/// Returns smooth noise from 0 to 1 with features of about one unit.
 fn value_noise(x: f32, y: f32, seed: u32) -> f32 {
     let (i, j) = (x.floor(), y.floor());
     let ease = |t: f32| t * t * (3.0 - 2.0 * t);
@@ -114,8 +114,8 @@ fn value_noise(x: f32, y: f32, seed: u32) -> f32 {
     row(j) * (1.0 - b) + row(j + 1) * b
 }
 
-/// Layered noise from 0 to 1: each octave has half the size and `roughness` times the height of the
-/// one before.
+/// Returns layered noise from 0 to 1: each octave has half the size and `roughness` times the
+/// amplitude of the one before.
 pub(super) fn layered_noise(x: f32, y: f32, octaves: u32, roughness: f32, seed: u32) -> f32 {
     let (mut sum, mut weight, mut total, mut scale) = (0.0, 1.0, 0.0, 1.0);
     for octave in 0..octaves {
@@ -127,8 +127,8 @@ pub(super) fn layered_noise(x: f32, y: f32, octaves: u32, roughness: f32, seed: 
     sum / total
 }
 
-/// Worley's cells: the distances to the border of the cell (in units of cells) and a random number
-/// of the cell.
+/// Computes Worley cells: returns the distance to the cell's border (in units of cells) and the
+/// cell's random number.
 pub(super) fn cell(x: f32, y: f32, seed: u32) -> (f32, f32) {
     let (i, j) = (x.floor() as i32, y.floor() as i32);
     let (mut first, mut second, mut number) = (f32::INFINITY, f32::INFINITY, 0.0);

@@ -1,9 +1,9 @@
-//! Cloth that is bent, still or moving, and where rays meet it.
+//! Bent cloth, still or moving, and where rays meet it.
 //!
-//! A plane is met by one division (`render`). A bent surface is met where a ray passes from before
-//! it to behind it. A ray that comes down steeper than any slope of the cloth does so once, and
-//! Newton's steps find it; one that comes in flatly may pass through a fold and meet the next, so
-//! it is followed through all heights of the cloth in small steps, and the first passage counts.
+//! A ray meets a plane by one division (`render`). It meets a bent surface where it passes from the
+//! front to the back. A ray that is steeper than any slope of the cloth does so once, and Newton's
+//! method finds the point. A grazing ray may pass through a fold and meet the next one, so it is
+//! followed through the cloth's full depth in small steps, and the first crossing counts.
 
 use std::f64::consts::{PI, TAU};
 
@@ -12,27 +12,32 @@ use nalgebra::{Vector2, Vector3};
 use super::stage::Wave;
 use crate::track::{ShapePoint, SurfaceShape, SurfaceSpec};
 
-/// A ray this many times steeper than the cloth's steepest slope meets it once, and Newton's steps
-/// converge. At 1 they need not. Raised, more rays are followed in small steps, which is slower.
+/// A ray this many times steeper than the cloth's steepest slope meets it once, and Newton's method
+/// converges; at 1 that is not guaranteed. Raised, more rays are followed in small steps, which is
+/// slower.
 const STEEPER: f64 = 2.0;
-/// Newton's steps at most, and the length of one that ends them, metres along the ray. Each squares
-/// what is left: five are enough for the deepest folds. Fewer, or a longer one, would leave the
-/// picture off its truth.
+/// Maximum Newton iterations. Convergence is quadratic: five are enough for the deepest folds.
+/// Lowered below that, the picture deviates from its ground truth.
 const STEPS: usize = 12;
+/// Length of the step at which Newton's method stops, metres along the ray. Raised, the picture
+/// deviates from its ground truth.
 const LAST_STEP_M: f64 = 1e-10;
-/// Steps for each fold that a flat ray is followed through, at most so many in all, and halvings of
-/// the one with the passage. Raised, rendering is slower; lowered, the tops of folds that a ray
-/// just touches are missed.
+/// Steps per fold for a grazing ray. Raised, rendering is slower; lowered, the tops of folds that a
+/// ray just touches are missed.
 const STEPS_PER_FOLD: f64 = 24.0;
+/// Maximum steps of a grazing ray. Raised, rendering may be slower; lowered, rays that pass many
+/// folds miss some.
 const MAX_STEPS: f64 = 2000.0;
+/// Bisections of the step that contains the crossing. Raised, rendering is slower; lowered, the
+/// crossing is less exact.
 const HALVINGS: usize = 50;
-/// Repetitions that undo the stretch: it is small and smooth, so each takes a hundredth of what is
-/// left. Fewer would leave the picture off its truth.
+/// Iterations that undo the stretch. The stretch is small and smooth, so each reduces the error to
+/// about a hundredth. Lowered, the picture deviates from its ground truth.
 const UNSTRETCHINGS: usize = 6;
-/// Points along each side of a cloth at which its slope is asked. Lowered, the steepest may be
-/// missed, which [`STEEPER`] makes up for.
+/// Points along each side of a cloth at which its slope is sampled. Lowered, the steepest slope may
+/// be missed, for which [`STEEPER`] leaves a margin.
 const SLOPES_ASKED: u32 = 40;
-/// Heights beside the cloth that a ray is asked at as well, metres: so that none begins on it.
+/// Margin around the cloth's bounding box, metres, so that no ray starts on the cloth.
 const MARGIN_M: f64 = 1e-6;
 
 /// A bent surface, in its own frame: x and y along the picture, z out of its face.
@@ -42,29 +47,28 @@ pub(super) struct Cloth {
     waves: Vec<Wave>,
     /// Half the picture's sides, metres.
     half_m: [f64; 2],
-    /// Farthest that the stretch takes a point, metres.
+    /// Maximum displacement of a point by the stretch, metres.
     farthest_m: f64,
-    /// Between which heights all of it is, metres.
+    /// Minimum and maximum height of the cloth, metres.
     heights_m: [f64; 2],
     steepest: f64,
-    /// From the bottom of the narrowest fold to its top, metres.
+    /// Distance along the picture from the bottom of the narrowest fold to its top, metres.
     narrowest_m: f64,
 }
 
 /// Where a ray meets a cloth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Meeting {
-    /// How many of the ray's directions it is away.
+    /// Distance along the ray in multiples of its direction vector.
     pub depth: f64,
-    /// The picture's point, metres from its centre.
+    /// The point of the picture, metres from its centre.
     pub on_picture_m: [f64; 2],
-    /// Out of the face; its length is how many square metres a square metre of the picture is
-    /// there.
+    /// Normal out of the face. Its length is the cloth's area per area of the picture there.
     pub normal: Vector3<f64>,
 }
 
 impl Cloth {
-    /// A surface over which waves run; `None` where it is flat.
+    /// Makes a cloth of a surface with waves over it; returns `None` if it is flat.
     pub fn of(surface: &SurfaceSpec, waves: &[Wave]) -> Option<Self> {
         let half_m = surface.size_m.map(|side| 0.5 * side);
         let mut cloth = Self {
@@ -77,7 +81,7 @@ impl Cloth {
             narrowest_m: half_m[0].min(half_m[1]),
         };
         if let SurfaceShape::Bent(shape) = &surface.shape {
-            // A spline lies within its coefficients.
+            // A spline lies within the range of its coefficients.
             for height in shape.height.coefficients() {
                 cloth.heights_m = [cloth.heights_m[0].min(height.x), cloth.heights_m[1].max(height.x)];
             }
@@ -106,7 +110,7 @@ impl Cloth {
         slopes.fold(0.0, f64::max)
     }
 
-    /// Where the picture's point is at a time, and the plane that touches the cloth there.
+    /// Returns where a point of the picture is at a time, and the tangent plane there.
     pub fn at(&self, point: [f64; 2], time_s: f64) -> ShapePoint {
         let mut at = self.shape.at(point);
         for wave in &self.waves {
@@ -119,21 +123,22 @@ impl Cloth {
         at
     }
 
-    /// Where a ray first meets it, no nearer than `nearest` of its directions.
+    /// Returns where a ray first meets the cloth, at a depth of at least `nearest`.
     pub fn meet(&self, eye: &Vector3<f64>, direction: &Vector3<f64>, nearest: f64, time_s: f64) -> Option<Meeting> {
         let [from, to] = self.passage(eye, direction, nearest)?;
         let is_steep = direction.z.abs() > STEEPER * self.steepest * direction.xy().norm();
         if is_steep { self.meet_steeply(eye, direction, nearest, time_s) } else { self.meet_flatly(eye, direction, [from, to], time_s) }
     }
 
-    /// Between which depths a ray may meet it: in the box that it fills.
+    /// Returns the range of depths in which a ray may meet the cloth: the ray's passage through the
+    /// cloth's bounding box.
     fn passage(&self, eye: &Vector3<f64>, direction: &Vector3<f64>, nearest: f64) -> Option<[f64; 2]> {
         let [low, high] = self.heights_m;
         let [x, y] = self.half_m.map(|half| half + self.farthest_m + MARGIN_M);
         let mut within = [nearest, f64::INFINITY];
         for (axis, [low, high]) in [[-x, x], [-y, y], [low, high]].into_iter().enumerate() {
             let [a, b] = [low, high].map(|side| (side - eye[axis]) / direction[axis]);
-            // A ray along the sides is between them or never; 0 / 0 does not count.
+            // A ray parallel to two sides is always or never between them; 0 / 0 is ignored.
             within = [within[0].max(a.min(b)), within[1].min(a.max(b))];
         }
         (within[0] < within[1] && within[1].is_finite()).then_some(within)
@@ -181,7 +186,7 @@ impl Cloth {
         None
     }
 
-    /// The picture's point above or below which a place is.
+    /// Returns the point of the picture directly above or below a place.
     fn beneath(&self, place: &Vector3<f64>, time_s: f64) -> [f64; 2] {
         let mut point = place.xy();
         if self.farthest_m > 0.0 {
@@ -192,7 +197,7 @@ impl Cloth {
         point.into()
     }
 
-    /// The meeting at a depth; `None` beyond the picture's border.
+    /// Returns the meeting at a depth; `None` beyond the picture's border.
     fn meeting(&self, eye: &Vector3<f64>, direction: &Vector3<f64>, depth: f64, time_s: f64) -> Option<Meeting> {
         let on_picture_m = self.beneath(&(eye + direction * depth), time_s);
         let is_on_it = [0, 1].iter().all(|&axis| on_picture_m[axis].abs() <= self.half_m[axis]);

@@ -10,8 +10,8 @@ use crate::track::{BentShape, BodySpec};
 
 const SIZE_M: [f64; 2] = [3.0, 2.0];
 
-/// Folds of up to 60 mm, half a metre from one to the next, and a print that is some millimetres
-/// too long.
+/// Folds of up to 60 mm at a spacing of half a metre, and a print that is some millimetres too
+/// long.
 fn folds(height_m: f64) -> SurfaceShape {
     let mut height = BicubicSpline::zero([12, 8], SIZE_M);
     for (k, c) in height.coefficients_mut().iter_mut().enumerate() {
@@ -50,7 +50,7 @@ fn a_ray_intersects_the_surface_at_its_point() {
     }
 }
 
-/// The first passage of a ray by ten thousand steps.
+/// Returns a ray's first crossing, found by ten thousand steps.
 fn by_steps(cloth: &Cloth, eye: &Vector3<f64>, direction: &Vector3<f64>, time_s: f64) -> Option<f64> {
     let above = |depth: f64| {
         let place = eye + direction * depth;
@@ -68,7 +68,7 @@ fn a_fold_hides_what_is_behind_it() {
     let cloth = cloth(0.06);
     let (mut met, mut missed) = (0, 0);
     for k in 0..200 {
-        // From the side, a hand's breadth before the cloth, along it.
+        // From the side, along the cloth, starting 0.2 m in front of it.
         let eye = Vector3::new(-2.0, -0.8 + 0.008 * f64::from(k), 0.2);
         let direction = Vector3::new(1.0, 0.05, -0.02 - 0.002 * f64::from(k % 50));
         let found = cloth.meet(&eye, &direction, 0.02, 0.3).map(|m| m.depth);
@@ -99,7 +99,7 @@ fn a_cloth_without_folds_is_a_plane() {
 
 #[test]
 fn edges_of_a_moving_cloth_are_at_their_projection() {
-    // Left of artwork column 700 dark, right of it light.
+    // Artwork left of column 700 is dark, right of it light.
     let artwork = GrayImage::from_fn(1200, 800, |x, _| Luma([if x < 700 { 30 } else { 220 }]));
     let camera = CameraModel::pinhole(200, 150, 180.0, 182.0, 101.3, 73.8).unwrap();
     let path = CameraPath::fixed(Point3::new(0.6, -1.7, 0.2), Point3::new(0.1, 0.0, 0.0));

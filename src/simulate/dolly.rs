@@ -1,4 +1,5 @@
-//! The scene of the demo and of the fixture: a dolly past a backdrop with a flat in front of it.
+//! The scene of the demo and of the fixture: a dolly ride past a backdrop with a flat in front of
+//! it.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
@@ -12,7 +13,7 @@ use crate::camera::{CameraError, CameraModel, Intrinsics};
 use crate::geometry::Pose;
 use crate::track::BodySpec;
 
-/// What can be chosen about the dolly scene.
+/// The options of the dolly scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Dolly {
     /// Picture width in pixels.
@@ -21,27 +22,28 @@ pub struct Dolly {
     pub height: u32,
     /// Seed of the pictures, the shake and the noise.
     pub seed: u64,
-    /// How long the camera moves, seconds.
+    /// Duration of the camera's motion, seconds.
     pub duration_s: f64,
-    /// Width of the backdrop's artwork in pixels; 4 m are painted on it.
+    /// Width of the backdrop's artwork in pixels, which spans 4 m.
     pub artwork_width: u32,
 }
 
-/// Why there is no scene.
+/// Why the scene cannot be made.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum DollyError {
-    /// The picture size is no camera.
+    /// The picture size is not valid for a camera.
     #[error(transparent)]
     Camera(#[from] CameraError),
-    /// The duration is no number.
+    /// The duration is not a finite number.
     #[error(transparent)]
     Path(#[from] PathError),
 }
 
-/// A backdrop of 4 x 3 m around the stage's origin and a flat of 1.1 x 1.7 m, 0.8 m in front of it
-/// and turned aside; a camera with some barrel distortion and a rolling shutter rides to and fro 3
-/// to 4 m away, with a slight shake, while the light changes slowly.
+/// Makes the scene: a backdrop of 4 x 3 m around the stage's origin, and a flat of 1.1 x 1.7 m that
+/// stands 0.8 m in front of it and is turned aside. A camera with some barrel distortion and a
+/// rolling shutter moves back and forth 3 to 4 m away, with a slight shake, while the light changes
+/// slowly.
 pub fn dolly(choice: Dolly) -> Result<VirtualStage, DollyError> {
     let artwork = |across: f64, metres: [f64; 2], seed: u64| {
         let [w, h] = metres.map(|m| (f64::from(choice.artwork_width) * across * m / metres[0]).round().max(1.0) as u32);
@@ -51,7 +53,7 @@ pub fn dolly(choice: Dolly) -> Result<VirtualStage, DollyError> {
     let backdrop = artwork_surface("backdrop", artwork(1.0, backdrop_m, choice.seed), backdrop_m, upright(Vector3::zeros(), 0.0));
     let flat_pose = upright(Vector3::new(0.95, -0.8, -0.65), -0.35);
     let flat = artwork_surface("flat", artwork(0.35, flat_m, choice.seed ^ 0xf1a7), flat_m, flat_pose);
-    // The floor lies face up: its picture's up is upstage.
+    // The floor lies face up; the top of its picture points upstage.
     let floor_pose = Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, -2.7, -1.52));
     let floor = artwork_surface("floor", grey(&paint_boards(900, 600, choice.seed)), floor_m, floor_pose);
 
@@ -67,7 +69,7 @@ pub fn dolly(choice: Dolly) -> Result<VirtualStage, DollyError> {
     Ok(scene)
 }
 
-/// A lens of 58 degrees across with a webcam's barrel distortion.
+/// Returns a lens with a horizontal field of view of 58 degrees and a webcam's barrel distortion.
 fn camera(width: u32, height: u32) -> Result<CameraModel, CameraError> {
     let focal = 0.9 * f64::from(width);
     CameraModel::new(Intrinsics {
@@ -82,13 +84,13 @@ fn camera(width: u32, height: u32) -> Result<CameraModel, CameraError> {
     })
 }
 
-/// To and fro in ten seconds, nearer and farther, up and down, each with a period of its own so
-/// that it never repeats.
+/// Returns the camera's path: it oscillates sideways in ten seconds, and in distance and height
+/// with other periods, so that it never repeats.
 fn ride(duration_s: f64, seed: u64) -> Result<CameraPath, PathError> {
-    // Seconds between keys: a tenth of the shortest period, so that the spline runs along the
-    // waves. Raised, their crests are cut.
+    // Interval between keys, seconds: a tenth of the shortest period, so that the spline follows
+    // the waves. Raised, their crests are cut off.
     const KEY_EVERY_S: f64 = 0.5;
-    // One key beyond the end: exposure and readout reach past the last stamp.
+    // One key beyond the end: exposure and readout extend past the last stamp.
     let keys = (duration_s / KEY_EVERY_S).ceil() as i64 + 1;
     let wave = |t: f64, period_s: f64| (std::f64::consts::TAU * t / period_s).cos();
     let key = |k: i64| {

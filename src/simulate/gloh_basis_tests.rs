@@ -1,10 +1,10 @@
-//! Makes the principal components of GLOH from features of the virtual backdrops, and holds the
-//! committed ones to them.
+//! Computes the principal components of GLOH from features of the virtual backdrops, and checks the
+//! committed ones against them.
 //!
-//! `STAGEPOSE_REMAKE=1 cargo test --lib --features simulate gloh_basis` writes
-//! src/features/descriptors/gloh.basis anew: a backdrop for each seed, seen from random sides with
-//! noise; SIFT's keypoints, at most 400 a picture; their 272 numbers; the eigenvectors of the
-//! covariance.
+//! `STAGEPOSE_REMAKE=1 cargo test --lib --features simulate gloh_basis` rewrites
+//! src/features/descriptors/gloh.basis. It renders a backdrop for each seed from random viewpoints
+//! with noise, describes at most 400 SIFT keypoints per picture by 272 numbers each, and takes the
+//! eigenvectors of the covariance.
 
 use nalgebra::{DMatrix, Point3, SymmetricEigen, Vector3};
 use rand::{Rng, SeedableRng};
@@ -17,14 +17,15 @@ use crate::features::detectors::{Detector, SiftDetector};
 use crate::features::{Descriptors, PictureForms};
 use crate::track::BodySpec;
 
-/// Numbers of a description before reduction.
+/// Numbers in a descriptor before reduction.
 const NUMBERS: usize = 272;
-/// Backdrops that the basis is made from. Raised, it changes less than rounding to bytes does.
+/// Backdrops from which the basis is computed. Raised, it changes by less than its rounding to
+/// bytes.
 const BACKDROPS: u64 = 24;
-/// Pictures of each.
+/// Pictures of each backdrop. Raised, making the basis takes longer.
 const VIEWS: u64 = 3;
 
-/// The descriptions of features of a backdrop from random sides.
+/// Returns descriptors of a backdrop's features from random viewpoints.
 fn descriptions(seed: u64) -> Vec<f32> {
     let artwork = grey(&paint(1200, 900, seed));
     let mut random = Pcg64Mcg::seed_from_u64(seed);
@@ -32,8 +33,8 @@ fn descriptions(seed: u64) -> Vec<f32> {
     for view in 0..VIEWS {
         let cloth = artwork_surface("cloth", artwork.clone(), [4.0, 3.0], upright(Vector3::zeros(), 0.0));
         let camera = CameraModel::pinhole(480, 360, 480.0, 480.0, 239.5, 179.5).unwrap();
-        // Within 55 degrees of the normal, from where the cloth fills the picture to where it is
-        // half as large.
+        // Within 55 degrees of the normal. The cloth is twice as wide as the picture at the
+        // nearest, and 80 % of its width at the farthest.
         let (distance, side, height) =
             (random.random_range(2.0..5.0_f64), random.random_range(-0.95..0.95_f64), random.random_range(-0.4..0.4));
         let place = Point3::new(distance * side.sin(), -distance * side.cos(), distance * height);
@@ -55,7 +56,7 @@ fn descriptions(seed: u64) -> Vec<f32> {
     all
 }
 
-/// Mean and covariance of descriptions.
+/// Returns the mean and covariance of descriptors.
 fn statistics(values: &[f32]) -> (Vec<f32>, DMatrix<f32>) {
     let matrix = DMatrix::from_column_slice(NUMBERS, values.len() / NUMBERS, values);
     let mean = matrix.column_mean();
@@ -65,8 +66,8 @@ fn statistics(values: &[f32]) -> (Vec<f32>, DMatrix<f32>) {
     (mean.iter().copied().collect(), covariance)
 }
 
-/// The principal components, that of the largest variance first, each with its largest number
-/// positive.
+/// Computes the principal components, by descending variance, each signed so that its largest
+/// number is positive.
 fn made() -> Basis {
     let values: Vec<f32> = (1..=BACKDROPS).flat_map(descriptions).collect();
     let (mean, covariance) = statistics(&values);
@@ -81,7 +82,7 @@ fn made() -> Basis {
     Basis { mean, components: order.iter().take(128).flat_map(component).collect() }
 }
 
-/// Share of the variance that a basis keeps.
+/// Returns the fraction of the variance that a basis keeps.
 fn kept(basis: &Basis, covariance: &DMatrix<f32>) -> f32 {
     let components = DMatrix::from_column_slice(NUMBERS, 128, &basis.components);
     (components.transpose() * covariance * &components).trace() / covariance.trace()
@@ -94,14 +95,14 @@ fn the_basis_keeps_the_variance_of_unseen_backdrops() {
         std::fs::write(file, made().to_bytes()).unwrap();
         return;
     }
-    // Seeds that the basis was not made from.
+    // Seeds from which the basis was not computed.
     let values: Vec<f32> = (1001..1004).flat_map(descriptions).collect();
     let (mean, covariance) = statistics(&values);
     let own = Basis::own();
     assert!(kept(&own, &covariance) > 0.93, "{}", kept(&own, &covariance));
     let off = mean.iter().zip(&own.mean).map(|(a, b)| (a - b) * (a - b)).sum::<f32>().sqrt();
     assert!(off < 0.15, "the mean is off by {off}");
-    // The first components have more of it than any others of the same number could by chance.
+    // The first components keep more of it than the same number of others could by chance.
     let first = Basis { components: own.components[..16 * NUMBERS].iter().copied().chain(vec![0.0; 112 * NUMBERS]).collect(), ..own };
     assert!(kept(&first, &covariance) > 0.35, "{}", kept(&first, &covariance));
 }

@@ -1,14 +1,14 @@
-//! What a camera that sends JPEGs leaves of a picture.
+//! JPEG compression of a picture, as by a camera that sends JPEGs.
 
 use std::io::Cursor;
 
 use image::codecs::jpeg::JpegEncoder;
 use image::{GrayImage, ImageError, ImageFormat, ImageReader};
 
-/// The picture after it was a JPEG of a quality from 1 to 100.
+/// Returns the picture after JPEG compression with a quality from 1 to 100.
 ///
 /// # Errors
-/// When the picture is larger than a JPEG can be.
+/// When the picture is larger than a JPEG can be, or empty.
 pub fn through_jpeg(picture: &GrayImage, quality: u8) -> Result<GrayImage, ImageError> {
     let mut bytes = Vec::new();
     JpegEncoder::new_with_quality(&mut bytes, quality).encode_image(picture)?;

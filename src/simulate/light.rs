@@ -1,44 +1,45 @@
-//! How light becomes grey levels.
+//! Conversion between light and grey levels.
 //!
-//! Light adds up: what falls on one pixel, through one exposure, from several lamps. Grey levels do
-//! not, for a camera writes them along a curve. [`LightModel::Linear`] decodes the artwork's sRGB
-//! to light, so that samples, blur, lamps and noise add up there, and then clips and encodes as a
-//! camera does. [`LightModel::GreyAverages`] adds up the grey levels themselves, which no camera
-//! does, but which gives the figures of old.
+//! Light is additive: over a pixel, over an exposure, and from several lamps. Grey levels are not,
+//! because a camera encodes light along a curve. [`LightModel::Linear`] decodes the artwork's sRGB
+//! to light, adds up samples, blur, lamps and noise there, and then clips and encodes as a camera
+//! does. [`LightModel::GreyAverages`] adds up the grey levels themselves. No camera does that, but
+//! it reproduces earlier figures.
 
-/// The grey level of full light, and the light that gives it: both scales end here.
+/// Grey level of full light, and the light value that yields it: both scales end here.
 const FULL: f32 = 255.0;
-/// Below this share of full light, sRGB is a straight line (IEC 61966-2-1).
+/// Fraction of full light below which sRGB is linear (IEC 61966-2-1).
 const LINE_ENDS_AT: f32 = 0.003_130_8;
-/// Slope of that line.
+/// Slope of the linear part.
 const LINE_SLOPE: f32 = 12.92;
-/// Above it, sRGB is a power of the light with this exponent's inverse, shifted and scaled by the
-/// offset.
+/// Inverse exponent of sRGB above the linear part: the grey is
+/// `(1 + OFFSET) light^(1 / EXPONENT) - OFFSET`.
 const EXPONENT: f32 = 2.4;
 /// See [`EXPONENT`].
 const OFFSET: f32 = 0.055;
 
-/// In what light is added up.
+/// The quantity in which light is added up.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub enum LightModel {
-    /// Grey levels are averaged and multiplied as they are.
+    /// Grey levels are averaged and multiplied directly.
     #[default]
     GreyAverages,
-    /// Light is added up, clipped at full light, and written along the camera's curve.
+    /// Light is added up, clipped at full light, and encoded along the camera's curve.
     Linear(ToneCurve),
 }
 
-/// The camera's curve from light to grey levels: sRGB's, then an S.
+/// The camera's curve from light to grey levels: sRGB followed by an S-curve.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ToneCurve {
-    /// How much of the S: 0 is sRGB alone, 1 is a smooth step. Dark becomes darker, light becomes
-    /// lighter.
+    /// Strength of the S-curve: 0 is sRGB alone, 1 is a smooth step. Raised, dark becomes darker
+    /// and light becomes lighter.
     pub contrast: f32,
 }
 
 impl LightModel {
-    /// The light, up to 255, that a surface painted with a grey level sends back in full light.
+    /// Returns the light, up to 255, that a surface painted with a grey level reflects in full
+    /// light.
     pub(super) fn light_of(self, grey: f32) -> f32 {
         match self {
             Self::GreyAverages => grey,
@@ -46,10 +47,10 @@ impl LightModel {
         }
     }
 
-    /// The grey level, not yet rounded, that the camera writes for an amount of light.
+    /// Returns the grey level, not yet rounded, that the camera writes for an amount of light.
     pub(super) fn grey_of(self, light: f32) -> f32 {
         match self {
-            // Rounding clips.
+            // The later rounding clips.
             Self::GreyAverages => light,
             Self::Linear(curve) => FULL * curve.apply(encoded((light / FULL).clamp(0.0, 1.0))),
         }
@@ -57,18 +58,18 @@ impl LightModel {
 }
 
 impl ToneCurve {
-    /// From 0..=1 to 0..=1.
+    /// Maps 0..=1 to 0..=1.
     fn apply(self, x: f32) -> f32 {
         x + self.contrast * (x * x * (3.0 - 2.0 * x) - x)
     }
 }
 
-/// sRGB to a share of full light.
+/// Converts sRGB to a fraction of full light.
 fn decoded(grey: f32) -> f32 {
     if grey <= LINE_SLOPE * LINE_ENDS_AT { grey / LINE_SLOPE } else { ((grey + OFFSET) / (1.0 + OFFSET)).powf(EXPONENT) }
 }
 
-/// A share of full light to sRGB.
+/// Converts a fraction of full light to sRGB.
 fn encoded(light: f32) -> f32 {
     if light <= LINE_ENDS_AT { light * LINE_SLOPE } else { (1.0 + OFFSET) * light.powf(1.0 / EXPONENT) - OFFSET }
 }
@@ -91,7 +92,7 @@ mod tests {
             let grey = f32::from(grey);
             assert!((SRGB.grey_of(SRGB.light_of(grey)) - grey).abs() < 0.01, "{grey}");
         }
-        // Known values of the standard: the straight part and the curve.
+        // Known values of the standard: the linear part and the curve.
         assert!((SRGB.light_of(5.0) - 5.0 / 12.92).abs() < 1e-3);
         assert!((SRGB.light_of(128.0) - 55.04).abs() < 0.05, "{}", SRGB.light_of(128.0));
     }

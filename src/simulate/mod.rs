@@ -1,12 +1,12 @@
-//! The virtual stage: a painted stage and a camera in front of it, with exact truth.
+//! The virtual stage: a painted stage and a camera in front of it, with exact ground truth.
 //!
-//! The demo, the fixtures and the tests need pictures of a stage whose camera pose is known
-//! exactly, which no real clip has. [`VirtualStage`] describes what there is (surfaces flat or
-//! bent, draughts, moving objects, people in the way, light and spots, the camera and its path),
-//! [`Renderer`] takes its picture at any instant as a real camera would: lens distortion, motion
-//! blur, rolling shutter, sensor noise. [`paint`] makes the pictures on the cloth.
+//! The demo, the fixtures and the tests need pictures whose camera pose is known exactly, which no
+//! real clip provides. [`VirtualStage`] describes the scene: flat or bent surfaces, draughts,
+//! moving objects, people in the way, light and spots, the camera and its path. [`Renderer`]
+//! renders it at any instant as a real camera would see it, with lens distortion, motion blur,
+//! rolling shutter and sensor noise. [`paint`] makes the pictures on the cloth.
 //!
-//! Everything is a pure function of its description, its seed and the time: frames can be rendered
+//! Everything is a pure function of its description, its seed and the time. Frames can be rendered
 //! in any order and on any number of threads, and have the same bytes on every run.
 
 mod backdrop;

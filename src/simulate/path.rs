@@ -1,9 +1,8 @@
 //! Smooth paths: where the virtual camera and the virtual objects are at any time.
 //!
-//! A path is a handful of keys (a time and a place) joined by a natural cubic spline, so that speed
-//! and acceleration have no jumps, as on a dolly. The camera has two of them, one for where it
-//! stands and one for the point it looks at. A hand-held camera adds a shake: a sum of sines on
-//! every axis.
+//! A path is a few keys (a time and a place) joined by a natural cubic spline, so that speed and
+//! acceleration are continuous, as on a dolly. The camera has two: one for its position and one for
+//! the point it looks at. A hand-held camera adds a shake: a sum of sines on every axis.
 
 use std::f64::consts::TAU;
 
@@ -14,25 +13,25 @@ use thiserror::Error;
 
 use crate::geometry::{Body, Camera, Pose, Stage};
 
-/// Why a list of keys is no path.
+/// Why a list of keys is not a valid path.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum PathError {
-    /// No keys at all.
+    /// There are no keys.
     #[error("the path has no keys; give at least one")]
     Empty,
-    /// A key's time is not after the one before it, or a number is not finite.
+    /// A key's time is not after that of the key before it, or a number is not finite.
     #[error("key {index} at {time_s} s does not follow the key before it; order the keys by time and use finite numbers")]
     Key {
-        /// 0-based.
+        /// Its index, 0-based.
         index: usize,
         /// Its time in seconds.
         time_s: f64,
     },
 }
 
-/// A natural cubic spline through points in the stage (metres) over time (seconds); it rests before
-/// the first key and after the last.
+/// A natural cubic spline through points in the stage (metres) over time (seconds). Before the
+/// first key and after the last it stays at that key's point.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spline {
     times: Vec<f64>,
@@ -42,7 +41,8 @@ pub struct Spline {
 }
 
 impl Spline {
-    /// Through the keys `(time_s, point)`. One key is a point at rest, two are a straight line.
+    /// Makes a spline through the keys `(time_s, point)`. One key is a point at rest, two are a
+    /// straight line.
     pub fn new(keys: &[(f64, Vector3<f64>)]) -> Result<Self, PathError> {
         if keys.is_empty() {
             return Err(PathError::Empty);
@@ -57,20 +57,20 @@ impl Spline {
         Ok(Self { times, points, bends })
     }
 
-    /// Straight from key to key: the speed jumps at each of them, as when a dolly runs into its
-    /// end.
+    /// Joins the keys by straight lines: the speed jumps at each key, as when a dolly hits its end
+    /// stop.
     pub fn straight(keys: &[(f64, Vector3<f64>)]) -> Result<Self, PathError> {
         let mut path = Self::new(keys)?;
         path.bends.fill(Vector3::zeros());
         Ok(path)
     }
 
-    /// A point at rest.
+    /// Makes a path that stays at one point.
     pub fn fixed(point: Vector3<f64>) -> Self {
         Self { times: vec![0.0], points: vec![point], bends: vec![Vector3::zeros()] }
     }
 
-    /// The point at a time.
+    /// Returns the point at a time.
     pub fn at(&self, time_s: f64) -> Vector3<f64> {
         let last = self.times.len() - 1;
         let t = time_s.clamp(self.times[0], self.times[last]);
@@ -86,8 +86,8 @@ impl Spline {
     }
 }
 
-/// The second derivatives of the natural spline: a tridiagonal system, solved by one sweep down and
-/// one up.
+/// Computes the second derivatives of the natural spline: a tridiagonal system, solved by one
+/// forward and one backward sweep.
 fn second_derivatives(times: &[f64], points: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     let n = times.len();
     let mut bends = vec![Vector3::zeros(); n];
@@ -110,18 +110,18 @@ fn second_derivatives(times: &[f64], points: &[Vector3<f64>]) -> Vec<Vector3<f64
 /// A hand's tremor or a shaking rig: sines of random frequency and phase on all six axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shake {
-    /// Amplitude, frequency in Hz and phase in radians of every sine; axes x, y, z in metres, then
-    /// about x, y, z in radians.
+    /// Amplitude, frequency in Hz and phase in radians of every sine. The first three axes are x,
+    /// y, z in metres, the others rotations about x, y, z in radians.
     sines: [Vec<[f64; 3]>; 6],
 }
 
 impl Shake {
-    /// A shake whose position scatters by about `amplitude_m` and its direction by about
-    /// `amplitude_rad` (one sigma on each axis), with frequencies from 0.5 Hz to `highest_hz`; the
-    /// faster, the smaller.
+    /// Makes a shake whose position scatters by about `amplitude_m` and its orientation by about
+    /// `amplitude_rad` (one sigma on each axis). Frequencies range from 0.5 Hz to `highest_hz`;
+    /// higher ones have smaller amplitudes.
     pub fn new(amplitude_m: f64, amplitude_rad: f64, highest_hz: f64, seed: u64) -> Self {
         // Sines on each axis: enough that their sum does not seem to repeat and is nearly normal.
-        // Raised, rendering takes longer; changed, every seed shakes otherwise.
+        // Raised, rendering takes longer. Any change alters the shake of every seed.
         const SINES: usize = 12;
         let mut random = Pcg64Mcg::seed_from_u64(seed ^ 0x5ba6_e000);
         let sines = std::array::from_fn(|axis| {
@@ -140,18 +140,19 @@ impl Shake {
         Self { sines }
     }
 
-    /// Offset in metres and rotation vector in radians at a time.
+    /// Returns the offset in metres and the rotation vector in radians at a time.
     fn at(&self, time_s: f64) -> (Vector3<f64>, Vector3<f64>) {
         let sum = |axis: usize| self.sines[axis].iter().map(|[a, hz, phase]| a * (TAU * hz * time_s + phase).sin()).sum::<f64>();
         (Vector3::new(sum(0), sum(1), sum(2)), Vector3::new(sum(3), sum(4), sum(5)))
     }
 }
 
-/// `T_stage_camera` of a camera at `position` that looks at `target`, level but for `roll_rad`
-/// about its own forward axis (positive turns the camera clockwise as seen by itself).
+/// Returns `T_stage_camera` of a camera at `position` that looks at `target`. It is level except
+/// for `roll_rad` about its own forward axis (positive turns the camera clockwise as seen by
+/// itself).
 ///
-/// Straight up or down there is no level; stage x is then to the right. A target at the camera
-/// looks upstage.
+/// If it looks straight up or down, level is undefined and stage x is to the right. If the target
+/// is at the camera, it looks upstage.
 pub fn look_at(position: Point3<f64>, target: Point3<f64>, roll_rad: f64) -> Pose<Stage, Camera> {
     let forward = (target - position).try_normalize(1e-12).unwrap_or_else(Vector3::y);
     let right = forward.cross(&Vector3::z()).try_normalize(1e-9).unwrap_or_else(Vector3::x);
@@ -160,26 +161,26 @@ pub fn look_at(position: Point3<f64>, target: Point3<f64>, roll_rad: f64) -> Pos
     Pose::new(level * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll_rad), position.coords)
 }
 
-/// Where the camera is and looks, at any time.
+/// Where the camera is and where it looks, at any time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CameraPath {
     /// The camera centre in the stage.
     pub position: Spline,
-    /// The point of the stage in the middle of the picture.
+    /// The point of the stage at the centre of the picture.
     pub target: Spline,
     /// Roll about the forward axis, radians.
     pub roll_rad: f64,
-    /// Shake on top of it, in the camera's own axes.
+    /// Shake added to that, in the camera's own axes.
     pub shake: Option<Shake>,
 }
 
 impl CameraPath {
-    /// A camera that does not move.
+    /// Makes the path of a camera that does not move.
     pub fn fixed(position: Point3<f64>, target: Point3<f64>) -> Self {
         Self { position: Spline::fixed(position.coords), target: Spline::fixed(target.coords), roll_rad: 0.0, shake: None }
     }
 
-    /// `T_stage_camera` at a time.
+    /// Returns `T_stage_camera` at a time.
     pub fn pose(&self, time_s: f64) -> Pose<Stage, Camera> {
         let steady = look_at(self.position.at(time_s).into(), self.target.at(time_s).into(), self.roll_rad);
         let Some(shake) = &self.shake else { return steady };
@@ -188,22 +189,22 @@ impl CameraPath {
     }
 }
 
-/// A turn about the camera's own forward axis over time.
+/// A rotation about the camera's own forward axis over time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Roll {
-    /// Radians, along x.
+    /// Angle in radians, in the x component.
     angle: Spline,
 }
 
 impl Roll {
-    /// Through the keys `(time_s, roll_rad)`; positive turns the camera clockwise as seen by
-    /// itself.
+    /// Makes a roll through the keys `(time_s, roll_rad)`; positive turns the camera clockwise as
+    /// seen by itself.
     pub fn new(keys: &[(f64, f64)]) -> Result<Self, PathError> {
         let keys: Vec<_> = keys.iter().map(|(time_s, roll_rad)| (*time_s, Vector3::new(*roll_rad, 0.0, 0.0))).collect();
         Ok(Self { angle: Spline::new(&keys)? })
     }
 
-    /// The rotation at a time, in camera axes.
+    /// Returns the rotation at a time, in camera axes.
     pub(super) fn at(&self, time_s: f64) -> UnitQuaternion<f64> {
         UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.angle.at(time_s).x)
     }
@@ -214,14 +215,14 @@ impl Roll {
 pub struct ObjectPath {
     /// The origin of its frame in the stage.
     pub position: Spline,
-    /// Turn about z at time 0, radians; 0 faces the house.
+    /// Rotation about z at time 0, radians; 0 faces the audience.
     pub turn_rad: f64,
-    /// How fast it turns, radians per second.
+    /// Rotation rate, radians per second.
     pub turn_rate_rad_s: f64,
 }
 
 impl ObjectPath {
-    /// `T_stage_object` at a time.
+    /// Returns `T_stage_object` at a time.
     pub fn pose(&self, time_s: f64) -> Pose<Stage, Body> {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.turn_rad + self.turn_rate_rad_s * time_s);
         Pose::new(turn, self.position.at(time_s))
@@ -248,7 +249,7 @@ mod tests {
         assert!(seen.x.abs() < 1e-12 && seen.y.abs() < 1e-12 && (seen.z - (target - position).norm()).abs() < 1e-12);
         let right = look_at(position, target, 0.0).rotation * Vector3::x();
         assert!(right.z.abs() < 1e-12 && right.x > 0.0);
-        // Turned clockwise by 90 degrees, its right hand points down.
+        // Turned clockwise by 90 degrees, the camera's right axis points down.
         let rolled = look_at(Point3::new(0.0, -4.0, 0.0), Point3::origin(), std::f64::consts::FRAC_PI_2).rotation * Vector3::x();
         assert!((rolled + Vector3::z()).norm() < 1e-12);
     }

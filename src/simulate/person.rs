@@ -1,4 +1,4 @@
-//! People who walk before the stage.
+//! People who walk in front of the stage.
 
 use std::f64::consts::TAU;
 
@@ -8,36 +8,37 @@ use nalgebra::{Point3, Vector3};
 use super::upright::upright;
 use crate::geometry::{Pose, Stage, SurfaceFrame};
 
-/// How high a walker's steps lift it, metres. Raised, people hop.
+/// Amplitude of the vertical motion of a walker's steps, metres. Raised, people hop.
 const STEP_M: f64 = 0.03;
-/// Steps of a walk there and back. Raised, people trip along.
+/// Steps of a walk there and back. Raised, people take quicker, shorter steps.
 const STEPS: f64 = 8.0;
-/// From this share of the half height on, the outline is rounded off.
+/// Fraction of the half height above which the outline is rounded off. Raised, head and feet are
+/// more angular.
 const SHOULDER: f64 = 0.6;
-/// How round it is: with 1 / (1 - [`SHOULDER`])² = 6.25 or less, head and feet end within the half
-/// height.
+/// How strongly it is rounded. Up to 1 / (1 - [`SHOULDER`])² = 6.25 the outline spans the full
+/// height, cut flat at head and feet; raised further, it ends before.
 const ROUNDNESS: f64 = 6.0;
 
-/// A person: an upright outline with round head and feet, in patterned clothes, that walks to and
-/// fro.
+/// A person: an upright outline with round head and feet, in patterned clothes, that walks back and
+/// forth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Person {
     /// The middle of the walk, at half the person's height, in the stage.
     pub centre: Point3<f64>,
-    /// From there to where the person turns round, metres.
+    /// Displacement from there to where the person turns round, metres.
     pub swing: Vector3<f64>,
-    /// Seconds for the walk there and back.
+    /// Period of the walk there and back, seconds.
     pub period_s: f64,
-    /// Where in the walk time 0 is, turns.
+    /// Phase of the walk at time 0, turns.
     pub phase: f64,
     /// Half the width (x) and half the height (z), metres.
     pub half_size_m: [f64; 2],
-    /// What they wear: fills the box around the outline.
+    /// Picture of the clothes, which fills the box around the outline.
     pub clothes: GrayImage,
 }
 
 impl Person {
-    /// `T_stage_surface` of the outline's plane at a time.
+    /// Returns `T_stage_surface` of the outline's plane at a time.
     pub(super) fn pose(&self, time_s: f64) -> Pose<Stage, SurfaceFrame> {
         let phase = TAU * (time_s / self.period_s + self.phase);
         let step = Vector3::new(0.0, 0.0, STEP_M * (STEPS * phase).sin());
@@ -45,7 +46,8 @@ impl Person {
     }
 }
 
-/// True within a person's outline; half sizes to the right and up from the middle.
+/// Whether a point is within a person's outline; coordinates are half sizes to the right and up
+/// from the middle.
 pub(super) fn is_within_outline(right: f64, up: f64) -> bool {
     let beyond = (up.abs() - SHOULDER).max(0.0);
     up.abs() < 1.0 && right * right + ROUNDNESS * beyond * beyond < 1.0

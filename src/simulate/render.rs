@@ -1,12 +1,12 @@
-//! Takes the picture of a [`VirtualStage`].
+//! Renders a [`VirtualStage`].
 //!
-//! Every pixel sends out a few rays, each through another part of the pixel and at another part of
-//! the exposure, and averages what they hit. A row has its own instant (rolling shutter), so the
-//! camera's pose is taken anew for every row and ray (`samples`). A plane seen by a camera is a
-//! homography from rays to artwork pixels: finding the hit costs one division, and the determinant
-//! of its derivative says how many texels a ray stands for. Bent surfaces are a list of their own
-//! (`cloth`), so that flat stages pay nothing for them. What is averaged is light, as the stage's
-//! light model has it (`light`).
+//! Every pixel casts a few rays, each through a different part of the pixel and at a different
+//! moment of the exposure, and averages what they hit (`samples`). Each row has its own instant
+//! (rolling shutter), so the camera's pose is computed anew for every row and ray. A plane seen by
+//! a camera is a homography from rays to artwork pixels: finding the hit takes one division, and
+//! the determinant of the derivative tells how many texels a ray covers. Bent surfaces are kept in
+//! a separate list (`cloth`), so that flat stages pay nothing for them. The average is over light,
+//! as defined by the stage's light model (`light`).
 
 use image::GrayImage;
 use nalgebra::{Matrix2, Matrix3, Point3, Vector2, Vector3};
@@ -24,22 +24,22 @@ use crate::camera::{CameraModel, Pixel};
 use crate::geometry::{Camera, Pose, Stage, SurfaceFrame};
 use crate::track::SurfaceSpec;
 
-/// Nothing nearer than this is seen, metres: a lens' own front. Raised, things held before the
-/// camera vanish.
+/// Minimum distance of visible things, metres: about the front of a lens. Raised, things held close
+/// to the camera vanish.
 const NEAREST_M: f64 = 0.02;
-/// Grey level of the unpainted back of a surface: dim wood, unlike black and white of the artwork.
+/// Grey level of a surface's unpainted back: dim wood, distinct from the artwork's black and white.
 /// Any grey would do.
 const BACK_GREY: f32 = 45.0;
 /// Grey level of the sensor in a blackout: a dark frame's offset, before noise. Raised, a blackout
 /// counts as dim light.
 const BLACKOUT_GREY: f32 = 4.0;
 
-/// The ray through a pixel's centre and how it turns across the pixel.
+/// The ray through a pixel's centre and its derivative across the pixel.
 #[derive(Debug, Clone, Copy)]
 struct Ray {
-    /// (x / z, y / z) in the camera frame; NaN where the lens has no ray.
+    /// (x / z, y / z) in the camera frame; NaN if the lens has no ray there.
     centre: Vector2<f64>,
-    /// Derivative of the ray by the pixel position.
+    /// Derivative of the ray with respect to the pixel position.
     per_px: Matrix2<f64>,
     /// Area of a pixel on the plane at depth 1.
     area: f64,
@@ -55,14 +55,14 @@ enum Face {
     Ellipse {
         light: f32,
     },
-    /// In half sizes to the right and up; the clothes fill the box around the outline.
+    /// Coordinates are half sizes to the right and up; the clothes fill the box around the outline.
     Person {
         clothes: Texture,
         size_px: [f64; 2],
     },
 }
 
-/// Whose frame a plane stands in.
+/// What a plane is attached to, and in whose frame its pose is.
 #[derive(Debug, Clone, Copy)]
 enum Carrier {
     Stage,
@@ -78,21 +78,21 @@ struct Plane {
     carrier: Carrier,
     /// `T_carrier_surface`.
     pose: Pose<Stage, SurfaceFrame>,
-    /// Metres on the surface to face coordinates: artwork pixels, or half sizes.
+    /// Maps metres on the surface to face coordinates: artwork pixels, or half sizes.
     h_face_metres: Matrix3<f64>,
 }
 
 /// A plane as one ray of one row sees it.
 #[derive(Debug, Clone, Copy)]
 struct View {
-    /// Rays to face coordinates.
+    /// Maps rays to face coordinates.
     h_face_ray: Matrix3<f64>,
     determinant: f64,
     /// The camera's height above the face, metres; negative behind it.
     height: f64,
 }
 
-/// A virtual stage made ready: rays inverted, pictures halved.
+/// A virtual stage prepared for rendering: lens inverted for every pixel, pictures mipmapped.
 #[derive(Debug)]
 pub struct Renderer {
     stage: VirtualStage,
@@ -100,9 +100,9 @@ pub struct Renderer {
     samples: Vec<Sample>,
     planes: Vec<Plane>,
     bent: Vec<(Plane, Cloth)>,
-    /// Where no surface is.
+    /// Light where there is no surface.
     background: f32,
-    /// Of the back of a surface.
+    /// Light of a surface's back.
     back: f32,
 }
 
@@ -134,12 +134,13 @@ impl Renderer {
         Self { stage, rays, samples, planes, bent, background, back }
     }
 
-    /// What is rendered.
+    /// Returns the stage that is rendered.
     pub fn stage(&self) -> &VirtualStage {
         &self.stage
     }
 
-    /// The frame whose middle row is at mid-exposure at `time_s`; `frame` numbers its noise.
+    /// Renders the frame whose middle row is at mid-exposure at `time_s`; `frame` selects its
+    /// noise.
     pub fn render(&self, time_s: f64, frame: u64) -> GrayImage {
         let (width, height) = (self.stage.camera.width(), self.stage.camera.height());
         let mut image = GrayImage::new(width, height);
@@ -150,7 +151,7 @@ impl Renderer {
         image
     }
 
-    /// The light on one row before the sensor, of the frame stamped `time_s`.
+    /// Returns the light on one row before the sensor, in the frame stamped `time_s`.
     fn light_of_row(&self, time_s: f64, row: usize) -> Vec<f32> {
         let width = self.stage.camera.width() as usize;
         if self.stage.is_blackout(time_s) {
@@ -169,13 +170,13 @@ impl Renderer {
         light
     }
 
-    /// Seconds by which a row is exposed after the middle row.
+    /// Returns by how many seconds a row is exposed after the middle row.
     fn row_delay_s(&self, row: usize) -> f64 {
         let last = f64::from(self.stage.camera.height().max(2) - 1);
         self.stage.shutter.readout_s * (row as f64 / last - 0.5)
     }
 
-    /// Every surface as the camera sees it at an instant.
+    /// Returns every surface as the camera sees it at an instant.
     fn views(&self, time_s: f64) -> Views {
         let camera = self.stage.truth(time_s);
         let planes = self.planes.iter().map(|plane| plane.view(&plane.pose_at(&self.stage, time_s), &camera)).collect();
@@ -187,7 +188,7 @@ impl Renderer {
         Views { planes, bent: bent.collect(), beams, camera }
     }
 
-    /// The light that one ray of a pixel brings home.
+    /// Returns the light along one ray of a pixel.
     fn trace(&self, ray: &Ray, sample: &Sample, views: &Views) -> f32 {
         let offset = ray.per_px * sample.offset_px;
         let direction = Vector3::new(ray.centre.x + offset.x, ray.centre.y + offset.y, 1.0);
@@ -211,7 +212,7 @@ impl Renderer {
             }
         }
         if let Some((face, view, inverse, u, v)) = hit {
-            // Texels under one ray: the area of a pixel on the face, shared by its rays.
+            // Texels under one ray: the pixel's area on the face, divided among its rays.
             let texels = (view.determinant * inverse * inverse * inverse).abs() * ray.area / self.samples.len() as f64;
             light = if view.height > 0.0 { face.light(u, v, 0.5 * (texels as f32).log2()) } else { self.back };
         }
@@ -222,7 +223,8 @@ impl Renderer {
             let [x, y] = met.on_picture_m;
             let face = plane.h_face_metres * Vector3::new(x, y, 1.0);
             let against = -toward.dot(&met.normal);
-            // A pixel's area at that depth, laid along the ray onto the cloth, in texels.
+            // The pixel's area at that depth, projected along the ray onto the cloth; then in
+            // texels.
             let square_m = met.depth * met.depth * ray.area / against.abs();
             let texels = square_m * plane.texels_per_square_m() / self.samples.len() as f64;
             let level = 0.5 * (texels as f32).log2();
@@ -247,7 +249,7 @@ impl Face {
         }
     }
 
-    /// `level` is of an area in face coordinates.
+    /// Returns the light at a face position; `level` refers to an area in face coordinates.
     fn light(&self, u: f64, v: f64, level: f32) -> f32 {
         match self {
             Face::Picture { texture, .. } => texture.light(u, v, level),
@@ -269,7 +271,7 @@ impl Plane {
         Self {
             face: Face::Picture { texture: Texture::new(&surface.artwork, model), size_px },
             carrier,
-            // A surface's pose is in its body; `pose_at` puts the body into the stage.
+            // A surface's pose is in its body's frame; `pose_at` places the body in the stage.
             pose: surface.pose.renamed(),
             h_face_metres: Matrix3::new(per_x, 0.0, middle.x, 0.0, -per_y, middle.y, 0.0, 0.0, 1.0),
         }
@@ -300,7 +302,7 @@ impl Plane {
     }
 }
 
-/// All that can be hit: the flat, and the bent.
+/// Returns all surfaces that can be hit: the flat ones and the bent ones.
 fn faces_of(stage: &VirtualStage) -> (Vec<Plane>, Vec<(Plane, Cloth)>) {
     let waves =
         |k: usize| -> Vec<Wave> { stage.draughts.iter().filter(|d| d.surface == k).flat_map(|d| d.waves.iter().copied()).collect() };
@@ -320,7 +322,7 @@ fn faces_of(stage: &VirtualStage) -> (Vec<Plane>, Vec<(Plane, Cloth)>) {
     (planes, bent)
 }
 
-/// All that walks or sways in front.
+/// Returns the planes of all people and occluders.
 fn people_of(stage: &VirtualStage) -> impl Iterator<Item = Plane> {
     let upright = |face: Face, carrier: Carrier, [half_width, half_height]: [f64; 2]| {
         let h_face_metres = Matrix3::from_diagonal(&Vector3::new(1.0 / half_width, 1.0 / half_height, 1.0));
@@ -337,7 +339,7 @@ fn people_of(stage: &VirtualStage) -> impl Iterator<Item = Plane> {
     occluders.chain(people)
 }
 
-/// The exact inverse of the lens at every pixel centre, row-major.
+/// Computes the exact inverse of the lens at every pixel centre, row-major.
 fn ray_table(camera: &CameraModel) -> Vec<Ray> {
     let (width, height) = (camera.width(), camera.height());
     let pixels = (0..height).into_par_iter().flat_map_iter(|y| (0..width).map(move |x| (x, y)));

@@ -15,8 +15,8 @@ fn camera(distortion: [f64; 5]) -> CameraModel {
         .unwrap()
 }
 
-/// A dark and light checker for a cloth of 3 x 2 m: 2.5 mm a texel, so that an edge is sharp in the
-/// picture.
+/// A dark and light checker for a cloth of 3 x 2 m: 2.5 mm per texel, so that an edge is sharp in
+/// the picture.
 fn checker(cell_px: u32) -> GrayImage {
     GrayImage::from_fn(1200, 800, |x, y| image::Luma([if (x / cell_px + y / cell_px).is_multiple_of(2) { 30 } else { 220 }]))
 }
@@ -32,8 +32,7 @@ fn oblique() -> CameraPath {
     path
 }
 
-/// A checker edge's artwork column as raw pixels along the surface's vertical, from the projection
-/// alone.
+/// Projects a point of the artwork to raw pixels, without the renderer.
 fn projected(scene: &VirtualStage, u: f64, v: f64, time_s: f64) -> Vector2<f64> {
     let point = scene.stage.surfaces[0].body_point(Vector2::new(u, v));
     let seen = scene.truth(time_s).inverse().transform(&point);
@@ -42,20 +41,20 @@ fn projected(scene: &VirtualStage, u: f64, v: f64, time_s: f64) -> Vector2<f64> 
 
 #[test]
 fn rendered_edges_are_at_their_projection() {
-    // One vertical edge: left of artwork column 700 dark, right of it light.
+    // One vertical edge: artwork left of column 700 is dark, right of it light.
     let artwork = GrayImage::from_fn(1200, 800, |x, _| image::Luma([if x < 700 { 30 } else { 220 }]));
     let mut scene = stage_of(artwork, camera([-0.25, 0.08, 0.002, -0.001, 0.01]), oblique());
     scene.samples = 16;
     let renderer = Renderer::new(scene);
     let mut checked = 0;
     for row in (10..HEIGHT as usize - 10).step_by(7) {
-        // Where does the edge cross this row? Walk along it in the artwork.
+        // Find where the edge crosses this row by walking along it in the artwork.
         let crossing =
             (0..=8000).map(|v| projected(renderer.stage(), 699.5, f64::from(v) * 0.1, 0.0)).find(|p| (p.y - row as f64).abs() < 0.02);
         let Some(expected) = crossing else { continue };
         let light = renderer.light_of_row(0.0, row);
         let (from, to) = (expected.x as usize - 6, expected.x as usize + 7);
-        // Area under the step gives its place: every pixel covers ±0.5.
+        // The area under the step gives its position: every pixel covers ±0.5.
         let dark: f32 = light[from..=to].iter().map(|&g| (220.0 - g) / 190.0).sum();
         let found = from as f64 - 0.5 + f64::from(dark);
         assert!((found - expected.x).abs() < 0.05, "row {row}: found {found}, projected {}", expected.x);
@@ -99,12 +98,13 @@ fn rolling_shutter_delays_rows_as_stated() {
     let mut scene = stage_of(artwork, camera([0.0; 5]), path);
     (scene.shutter.readout_s, scene.samples) = (0.04, 16);
     let renderer = Renderer::new(scene);
-    // At 1.2 m/s and 2 m: the edge runs left by 108 px/s, and a row is late by up to ±20 ms.
+    // At 1.2 m/s and 2 m the edge moves left by 108 px/s, and a row is early or late by up to 20
+    // ms.
     for (row, late_s) in [(0, -0.02), (149, 0.02), (30, 0.04 * (30.0 / 149.0 - 0.5))] {
         let light = renderer.light_of_row(0.0, row);
         let dark: f32 = light[60..140].iter().map(|&g| (220.0 - g) / 190.0).sum();
         let found = 59.5 + f64::from(dark);
-        // Skew shears the picture: x depends on the row, the same at every instant.
+        // Skew shears the picture: x depends on the row, equally at every instant.
         let y = (row as f64 - 73.8) / 182.0;
         let expected = 101.3 + 180.0 * (0.002 * y - 0.6 * late_s);
         assert!((found - expected).abs() < 0.05, "row {row}: {found}, not {expected}");
@@ -121,7 +121,7 @@ fn the_exposure_blurs_an_edge_along_its_path() {
     let mut scene = stage_of(artwork, camera([0.0; 5]), path);
     (scene.shutter.exposure_s, scene.samples) = (0.1, 64);
     let light = Renderer::new(scene).light_of_row(0.0, 74);
-    // 108 px/s for 0.1 s: a ramp 10.8 px wide with its middle at the stamp's edge.
+    // 108 px/s for 0.1 s: a ramp 10.8 px wide, centred on the edge at the stamp.
     let ramp = light.iter().filter(|&&g| (32.0..218.0).contains(&g)).count();
     assert!((10..=13).contains(&ramp), "{ramp} px");
     let dark: f32 = light[60..140].iter().map(|&g| (220.0 - g) / 190.0).sum();
@@ -175,9 +175,9 @@ fn the_true_pose_follows_the_path() {
 
 #[test]
 fn a_moving_picture_is_rendered_at_the_paths_mean_position() {
-    // Fine detail, long exposed while the camera goes to the left and to the right: where it moves
-    // by 2.5 pixels, both see the same place. Rolled, so that edges lie anywhere between pixel
-    // centres: at one place alone, the steps of the rays show.
+    // Fine detail with a long exposure, during which the camera moves by 2.5 pixels to the left or
+    // to the right: both must see the same place. It is rolled so that edges take all sub-pixel
+    // positions; at a single one the discrete rays would show.
     let seen = |speed: f64| {
         let along = |y: f64| Spline::straight(&[(-1.0, Vector3::new(-speed, y, 0.0)), (1.0, Vector3::new(speed, y, 0.0))]).unwrap();
         let path = CameraPath { position: along(-2.9), target: along(0.0), roll_rad: 0.1, shake: None };
@@ -198,7 +198,7 @@ fn a_moving_picture_is_rendered_at_the_paths_mean_position() {
 
 const LINEAR: LightModel = LightModel::Linear(ToneCurve { contrast: 0.0 });
 
-/// A cloth of one grey, straight ahead at 2 m: 90 pixels a metre.
+/// A cloth of one grey, head-on at 2 m: 90 pixels per metre.
 fn plain(grey: u8, model: LightModel) -> VirtualStage {
     let path = CameraPath::fixed(Point3::new(0.0, -2.0, 0.0), Point3::origin());
     let mut scene = stage_of(GrayImage::from_pixel(60, 40, image::Luma([grey])), camera([0.0; 5]), path);
@@ -217,14 +217,14 @@ fn half_a_white_pixel_is_188_in_linear_light_and_128_where_greys_are_averaged() 
         Renderer::new(scene).render(0.0, 0).get_pixel(20, 15)[0]
     };
     let [linear, averaged] = [grey(LINEAR), grey(LightModel::GreyAverages)];
-    // 127.5 is rounded either way, as the sum of the rays is.
+    // 127.5 rounds either way, depending on the rounding of the rays' sum.
     assert!(linear == 188 && (127..=128).contains(&averaged), "{linear} {averaged}");
 }
 
 #[test]
 fn blur_adds_up_light() {
-    // White for half of the exposure at every place within the sweep of the edge: 188 in its
-    // middle.
+    // Every place within the edge's sweep is white for part of the exposure, in the middle for half
+    // of it: 188.
     let artwork = GrayImage::from_fn(1200, 800, |x, _| image::Luma([if x < 600 { 0 } else { 255 }]));
     let keys = [(-1.0, Vector3::new(-1.2, -2.0, 0.0)), (1.0, Vector3::new(1.2, -2.0, 0.0))];
     let mut path = CameraPath::fixed(Point3::origin(), Point3::origin());
@@ -255,7 +255,7 @@ fn a_spot_lights_what_it_hits() {
     scene.spots = vec![Spot { lamp, aim, swing: Vector3::new(-1.0, 0.0, 0.0), period_s: 4.0, width_rad: 0.03, gain: 1.0 }];
     let renderer = Renderer::new(scene);
     let grey = |x: u32, time_s: f64| renderer.render(time_s, 0).get_pixel(x, 74)[0];
-    // Half a metre aside is 45 pixels; a quarter of the period later it has swung over.
+    // Half a metre aside is 45 pixels; a quarter of the period later the spot is on the other side.
     assert_eq!([grey(146, 0.0), grey(56, 0.0)], [138, 100]);
     assert_eq!([grey(146, 1.0), grey(56, 1.0)], [100, 138]);
 }
@@ -269,10 +269,11 @@ fn a_person_covers_what_is_behind_its_outline() {
     scene.people = vec![Person { centre, swing, period_s: 4.0, phase: 0.0, half_size_m, clothes }];
     let renderer = Renderer::new(scene);
     let grey = |[x, y]: [u32; 2], time_s: f64| renderer.render(time_s, 0).get_pixel(x, y)[0];
-    // At 1 m: 36 pixels wide and 109 high; light above, dark below, round at the corners.
+    // At 1 m the person is 36 pixels wide and 109 high: light above, dark below, rounded at the
+    // corners.
     assert_eq!([[101, 50], [101, 100], [86, 60]].map(|at| grey(at, 0.0)), [220, 30, 220]);
     assert_eq!([[80, 74], [122, 74], [86, 22], [116, 124]].map(|at| grey(at, 0.0)), [100; 4]);
-    // A quarter of the way later it is half a metre to the right.
+    // A quarter of the period later it is half a metre to the right.
     assert_eq!([[101, 50], [191, 50]].map(|at| grey(at, 1.0)), [100, 220]);
 }
 
@@ -285,6 +286,6 @@ fn the_roll_turns_the_picture() {
     rolled_path.camera_path.roll_rad += 0.4;
     assert!(scene.truth(1.0).angle_to(&rolled_path.truth(1.0)) < 1e-12);
     let (ours, theirs) = (Renderer::new(scene).render(1.0, 0), Renderer::new(rolled_path).render(1.0, 0));
-    // The two ways round differently.
+    // The two computations round differently.
     assert!(ours.iter().zip(theirs.iter()).all(|(a, b)| a.abs_diff(*b) <= 1));
 }

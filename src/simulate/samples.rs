@@ -1,32 +1,32 @@
-//! Where in the pixel, and when in the exposure, the rays of a pixel are.
+//! Where in a pixel, and when in the exposure, the pixel's rays are.
 
 use nalgebra::Vector2;
 
-/// A swap of two rays must bring their correlations nearer to zero by this, squared pixels squared:
-/// rounding alone must not keep it swapping. Raised, correlations stay; lowered to zero, it may not
-/// end.
+/// Minimum improvement for a swap of two rays, in squared correlations (pixels to the fourth
+/// power): rounding alone must not keep the swaps going. Raised, correlations remain; lowered to
+/// zero, the loop may not end.
 const MIN_GAIN: f64 = 1e-12;
 
-/// One ray's place in its pixel and in the exposure.
+/// One ray's position in its pixel and in the exposure.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sample {
-    /// Pixels from the centre, within ±0.5.
+    /// Offset from the pixel's centre, pixels, within ±0.5.
     pub offset_px: Vector2<f64>,
-    /// Share of the exposure from its middle, within ±0.5.
+    /// Fraction of the exposure from its middle, within ±0.5.
     pub moment: f64,
 }
 
-/// Rays that fill the pixel and the exposure evenly: every column, row and time slice of n has one
-/// ray (n rooks), so that the mean offset is exactly zero and nothing is shifted.
+/// Returns rays that fill the pixel and the exposure evenly. Each of the n columns, rows and time
+/// slices has one ray (n rooks), so the mean offset is exactly zero and nothing is shifted.
 ///
-/// Each ray has one opposite to it in place and time, so that all odd moments are zero: with a mean
-/// of x² t other than zero, say, a picture that moves is seen ahead of itself, in proportion to the
-/// exposure. Columns, rows and times are uncorrelated as nearly as n slices allow, so that neither
-/// the pixel nor the blur is slanted.
+/// Each ray has an opposite in place and time, so that all odd moments are zero. If the mean of x²
+/// t, for example, were not zero, a moving picture would appear ahead of itself, in proportion to
+/// the exposure. Columns, rows and times are as uncorrelated as n slices allow, so that neither the
+/// pixel nor the blur is slanted.
 pub(super) fn sample_pattern(count: usize) -> Vec<Sample> {
     let slice = |k: usize| (k as f64 + 0.5) / count as f64 - 0.5;
-    // Signed offsets of the first half in an order of the plane's best-spread additive sequence,
-    // whose steps are irrational; the others mirror them.
+    // The first half's signed offsets are ordered by the plane's best-spread additive sequence,
+    // whose steps are irrational; the second half mirrors them.
     let axis = |step: f64| {
         let half = count / 2;
         let value = |k: usize| ((k as f64 + 0.5) * step).fract() - 0.5;
@@ -45,8 +45,8 @@ pub(super) fn sample_pattern(count: usize) -> Vec<Sample> {
     (0..count).map(|k| Sample { offset_px: Vector2::new(columns[k], rows[k]), moment: moments[k] }).collect()
 }
 
-/// Swaps columns or rows of two rays, and of their opposites, as long as that brings the axes'
-/// correlations nearer to zero; always the best swap.
+/// Swaps the columns or rows of two rays, and of their opposites, as long as that brings the axes'
+/// correlations nearer to zero; always makes the best swap.
 fn decorrelate(axes: &mut [Vec<f64>; 3]) {
     let count = axes[0].len();
     let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
@@ -58,7 +58,8 @@ fn decorrelate(axes: &mut [Vec<f64>; 3]) {
         let pairs = || (0..count / 2).flat_map(|i| (i + 1..count).filter(move |j| 2 * j + 1 != count).map(move |j| (i, j)));
         for (axis, (i, j)) in (0..2).flat_map(|axis| pairs().map(move |pair| (axis, pair))) {
             let [own, other, moment] = [axis, 1 - axis, 2].map(|a| axes[a][j] - axes[a][i]);
-            // Their opposites change the products alike, unless the two are opposite to each other.
+            // The opposites change the products by the same amount, unless the two are each other's
+            // opposite.
             let both = if i + j + 1 == count { -own } else { -2.0 * own };
             let with_moment = both * moment;
             let change = if axis == 0 { [both * other, with_moment, 0.0] } else { [both * other, 0.0, with_moment] };
@@ -103,10 +104,10 @@ mod tests {
                 let of = |s: &Sample| s.offset_px.x.powi(power[0]) * s.offset_px.y.powi(power[1]) * s.moment.powi(power[2]);
                 pattern.iter().map(of).sum::<f64>() / count as f64
             };
-            // An odd one would shift what moves.
+            // A non-zero odd moment would shift moving things.
             let odd = [[1, 1, 1], [2, 0, 1], [0, 2, 1], [1, 0, 2], [0, 1, 2], [2, 1, 0], [1, 2, 0], [3, 0, 0], [0, 3, 0]];
             assert!(odd.iter().all(|power| moment(*power).abs() < 1e-15), "{count}: {:?}", odd.map(moment));
-            // Correlations slant the pixel and the blur.
+            // Correlations would slant the pixel and the blur.
             let mixed = [[1, 1, 0], [1, 0, 1], [0, 1, 1]].map(|power| 12.0 * moment(power));
             assert!(count < 16 || mixed.iter().all(|m| m.abs() < 0.03), "{count}: {mixed:?}");
         }

@@ -1,9 +1,9 @@
-//! The sensor: light becomes grey levels with shot and read noise.
+//! The sensor: converts light to grey levels with shot and read noise.
 //!
-//! Shot noise grows with the light, read noise is always there: the variance at grey level g is
-//! `read² + shot · g`. Every row of every frame has a random generator of its own, seeded with
-//! nothing but the seed, the frame's number and the row's, so that neither order nor threads change
-//! a picture.
+//! Shot noise grows with the light, and read noise is constant: the variance at grey level g is
+//! `read² + shot · g`. Every row of every frame has its own random generator, seeded only by the
+//! seed, the frame number and the row number. So a picture does not depend on the order of
+//! rendering or on threads.
 
 use std::f32::consts::TAU;
 
@@ -12,35 +12,35 @@ use rand_pcg::Pcg64Mcg;
 
 use super::light::LightModel;
 
-/// How noisy the sensor is. Where light is linear, so is the noise: a level is then a 255th of full
-/// light.
+/// How noisy the sensor is. With linear light, the noise is added to the light, and one level is a
+/// 255th of full light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SensorNoise {
     /// Standard deviation in the dark, grey levels.
     pub read: f32,
-    /// Variance added by each grey level of light, grey levels.
+    /// Variance added per grey level of light, grey levels.
     pub shot: f32,
 }
 
 impl SensorNoise {
-    /// A sensor without noise.
+    /// Returns a sensor without noise.
     pub const fn none() -> Self {
         Self { read: 0.0, shot: 0.0 }
     }
 
-    /// A decent webcam in stage light: 1.7 grey levels in the dark, 2.6 at level 128.
+    /// Returns a decent webcam in stage light: 1.7 grey levels in the dark, 2.6 at level 128.
     pub const fn webcam() -> Self {
         Self { read: 1.7, shot: 0.03 }
     }
 
-    /// A decent webcam where light is linear: 2.6 grey levels in the dark, 1.6 at level 128.
+    /// Returns a decent webcam with linear light: 2.6 grey levels in the dark, 1.6 at level 128.
     pub const fn linear_webcam() -> Self {
         Self { read: 0.2, shot: 0.04 }
     }
 }
 
-/// Writes one row of a frame: light (up to 255 and beyond) plus noise, made grey levels, rounded
-/// and clipped to 0..=255.
+/// Writes one row of a frame: adds noise to the light (which may exceed 255), converts to grey
+/// levels, rounds and clips to 0..=255.
 pub(super) fn develop_row(light: &[f32], noise: SensorNoise, model: LightModel, seed: u64, frame: u64, row: u64, out: &mut [u8]) {
     if noise == SensorNoise::none() {
         for (grey, &light) in out.iter_mut().zip(light) {
@@ -63,7 +63,7 @@ fn quantise(grey: f32) -> u8 {
     (grey + 0.5) as u8
 }
 
-/// Two independent normal numbers (Box and Muller's transform).
+/// Returns two independent normal numbers (Box-Muller transform).
 fn normal_pair(random: &mut Pcg64Mcg) -> [f32; 2] {
     // 1 - [0, 1) is never 0, so the logarithm is finite.
     let radius = (-2.0 * (1.0 - random.random::<f32>()).ln()).sqrt();
@@ -71,7 +71,7 @@ fn normal_pair(random: &mut Pcg64Mcg) -> [f32; 2] {
     [radius * cos, radius * sin]
 }
 
-/// Spreads every bit of a number over all of them (SplitMix64's finaliser).
+/// Mixes every bit of a number into all others (SplitMix64's finaliser).
 fn mixed(x: u64) -> u64 {
     let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

@@ -4,20 +4,20 @@ use std::f64::consts::TAU;
 
 use nalgebra::{Point3, Vector3};
 
-/// A lamp with a soft-edged cone of light, which swings.
+/// A swinging lamp with a soft-edged cone of light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spot {
-    /// Where the lamp hangs, in the stage.
+    /// Position of the lamp in the stage.
     pub lamp: Point3<f64>,
-    /// What its middle hits in the middle of the swing.
+    /// The point that the beam's axis hits in the middle of the swing.
     pub aim: Point3<f64>,
-    /// From there to either end of the swing, metres.
+    /// Displacement from there to one end of the swing, metres.
     pub swing: Vector3<f64>,
-    /// Seconds for one swing there and back.
+    /// Period of the swing, seconds.
     pub period_s: f64,
-    /// From its middle to where it has 61 % (a Gaussian's sigma), radians.
+    /// Angle from the axis at which 61 % of the light is left (a Gaussian's sigma), radians.
     pub width_rad: f64,
-    /// Light in its middle, over that of the stage's full light.
+    /// Light on the axis, relative to the stage's full light.
     pub gain: f32,
 }
 
@@ -26,7 +26,7 @@ pub struct Spot {
 pub(super) struct Beam {
     lamp: Point3<f64>,
     axis: Vector3<f64>,
-    /// 1 / (2 sigma²), of the angle in radians.
+    /// 1 / (2 sigma²), with sigma in radians.
     sharpness: f64,
     gain: f32,
 }
@@ -40,7 +40,7 @@ impl Spot {
 }
 
 impl Beam {
-    /// The light that it adds at a point of the stage, over full light.
+    /// Returns the light that it adds at a point of the stage, relative to full light.
     pub(super) fn light_at(&self, point: &Point3<f64>) -> f32 {
         let away = point - self.lamp;
         let along = away.dot(&self.axis);
@@ -68,7 +68,7 @@ mod tests {
         };
         let beam = spot.beam(0.0);
         assert_eq!(beam.light_at(&Point3::origin()), 0.8);
-        // Aside by one sigma of the distance 5 m: exp(-1/2).
+        // One sigma aside at a distance of 5 m: exp(-1/2).
         let aside = beam.light_at(&Point3::new(5.0 * 0.1_f64.tan(), 0.0, 0.0));
         assert!((aside - 0.8 * (-0.5_f32).exp()).abs() < 1e-5, "{aside}");
         assert_eq!(beam.light_at(&Point3::new(0.0, -9.0, 6.0)), 0.0);

@@ -1,4 +1,4 @@
-//! What there is on the virtual stage, as plain data.
+//! What is on the virtual stage, as plain data.
 
 use std::ops::Range;
 
@@ -16,7 +16,7 @@ use crate::geometry::{Body, Camera, Pose, Stage, SurfaceFrame};
 use crate::track::{BodySpec, ReferenceKind, SurfaceDoubt, SurfaceShape, SurfaceSpec};
 use crate::tracker::TrackerSetup;
 
-/// A stage, its camera, and everything that decides what the camera sees.
+/// A stage, its camera, and everything that affects what the camera sees.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct VirtualStage {
@@ -24,67 +24,69 @@ pub struct VirtualStage {
     pub camera: CameraModel,
     /// Where the camera is.
     pub camera_path: CameraPath,
-    /// How the camera rolls on top of that.
+    /// Roll of the camera in addition to its path's.
     pub roll: Option<Roll>,
     /// The surfaces of the stage; its body frame is the stage frame.
     pub stage: BodySpec,
-    /// Waves over surfaces of the stage, beside the shape that a surface has. A tracker made of
-    /// this is told the shapes, but no waves.
+    /// Waves over surfaces of the stage, added to a surface's own shape. A tracker set up from this
+    /// stage knows the shapes but not the waves.
     pub draughts: Vec<Draught>,
     /// Tracked objects.
     pub objects: Vec<MovingObject>,
-    /// Painted surfaces at rest in the stage frame that the tracker does not know: a floor, a wall.
+    /// Painted surfaces at rest in the stage frame that the tracker does not know, such as a floor
+    /// or a wall.
     pub scenery: Vec<SurfaceSpec>,
     /// People and things that pass in front.
     pub occluders: Vec<Occluder>,
     /// People in patterned clothes who walk in front.
     pub people: Vec<Person>,
-    /// In what light is added up.
+    /// The quantity in which light is added up.
     pub light_model: LightModel,
-    /// Lamps whose light adds to the wash; what no surface is, they do not reach.
+    /// Lamps whose light adds to the wash. They do not light the background.
     pub spots: Vec<Spot>,
-    /// Brightness over time, in order of time; empty means 1 throughout.
+    /// Brightness over time, in time order; empty means 1 throughout.
     pub light: Vec<LightKey>,
     /// Times in seconds during which there is no light at all.
     pub blackouts: Vec<Range<f64>>,
-    /// Open around the stamp of the middle row; an exposure of 0 freezes motion.
+    /// The shutter. The middle row's exposure is centred on the frame's stamp; an exposure of 0
+    /// freezes motion.
     pub shutter: Shutter,
     /// The sensor's noise.
     pub noise: SensorNoise,
     /// Grey level where no surface is.
     pub background: f32,
-    /// Rays a pixel, spread over its area and over the exposure; 4 suits a steady camera, 16 a fast
-    /// one.
+    /// Rays per pixel, spread over its area and over the exposure: 4 suits a steady camera, 16 a
+    /// fast one. Raised, rendering takes longer.
     pub samples: u32,
     /// Seed of the sensor noise.
     pub seed: u64,
 }
 
-/// Waves that stand or run over a surface of the stage: folds of a cloth, and a draught that moves
+/// Standing or running waves over a surface of the stage: folds of a cloth, or a draught that moves
 /// it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Draught {
-    /// The surface's index in the stage; beyond the last one nothing moves.
+    /// The surface's index in the stage; an index past the last surface has no effect.
     pub surface: usize,
-    /// They add up.
+    /// The waves, which add up.
     pub waves: Vec<Wave>,
 }
 
-/// A wave: out of the face by `height_m` · sin(`wave_vector` · (x, y) + 2π `rate_hz` t +
-/// `phase_rad`), with x and y along the picture from its centre.
+/// A wave. It displaces the face outwards by `height_m` · sin(`wave_vector` · (x, y) + 2π `rate_hz`
+/// t + `phase_rad`), with x and y along the picture from its centre.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wave {
-    /// Metres, from the middle to the top.
+    /// Amplitude, metres.
     pub height_m: f64,
-    /// Radians a metre along x and y.
+    /// Radians per metre along x and y.
     pub wave_vector: [f64; 2],
-    /// Waves a second; 0 stands still.
+    /// Frequency, Hz; 0 is a standing fold.
     pub rate_hz: f64,
-    /// Radians.
+    /// Phase, radians.
     pub phase_rad: f64,
 }
 
-/// A tracked object on its way.
+/// A tracked object and its path.
 #[derive(Debug, Clone)]
 pub struct MovingObject {
     /// Its surfaces, in its own frame.
@@ -96,11 +98,11 @@ pub struct MovingObject {
 /// An upright flat ellipse of one grey that sways in front of the stage, as a person would.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Occluder {
-    /// Its middle at rest, in the stage.
+    /// Its centre at rest, in the stage.
     pub centre: Point3<f64>,
-    /// How far it sways to either side, metres.
+    /// Amplitude of its sway to either side, metres.
     pub swing: Vector3<f64>,
-    /// Seconds for one sway there and back.
+    /// Period of its sway, seconds.
     pub period_s: f64,
     /// Half its width (x) and half its height (z), metres.
     pub half_size_m: [f64; 2],
@@ -108,18 +110,18 @@ pub struct Occluder {
     pub grey: f32,
 }
 
-/// The brightness at a time; straight lines lead from key to key.
+/// The brightness at a time, interpolated linearly between keys.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LightKey {
     /// Seconds.
     pub time_s: f64,
-    /// Factor on the artwork's light: on its grey levels, where these are averaged.
+    /// Factor on the artwork's light, or on its grey levels if those are averaged.
     pub gain: f32,
 }
 
 impl VirtualStage {
-    /// A still camera in front of a body: global shutter, no blur, no noise, black around it, 4
-    /// rays a pixel.
+    /// Makes a scene of a body and a camera with global shutter, no blur, no noise, black
+    /// surroundings and 4 rays per pixel.
     pub fn new(camera: CameraModel, camera_path: CameraPath, stage: BodySpec) -> Self {
         Self {
             camera,
@@ -143,7 +145,8 @@ impl VirtualStage {
         }
     }
 
-    /// The exact `T_stage_camera` at a time: of the middle row at mid-exposure.
+    /// Returns the exact `T_stage_camera` at a time. A frame's true pose is that of its middle row
+    /// at mid-exposure.
     pub fn truth(&self, time_s: f64) -> Pose<Stage, Camera> {
         let steady = self.camera_path.pose(time_s);
         match &self.roll {
@@ -152,12 +155,13 @@ impl VirtualStage {
         }
     }
 
-    /// The exact `T_stage_object` of an object at a time, or `None` when there is no such object.
+    /// Returns the exact `T_stage_object` of an object at a time, or `None` if there is no such
+    /// object.
     pub fn object_truth(&self, object: usize, time_s: f64) -> Option<Pose<Stage, Body>> {
         Some(self.objects.get(object)?.path.pose(time_s))
     }
 
-    /// The factor on all light at a time.
+    /// Returns the factor on all light at a time.
     pub fn light_gain(&self, time_s: f64) -> f32 {
         let next = self.light.partition_point(|key| key.time_s <= time_s);
         match (next.checked_sub(1).and_then(|i| self.light.get(i)), self.light.get(next)) {
@@ -167,14 +171,15 @@ impl VirtualStage {
         }
     }
 
-    /// True while there is no light at all.
+    /// Whether there is no light at all.
     pub fn is_blackout(&self, time_s: f64) -> bool {
         self.blackouts.iter().any(|b| b.contains(&time_s))
     }
 }
 
 impl From<&VirtualStage> for TrackerSetup {
-    /// What is true of a virtual stage; scenery stays untold.
+    /// Sets up a tracker with the scene's true values. The scenery and the waves stay unknown to
+    /// it.
     fn from(scene: &VirtualStage) -> Self {
         Self {
             shutter: scene.shutter.into(),
@@ -185,7 +190,7 @@ impl From<&VirtualStage> for TrackerSetup {
 }
 
 impl Occluder {
-    /// `T_stage_surface` of its plane at a time.
+    /// Returns `T_stage_surface` of its plane at a time.
     pub(super) fn pose(&self, time_s: f64) -> Pose<Stage, SurfaceFrame> {
         let phase = std::f64::consts::TAU * time_s / self.period_s;
         let centre = self.centre.coords + self.swing * phase.sin();
@@ -193,7 +198,7 @@ impl Occluder {
     }
 }
 
-/// A surface of flat artwork; the virtual stage asks nothing of the picture.
+/// Makes a surface of flat artwork. The virtual stage has no requirements on the picture.
 pub fn artwork_surface(name: &str, artwork: GrayImage, size_m: [f64; 2], pose: Pose<Body, SurfaceFrame>) -> SurfaceSpec {
     SurfaceSpec {
         name: name.to_owned(),

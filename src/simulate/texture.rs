@@ -1,9 +1,9 @@
-//! Pictures on surfaces, ready to be looked up at any magnification.
+//! Pictures on surfaces, for lookup at any magnification.
 //!
-//! A far surface shows many picture elements ("texels") in one pixel; taking just one of them would
-//! make it glitter. A [`Texture`] therefore keeps the picture at every halved size and reads
-//! between the two sizes that fit. Every size has the mean light of the first, and edges stay where
-//! they are to a fraction of a texel.
+//! A far surface shows many picture elements ("texels") in one pixel; sampling just one would make
+//! it flicker. A [`Texture`] therefore keeps the picture at successively halved sizes and
+//! interpolates between the two that fit (mipmapping). Every size has the mean light of the first,
+//! and edges stay in place to a fraction of a texel.
 
 use image::GrayImage;
 
@@ -27,7 +27,7 @@ pub(super) struct Texture {
 }
 
 impl Texture {
-    /// Halves the picture until its smaller side has one texel; what is averaged is the light of
+    /// Halves the picture until its smaller side has one texel. The averages are over the light of
     /// its grey levels.
     pub(super) fn new(picture: &GrayImage, model: LightModel) -> Self {
         let (width, height) = (picture.width() as usize, picture.height() as usize);
@@ -40,15 +40,15 @@ impl Texture {
         Self { levels }
     }
 
-    /// The light at `(u, v)` in pixels of the full picture (centres at integers), averaged over
-    /// about `2^level` of them; outside of the picture its rim goes on.
+    /// Returns the light at `(u, v)` in pixels of the full picture (centres at integers), averaged
+    /// over about `2^level` of them along each side. Outside the picture its edge values continue.
     pub(super) fn light(&self, u: f64, v: f64, level: f32) -> f32 {
         let top = (self.levels.len() - 1) as f32;
         let level = level.clamp(0.0, top);
         let fine = level as usize;
         let blend = level - fine as f32;
         let sharp = self.levels[fine].bilinear(u, v);
-        // Close up, and at the last level, one size is enough.
+        // At the finest and at the last level one size is enough.
         if blend == 0.0 {
             return sharp;
         }
@@ -57,7 +57,7 @@ impl Texture {
 }
 
 impl Level {
-    /// The next smaller picture; every texel of this one enters with the same total weight, so the
+    /// Returns the next smaller picture. Every texel of this one has the same total weight, so the
     /// mean is kept.
     fn halved(&self, full_width: usize, full_height: usize) -> Self {
         let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
@@ -86,8 +86,8 @@ impl Level {
     }
 }
 
-/// Averages a line down to `count` equal windows, with shares of the values that straddle two of
-/// them.
+/// Averages a line down to `count` equal windows; values that straddle two windows are split
+/// between them.
 fn shrink(line: &[f32], count: usize) -> Vec<f32> {
     let window = line.len() as f64 / count as f64;
     (0..count)

@@ -1,12 +1,12 @@
-//! Where things that stand on the stage face the audience.
+//! Poses of things that stand upright on the stage and face the audience.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::geometry::{Body, Pose, SurfaceFrame};
 
-/// `T_body_surface` of a surface that stands upright with its centre at `position` (metres) and
-/// faces the audience, turned by `turn_rad` about the vertical (positive: the face turns towards
-/// stage x).
+/// Returns `T_body_surface` of a surface that stands upright with its centre at `position` (metres)
+/// and faces the audience, turned by `turn_rad` about the vertical (positive: the face turns
+/// towards stage x).
 pub fn upright(position: Vector3<f64>, turn_rad: f64) -> Pose<Body, SurfaceFrame> {
     let stand = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2);
     Pose::new(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_rad) * stand, position)
