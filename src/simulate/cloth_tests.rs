@@ -8,6 +8,7 @@ use crate::geometry::{Pose, Stage, SurfaceFrame};
 use crate::simulate::{CameraPath, Draught, Renderer, VirtualStage, artwork_surface, upright};
 use crate::track::{BentShape, BodySpec};
 
+/// Size of the cloth, metres.
 const SIZE_M: [f64; 2] = [3.0, 2.0];
 
 /// Folds of up to 60 mm at a spacing of half a metre, and a print that is some millimetres too
@@ -24,6 +25,7 @@ fn folds(height_m: f64) -> SurfaceShape {
     SurfaceShape::Bent(std::sync::Arc::new(BentShape { height, stretch, ways: Vec::new() }))
 }
 
+/// A running and a standing wave.
 const WAVES: [Wave; 2] = [
     Wave { height_m: 0.03, wave_vector: [7.0, 2.0], rate_hz: 0.7, phase_rad: 0.4 },
     Wave { height_m: 0.01, wave_vector: [-3.0, 9.0], rate_hz: 0.0, phase_rad: 2.0 },

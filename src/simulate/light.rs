@@ -78,6 +78,7 @@ fn encoded(light: f32) -> f32 {
 mod tests {
     use super::*;
 
+    /// Linear light without contrast.
     const SRGB: LightModel = LightModel::Linear(ToneCurve { contrast: 0.0 });
 
     #[test]

@@ -312,6 +312,7 @@ mod tests {
     fn shake_has_the_configured_scatter() {
         let shake = Shake::new(0.01, 0.02, 5.0, 3);
         let (mut along_x, mut about_z) = (0.0, 0.0);
+        // Number of samples. Lowered, the scatter is less exact.
         const COUNT: i32 = 200_000;
         for k in 0..COUNT {
             let (offset, turn) = shake.at(f64::from(k) * 0.003);

@@ -7,7 +7,9 @@ use crate::simulate::{
 };
 use crate::track::BodySpec;
 
+/// Size of the pictures, pixels.
 const WIDTH: u32 = 200;
+/// See [`WIDTH`].
 const HEIGHT: u32 = 150;
 
 fn camera(distortion: [f64; 5]) -> CameraModel {
@@ -196,6 +198,7 @@ fn a_moving_picture_is_rendered_at_the_paths_mean_position() {
     assert!((difference / slopes).abs() < 0.003, "{} pixels", difference / slopes);
 }
 
+/// Linear light without contrast.
 const LINEAR: LightModel = LightModel::Linear(ToneCurve { contrast: 0.0 });
 
 /// A cloth of one grey, head-on at 2 m: 90 pixels per metre.

@@ -1,5 +1,5 @@
-//! `GET /api/v1/backup`, `POST /api/v1/restore`: the config with all that it names, and the set, as
-//! one zip.
+//! `GET /api/v1/backup`, `POST /api/v1/restore`: the config with all files it names, and the
+//! virtual set, as one zip.
 
 use std::collections::BTreeSet;
 use std::io::{self, Cursor, Read, Write};
@@ -23,16 +23,17 @@ use crate::web::download::Download;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
-/// Larger than a backup, bytes, packed and unpacked. Chosen: pictures of many surfaces. Raised,
+/// Maximum size of a backup's zip, bytes. Chosen: room for the pictures of many surfaces. Raised,
 /// restoring takes more memory and disk.
 const MAX_PACKED: u64 = 64 << 20;
+/// Maximum size of its unpacked files, bytes. Raised, restoring takes more disk.
 const MAX_UNPACKED: u64 = 256 << 20;
-/// Files in a backup at most: more than a stage has surfaces and models. Raised, a wrong zip takes
-/// longer to refuse.
+/// Maximum number of files in a backup: more than a stage has surfaces and models. Raised, an
+/// invalid zip takes longer to refuse.
 const MAX_FILES: usize = 500;
 /// The config's name in a backup.
 const CONFIG: &str = "stage.toml";
-/// The virtual set's.
+/// The virtual set's name in a backup.
 const SET: &str = "set.json";
 
 pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
@@ -72,7 +73,7 @@ fn backup(supervisor: &Supervisor) -> Result<Reply, Reply> {
     Ok(reply.with("content-disposition", "attachment; filename=\"stagepose-backup.zip\""))
 }
 
-/// A folder that goes again.
+/// A folder that is removed when this is dropped.
 struct Aside(PathBuf);
 
 impl Drop for Aside {
@@ -87,7 +88,7 @@ fn restore(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     let _alone = supervisor.alone();
     let file = supervisor.file();
     let folder = file.parent().unwrap_or(Path::new("")).to_owned();
-    // Where nobody sees it, and in the same file system as its place.
+    // A hidden folder in the same file system as the target.
     let aside = Aside(folder.join(format!(".restore-{}", std::process::id())));
     let _ = std::fs::remove_dir_all(&aside.0);
     std::fs::create_dir_all(aside.0.join("sets")).map_err(|e| unwritable(file, &e))?;
@@ -111,7 +112,7 @@ fn restore(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     keep_former(&places).map_err(|e| unwritable(file, &e))?;
     std::fs::create_dir_all(folder.join("sets")).map_err(|e| unwritable(file, &e))?;
     call.still_may()?;
-    // The config last: it names the others.
+    // The config comes last, because it names the others.
     let in_order = names.iter().map(String::as_str).filter(|name| *name != CONFIG).chain([CONFIG]);
     let moves: Vec<(PathBuf, PathBuf)> = in_order.map(|name| (aside.0.join(name), target(name))).collect();
     move_all(&moves, &aside.0.join("before")).map_err(|(to, e)| unwritable(&to, &e))?;
@@ -119,18 +120,18 @@ fn restore(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     Ok(reply(200, &findings, true))
 }
 
-/// Moves files to their places: all of them, or none. What was in a place is kept in `before` until
-/// all are there.
+/// Moves all files to their places, or none. What was in a place is kept in `before` until all are
+/// moved.
 fn move_all(moves: &[(PathBuf, PathBuf)], before: &Path) -> Result<(), (PathBuf, io::Error)> {
     std::fs::create_dir(before).map_err(|e| (before.to_owned(), e))?;
     let mut done: Vec<(&Path, Option<PathBuf>)> = Vec::new();
     for (k, (from, to)) in moves.iter().enumerate() {
         let kept = before.join(k.to_string());
-        // A second name of the file: its place is never empty.
+        // A hard link keeps the old file without leaving its place empty.
         let is_kept = match std::fs::hard_link(to, &kept) {
             Ok(()) => Ok(Some(kept)),
             Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(None),
-            // A file system without second names.
+            // The file system has no hard links.
             Err(_) => std::fs::copy(to, &kept).map(|_| Some(kept)),
         };
         match is_kept.and_then(|kept| std::fs::rename(from, to).map(|()| kept)) {
@@ -144,7 +145,7 @@ fn move_all(moves: &[(PathBuf, PathBuf)], before: &Path) -> Result<(), (PathBuf,
     Ok(())
 }
 
-/// Puts back what was in these places.
+/// Restores what was in these places.
 fn undo(done: Vec<(&Path, Option<PathBuf>)>) {
     for (to, kept) in done.into_iter().rev() {
         let undone = kept.map_or_else(|| std::fs::remove_file(to), |kept| std::fs::rename(kept, to));
@@ -157,7 +158,7 @@ fn undo(done: Vec<(&Path, Option<PathBuf>)>) {
     }
 }
 
-/// Puts a zip's files into a folder; nothing outside of it, and nothing endless.
+/// Unpacks a zip into a folder. It writes nothing outside the folder and limits the total size.
 fn unpack(packed: &[u8], folder: &Path) -> Result<BTreeSet<String>, Reply> {
     let bad = |why: &str| Reply::text(422, format!("{why}; give a zip of GET /api/v1/backup\n"));
     let mut zip = ZipArchive::new(Cursor::new(packed)).map_err(|_| bad("this is not a complete zip"))?;
@@ -176,7 +177,7 @@ fn unpack(packed: &[u8], folder: &Path) -> Result<BTreeSet<String>, Reply> {
             return Err(bad("the zip holds a name that no backup has"));
         }
         let mut bytes = Vec::new();
-        // By what comes out: what a zip says of its sizes need not be true.
+        // Limit the bytes that are unpacked: the sizes stated in a zip may be wrong.
         (&mut entry).take(left + 1).read_to_end(&mut bytes).map_err(|_| bad("a file in the zip is damaged"))?;
         left = left.checked_sub(bytes.len() as u64).ok_or_else(|| bad("the zip unpacks to more than 256 MB"))?;
         let path = folder.join(&name);
@@ -277,7 +278,7 @@ mod tests {
         other.save(at("other.png")).unwrap();
         let other = std::fs::read(at("other.png")).unwrap();
         std::fs::remove_file(at("other.png")).unwrap();
-        // The last but one cannot be replaced: a folder is there.
+        // The last file but one cannot be replaced, because a folder is in its place.
         std::fs::create_dir_all(at("sets/door.glb")).unwrap();
         let new = [&config[..], b"# new\n"].concat();
         let zip = zipped(&[
@@ -292,7 +293,7 @@ mod tests {
         assert!(status == 500 && said.contains("door.glb"), "{status}: {said}");
         assert_eq!((std::fs::read(supervisor.file()).unwrap(), std::fs::read(at("backdrop.png")).unwrap()), (config, picture));
         assert!(!at("set.json").exists() && !at("sets/a.glb").exists() && !supervisor.take_reload());
-        // Where nothing stands in the way, all of it is there.
+        // Without that obstacle all files are moved.
         std::fs::remove_dir(at("sets/door.glb")).unwrap();
         assert_eq!(asked(&routes(&supervisor), "POST", "/api/v1/restore", &zip).0, 200);
         assert_eq!((std::fs::read(supervisor.file()).unwrap(), std::fs::read(at("backdrop.png")).unwrap()), (new, other));

@@ -1,5 +1,5 @@
-//! `GET`, `PUT /api/v1/config`: the config's text. A new one is judged before anything is written,
-//! the former one is kept, and the running session takes the new one over.
+//! `GET`, `PUT /api/v1/config`: the config's text. A new config is checked before anything is
+//! written, the former one is kept, and the running session switches to the new one.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -17,13 +17,13 @@ use crate::utc;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
-/// Former configs that are kept at most; the oldest go. Chosen: an evening of changes. Raised, only
-/// room on the disk.
+/// Maximum number of former configs kept; the oldest are deleted. Chosen: an evening of changes.
+/// Raised, only more disk space.
 const MAX_FORMER: usize = 100;
-/// Configs that may be put at once, and the time after which each further one may: each begins
-/// tracking anew. Chosen: faster than people edit. Raised, a program that puts on and on keeps the
-/// stage from being tracked.
+/// Number of configs that may be put in quick succession; each restarts tracking. Chosen: faster
+/// than people edit. Raised, a runaway program keeps the stage from being tracked for longer.
 const AT_ONCE: u32 = 20;
+/// Minimum interval of further configs. Lowered, a runaway program interrupts tracking more often.
 const ONE_EACH: Duration = Duration::from_secs(3);
 
 pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
@@ -45,7 +45,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
                 Reply::text(428, "say which config this one replaces: If-Match with the ETag of GET /api/v1/config, or * for any\n")
             })?;
             let _alone = for_put.alone();
-            // One that is not there yet has the tag of nothing.
+            // A config that does not exist yet has the tag of empty content.
             let before = match safe_file::read(&for_put.keeping().current(), MAX_CONFIG) {
                 Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(unreadable(for_put.file(), &e)),
                 read => read.unwrap_or_default(),
@@ -68,7 +68,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     ]
 }
 
-/// What came of a new config.
+/// Returns the reply to a new config.
 pub(super) fn reply(status: u16, findings: &[Finding], saved: bool) -> Reply {
     Reply::json(status, json!({"findings": findings, "saved": saved}).to_string())
 }
@@ -77,26 +77,26 @@ fn unreadable(file: &Path, error: &io::Error) -> Reply {
     Reply::text(500, format!("{}: the config cannot be read ({error})\n", file.display()))
 }
 
-/// A config that may not be written.
+/// Returns the reply for a config that cannot be written.
 pub(super) fn unwritable(file: &Path, error: &io::Error) -> Reply {
     let mend = "start the daemon with a config in a folder that it may write, such as /var/lib/stagepose for the service";
     Reply::text(500, format!("{}: the config cannot be written ({error}); {mend}\n", file.display()))
 }
 
-/// One word for a content.
+/// Returns a content's ETag.
 pub(super) fn tag(bytes: &[u8]) -> String {
     let digest = Sha256::digest(bytes);
     format!("\"{}\"", digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect::<String>())
 }
 
-/// Writes a file whole and keeps what was there.
+/// Replaces a file atomically and keeps the former one.
 fn replace(file: &Path, text: &str) -> io::Result<()> {
     std::fs::create_dir_all(file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")))?;
     keep_former(&[file.to_owned()])?;
     safe_file::write_lasting(file, text.as_bytes())
 }
 
-/// Copies of these files, those that are there, in a new folder of `former/` beside the first.
+/// Copies those of these files that exist into a new folder in `former/`, next to the first file.
 pub(super) fn keep_former(files: &[PathBuf]) -> io::Result<Option<PathBuf>> {
     let Some(folder) = files.first().map(|file| file.parent().unwrap_or(Path::new("")).join("former")) else { return Ok(None) };
     let stamp: String = utc::date_and_time(utc::now_s()).chars().filter(|c| *c != '-' && *c != ':').collect();
@@ -198,13 +198,13 @@ mod tests {
             assert!(finding["mend"].is_string(), "{what}: {said}");
             assert_eq!((std::fs::read_to_string(supervisor.file()).unwrap(), supervisor.take_reload()), (plain.clone(), false), "{what}");
         }
-        // What the running session listens on will be free.
+        // The address that the running session listens on will be free.
         let listens = lines("tcp_listen", &at.to_string());
         std::fs::write(supervisor.file(), format!("{plain}{listens}")).unwrap();
         supervisor.use_settings(Some(crate::config::Settings::load(supervisor.file()).unwrap()));
         let (status, said) = put(&format!("{listens}[log]\nlevel = \"info\"\n"));
         assert!(status == 200 && supervisor.take_reload(), "{said}");
-        // So will the page's own port, also where no config runs yet.
+        // So will the page's own port, even if no config is in force yet.
         supervisor.use_settings(None);
         supervisor.set_page(Some(at));
         let (status, said) = put(&format!("[http]\nlisten = \"{at}\"\n"));

@@ -1,5 +1,5 @@
-//! What a config comes to, as a list that a page can show: what refuses it, else what is odd about
-//! it.
+//! The findings about a config, as a list that a page can show: the errors for which it is refused,
+//! or else warnings and notes.
 
 use std::io::ErrorKind;
 use std::path::Path;
@@ -11,26 +11,26 @@ use crate::daemon::Supervisor;
 use crate::diagnose::{Finding as Diagnosed, Grade, of_corners, of_layout, of_lens, of_shutter};
 use crate::safe_file;
 
-/// Longer than any config, bytes. A round figure, as for the file itself.
+/// Maximum size of a config, bytes. A round figure, the same as for the file itself.
 pub(super) const MAX_CONFIG: u64 = 4 << 20;
 
-/// One thing.
+/// One finding.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(super) struct Finding {
-    /// `error` where the config cannot be used, `warning`, `note`.
+    /// `error` (the config cannot be used), `warning` or `note`.
     pub level: &'static str,
-    /// The key that it is about, where there is one.
+    /// The key concerned, if any.
     pub key: Option<String>,
-    /// Its line in the config, from 1.
+    /// Its line in the config, counted from 1.
     pub line: Option<usize>,
-    /// What is the matter.
+    /// What is wrong.
     pub sentence: String,
-    /// What to do about it.
+    /// How to fix it.
     pub mend: Option<String>,
 }
 
-/// What follows the last semicolon of a message is its mend, by this project's own form of
-/// messages.
+/// Splits a message into sentence and fix. By this project's convention the fix follows the last
+/// semicolon.
 fn parts(message: &str) -> (String, Option<String>) {
     match message.rsplit_once("; ") {
         Some((says, mend)) => (says.to_owned(), Some(mend.to_owned())),
@@ -50,8 +50,8 @@ fn refused(error: &ConfigError) -> Finding {
     Finding { level: "error", key, line, sentence, mend }
 }
 
-/// What is wrong with the config in the file, where there is none to track with or the one before
-/// stays in force; nothing where it is used.
+/// Returns what is wrong with the config file, if there is no config to track with or the former
+/// one stays in force. Returns nothing if the file's config is in use.
 pub(super) fn of_refused(supervisor: &Supervisor) -> Vec<Finding> {
     if supervisor.settings().is_some() && supervisor.refusal().is_none() {
         return Vec::new();
@@ -69,7 +69,7 @@ pub(super) fn of_refused(supervisor: &Supervisor) -> Vec<Finding> {
         Ok(Ok(text)) => match (judged(&text, file), supervisor.refusal()) {
             ((None, findings), _) => findings,
             ((Some(_), _), Some(refusal)) => error(&refusal),
-            // It was mended in its file, and nobody has said so.
+            // The file was corrected, but has not been reloaded.
             ((Some(_), _), None) => error(&format!("{}: the config is good, and was not read again yet; put it again", file.display())),
         },
     }
@@ -84,8 +84,8 @@ fn odd(found: &Diagnosed) -> Finding {
     Finding { level, key: None, line: None, sentence, mend }
 }
 
-/// As [`judged`], and whether this machine gives all that the config asks of it, as `run` finds it
-/// when it takes the config over.
+/// As [`judged`], and also checks whether this machine provides all that the config requires, as
+/// `run` does when it switches to the config.
 pub(super) fn judged_to_run(text: &str, file: &Path, supervisor: &Supervisor) -> (Option<Settings>, Vec<Finding>) {
     match judged(text, file) {
         (Some(settings), findings) => match supervisor.rehearse(&settings) {
@@ -96,8 +96,8 @@ pub(super) fn judged_to_run(text: &str, file: &Path, supervisor: &Supervisor) ->
     }
 }
 
-/// Reads a config's text as if it stood in `file`: the settings, where it can be used, and what is
-/// to be said of it.
+/// Parses a config's text as if it were in `file`. Returns the settings, if it can be used, and the
+/// findings.
 pub(super) fn judged(text: &str, file: &Path) -> (Option<Settings>, Vec<Finding>) {
     let settings = match Settings::from_text(text, file) {
         Ok(settings) => settings,

@@ -1,6 +1,6 @@
-//! Whether a binary glTF file may be given to the page: whole, with nothing from elsewhere, and
-//! nothing that needs a decoder which the page has not. What its meshes look like is the page's to
-//! see.
+//! Checks whether a binary glTF file may be served to the page: it must be complete, refer to no
+//! other files, and need no decoder that the page lacks. What its meshes look like is left to the
+//! page.
 
 use std::fmt::Formatter;
 use std::io::{BufRead, BufReader, Read};
@@ -12,20 +12,21 @@ use serde::{Deserialize, Deserializer};
 
 use crate::safe_file;
 
-/// `glTF` as the file begins (glTF 2.0, 4.4.2), and the kind of the first chunk, `JSON`.
+/// `glTF`, the start of the file (glTF 2.0, 4.4.2).
 const MAGIC: u32 = 0x4654_6C67;
+/// `JSON`, the type of the first chunk.
 const JSON: u32 = 0x4E4F_534A;
-/// Larger than the description in a model, bytes; meshes and pictures are behind it. Raised,
-/// judging one takes longer.
+/// Maximum size of a model's JSON description, bytes; meshes and pictures follow it. Raised,
+/// checking a model takes longer.
 const MAX_DESCRIPTION: u32 = 16 << 20;
-/// Extensions that need a decoder in WebAssembly, which the page's policy does not let in.
+/// Extensions that need a decoder in WebAssembly, which the page's policy forbids.
 const NEED_A_DECODER: [&str; 4] =
     ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_texture_basisu"];
 
-/// Judges a file.
+/// Checks a file.
 ///
 /// # Errors
-/// Why it is not taken, with the mend.
+/// Why it is refused, with the fix.
 pub fn judge(file: &Path) -> Result<(), String> {
     let mut opened = safe_file::open(file).map_err(|e| format!("the model cannot be read ({e})"))?;
     let length = opened.metadata().map_or(0, |about| about.len());
@@ -66,11 +67,11 @@ pub fn judge(file: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// Held while a model is judged: one at a time.
+/// Held while a model is checked: one at a time.
 static JUDGING: Mutex<()> = Mutex::new(());
 
-/// What is looked at of a description. It is read as a stream: everything else is passed over, and
-/// no list is kept.
+/// The checked parts of a description. It is parsed as a stream: everything else is skipped, and no
+/// list is stored.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Description {
@@ -103,7 +104,7 @@ struct Part {
     uri: Place,
 }
 
-/// Where a part is.
+/// Where the data of a buffer or an image is.
 #[derive(Default, PartialEq)]
 enum Place {
     #[default]
@@ -114,7 +115,7 @@ enum Place {
 /// A list of extensions.
 #[derive(Default)]
 struct Extensions {
-    /// The first that needs a decoder.
+    /// The first one that needs a decoder.
     packed_with: Option<&'static str>,
 }
 
@@ -185,7 +186,7 @@ impl<'de> Deserialize<'de> for Extensions {
 pub(super) mod tests {
     use super::*;
 
-    /// A binary glTF file with this description.
+    /// Returns a binary glTF file with this description.
     pub fn glb(description: &str) -> Vec<u8> {
         let padded = format!("{description}{}", " ".repeat((4 - description.len() % 4) % 4));
         let length = padded.len() as u32;

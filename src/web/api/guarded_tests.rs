@@ -1,4 +1,4 @@
-//! What is promised of every route, tried on each that the router has.
+//! The guarantees for every route, checked on each route of the router.
 
 use std::net::Ipv4Addr;
 use std::path::Path;
@@ -11,7 +11,7 @@ use crate::config::HttpSettings;
 use crate::publish::FrameClock;
 use crate::web::Server;
 
-/// Paths that may say by 503 that there is nothing yet.
+/// Paths that may answer 503 because nothing is known yet.
 pub(super) const NOT_YET: [&str; 4] = ["/healthz", "/api/v1/pose", "/api/v1/scene", "/api/v1/surfaces/{number}/picture"];
 
 /// A route as the router lists it.
@@ -30,14 +30,14 @@ pub(super) fn listed(server: &Server) -> Vec<Listed> {
     list["routes"].as_array().unwrap().iter().map(read).collect()
 }
 
-/// The path with something in the place of each field.
+/// Returns the path with a value in place of each field.
 pub(super) fn filled(path: &str) -> String {
     [("{id}", "clip-1"), ("{row}", "0"), ("{name}", "door.glb"), ("{number}", "0")]
         .iter()
         .fold(path.to_owned(), |path, (field, value)| path.replace(field, value))
 }
 
-/// What no answer may be without, and what it has once.
+/// Checks the security headers that every answer must have, once each.
 fn holds_the_browser(answer: &Answer, of: &str) {
     let policies = answer.values("content-security-policy");
     assert_eq!(policies.len(), 1, "{of}: {}", answer.head);
@@ -48,7 +48,7 @@ fn holds_the_browser(answer: &Answer, of: &str) {
     assert!(!answer.head.contains("access-control-allow"), "{of}: {}", answer.head);
 }
 
-/// The status of what is refused with a sentence.
+/// Returns the status of a request that must be refused with a sentence.
 fn refused(server: &Server, method: &str, path: &str, headers: &str) -> u16 {
     let answer = exchange(server.address(), method, path, headers, b"");
     let of = format!("{method} {path} {headers:?}");
@@ -74,7 +74,7 @@ fn every_route_refuses_unauthorised_clients() {
         let elsewhere = format!("{own}X-Forwarded-For: 192.0.2.7\r\n");
         match access.as_str() {
             "paired" | "change" | "unlock" => assert_eq!(status(method, &elsewhere), 401, "{method} {path}"),
-            // Who only looks needs no key; who pairs has none yet, and this one gives no code.
+            // Reading needs no key; a pairing request has none yet, and this one contains no code.
             "anyone" | "pair" => assert_ne!(exchange(server.address(), method, &filled, &elsewhere, b"").status, 401, "{method} {path}"),
             other => panic!("{path}: there is no access {other}"),
         }

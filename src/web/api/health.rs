@@ -1,5 +1,5 @@
-//! `GET /api/v1/health`, `/healthz`, `/metrics`, `outputs`, `log`, `diagnostics`: each part of the
-//! daemon in one sentence, with the mend where something is wrong.
+//! `GET /api/v1/health`, `/healthz`, `/metrics`, `outputs`, `log`, `diagnostics`: the state of each
+//! part of the daemon in one sentence, with the fix if something is wrong.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -22,13 +22,15 @@ use crate::track::{LearntCamera, LearntTime};
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
-/// Less room than this on the disk is worth a warning, and than that a fault, bytes: an hour, and
-/// minutes, of a camera's JPEGs.
+/// Free disk space below which there is a warning, bytes: an hour of a camera's JPEGs. Raised, it
+/// comes earlier.
 const LITTLE_ROOM: f64 = 20e9;
+/// Free disk space below which there is an error, bytes: minutes of a camera's JPEGs. Raised, it
+/// comes earlier.
 const NO_ROOM: f64 = 1e9;
-/// Lines of the log in one answer at most: all that are kept.
+/// Maximum number of log lines in one answer: all that are kept. Raised, nothing changes.
 const MAX_LINES: u64 = 1000;
-/// Bytes of a packet that are shown as hexadecimal digits. Raised, wider answers.
+/// Bytes of a packet shown as hexadecimal digits. Raised, answers are wider.
 const SHOWN_BYTES: usize = 256;
 
 /// A part of the daemon.
@@ -66,7 +68,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     ]
 }
 
-/// `/healthz` and `/metrics`, for service managers and Prometheus.
+/// Returns the routes `/healthz` and `/metrics`, for service managers and Prometheus.
 pub(super) fn probes(statistics: &Arc<Statistics>, clock: &Arc<FrameClock>) -> [Route; 2] {
     let (for_health, for_metrics) = ((statistics.clone(), clock.clone()), (statistics.clone(), clock.clone()));
     let reply = |page: Page| Reply::new(page.status, page.content_type, page.body.into_bytes());
@@ -78,7 +80,7 @@ pub(super) fn probes(statistics: &Arc<Statistics>, clock: &Arc<FrameClock>) -> [
 
 fn parts(supervisor: &Supervisor) -> Vec<Part> {
     let statistics = &supervisor.link.statistics;
-    // Where there is a config in force, tracking goes on with it.
+    // If a config is in force, tracking continues with it.
     let (level, goes_on) = if supervisor.settings().is_some() { ("warn", "; the config of before stays in force") } else { ("bad", "") };
     let of_config = of_refused(supervisor).into_iter().map(|finding| {
         let place = finding.line.map_or_else(String::new, |line| format!("line {line}: "));
@@ -136,7 +138,8 @@ fn tracker(statistics: &Statistics) -> Part {
     }
 }
 
-/// How the rows are read and for how long they are exposed, and who says so.
+/// Reports how fast the rows are read, how long they are exposed, and whether that is configured or
+/// learnt.
 fn shutter(configured: &KnownShutter, learnt: &LearntCamera) -> Part {
     let time = |time: &LearntTime| format!("{:.1} ms (+- {:.1})", 1e3 * time.seconds, 1e3 * time.sigma_s);
     let exposure = match (configured.exposure_s, &learnt.exposure) {
@@ -187,7 +190,7 @@ fn recorder(statistics: &Statistics, supervisor: &Supervisor) -> Part {
     }
 }
 
-/// The room where a path lies or would lie.
+/// Reports the free space where a path is or would be.
 fn disk(path: &Path) -> Part {
     let there = path.ancestors().find(|path| path.exists()).map_or_else(|| PathBuf::from("."), Path::to_owned);
     let Ok(about) = statvfs(&there) else { return part("disk", "warn", "the free disk space is unknown", None) };
@@ -202,7 +205,7 @@ fn disk(path: &Path) -> Part {
     }
 }
 
-/// Whether frames are of this machine's clock.
+/// Reports whether frames are stamped, and the age of the newest.
 fn clock(statistics: &Statistics) -> Part {
     let age = statistics.last_frame_age(&FrameClock::new(Stamps::Live));
     match age {
@@ -213,11 +216,11 @@ fn clock(statistics: &Statistics) -> Part {
     }
 }
 
-/// Packets a second, from two looks.
+/// Packets per second of each output, from two readings of its counter.
 #[derive(Debug, Default)]
 struct Rates(Mutex<Vec<Look>>);
 
-/// What an output had sent when it was last looked at.
+/// An output's counter at its last reading.
 #[derive(Debug)]
 struct Look {
     name: String,
@@ -226,12 +229,12 @@ struct Look {
     rate: Option<f64>,
 }
 
-/// The shortest time between two looks of which a rate is made, seconds: several pages may ask.
-/// Lowered, rates jump.
+/// Minimum interval between two readings for a rate, seconds: several pages may ask. Lowered, rates
+/// fluctuate more.
 const LOOK_S: f64 = 0.5;
 
 impl Rates {
-    /// The outputs with their rates; none at the first look.
+    /// Returns the outputs with their rates; `None` at the first reading.
     fn of(&self, outputs: Vec<OutputStatistics>, now: Instant) -> Vec<(OutputStatistics, Option<f64>)> {
         let mut before = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         before.retain(|look| outputs.iter().any(|output| output.name == look.name));
@@ -245,7 +248,7 @@ impl Rates {
                 Some(look) => {
                     let seconds = now.duration_since(look.at).as_secs_f64();
                     if seconds >= LOOK_S {
-                        // A session that began anew counts from nothing.
+                        // A restarted session counts from zero, so there is no rate.
                         look.rate = output.sent.checked_sub(look.sent).map(|packets| packets as f64 / seconds);
                         (look.sent, look.at) = (output.sent, now);
                     }
@@ -268,7 +271,7 @@ fn output((output, per_s): &(OutputStatistics, Option<f64>)) -> Value {
     })
 }
 
-/// What a packet says; null where it has no words here.
+/// Decodes a packet for people; null if it cannot be decoded here.
 fn decoded(protocol: &str, packet: &[u8]) -> Value {
     if packet.is_empty() {
         return Value::Null;

@@ -1,5 +1,4 @@
-//! Requests that are wrong in every way that we know of: each is answered with a sentence, and
-//! nothing is harmed.
+//! Malformed requests of every known kind: each must be answered with a sentence and do no harm.
 
 use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
@@ -15,12 +14,12 @@ use super::guarded_tests::{Listed, NOT_YET, listed};
 use super::recordings::tests::recording;
 use super::tests::{Answer, exchange, supervised, whole_server};
 
-/// How many.
+/// Number of requests. Raised, the test takes longer and finds more.
 const REQUESTS: usize = 2000;
-/// What must never come out.
+/// A text that must never appear in an answer.
 const SECRET: &str = "not-for-strangers-7c1f";
 
-/// Parts of paths that lead out, end early, or are too much.
+/// Path components that lead out of a folder, end early, or are too long.
 const NAMES: [&str; 18] = [
     "..",
     "%2e%2e",
@@ -41,6 +40,7 @@ const NAMES: [&str; 18] = [
     "root",
     "%25%32%65%25%32%65",
 ];
+/// Queries, valid or not.
 const QUERIES: [&str; 14] = [
     "",
     "?points=0",
@@ -57,8 +57,9 @@ const QUERIES: [&str; 14] = [
     "?try=1",
     "?try=2&try=1",
 ];
+/// Content types, right or wrong.
 const TYPES: [&str; 6] = ["application/json", "text/html", "multipart/form-data; boundary=x", "application/zip", "image/png", ";;=,"];
-/// What stands where a number, a text or a list is wanted, as JSON.
+/// Values in place of a number, a text or a list, as JSON.
 const VALUES: [&str; 16] = [
     "null",
     "true",
@@ -77,7 +78,7 @@ const VALUES: [&str; 16] = [
     "{\"a\":{\"a\":{\"a\":1}}}",
     "NaN",
 ];
-/// The same in TOML, for a config.
+/// Such values in TOML, for a config.
 const TOML_VALUES: [&str; 14] = [
     "1e300",
     "-1",
@@ -137,7 +138,7 @@ impl Requests {
         Wrong { method, path, headers, content }
     }
 
-    /// The route's path with a good or a wrong part in the place of each field.
+    /// Returns the route's path with a valid or an invalid value for each field.
     fn path(&mut self, path: &str) -> String {
         let good = [("{id}", "clip-1"), ("{row}", "1"), ("{name}", "door.glb"), ("{number}", "1")];
         let mut filled = path.to_owned();
@@ -155,7 +156,7 @@ impl Requests {
 
     fn content(&mut self, path: &str) -> Vec<u8> {
         if self.below(12) == 0 {
-            // Another route's.
+            // Content for another route.
             let other = self.of(&["/api/v1/set", "/api/v1/restore", "/api/v1/config", "/api/v1/sets/{name}", "/api/v1/pair"]);
             return self.content(other);
         }
@@ -173,7 +174,7 @@ impl Requests {
         content
     }
 
-    /// Now and then some bytes are others, are missing, or are there twice.
+    /// Sometimes changes, removes or duplicates some bytes.
     fn damage(&mut self, content: &mut Vec<u8>) {
         for _ in 0..self.below(3) {
             let at = self.below(content.len() + 1);
@@ -187,8 +188,9 @@ impl Requests {
         }
     }
 
-    /// This with another value in the place of one of it.
+    /// Replaces one of the values by another.
     fn json(&mut self, mut good: Value) -> Vec<u8> {
+        // Marks the value to be replaced.
         const HOLE: &str = "hole-in-the-json";
         let (mut at, depth) = (&mut good, self.below(4));
         for _ in 0..depth {
@@ -218,7 +220,7 @@ impl Requests {
         good.to_string().replace(&format!("\"{HOLE}\""), &value).into_bytes()
     }
 
-    /// The config with another value for one key, another key, or much more of it.
+    /// Returns the config with another value for one key, an additional key, or far more text.
     fn config(&mut self) -> Vec<u8> {
         let text = String::from_utf8_lossy(&self.config).into_owned();
         let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
@@ -234,7 +236,7 @@ impl Requests {
         lines.join("\n").into_bytes()
     }
 
-    /// A zip with the config and something that no backup has.
+    /// Returns a zip with the config and something that no backup contains.
     fn backup(&mut self) -> Vec<u8> {
         let name = self.of(&[
             "../outside.txt",
@@ -256,12 +258,12 @@ impl Requests {
         zip.start_file("stage.toml", SimpleFileOptions::default()).unwrap();
         zip.write_all(&config).unwrap();
         let content = match self.below(4) {
-            // Much from little.
+            // A small file that unpacks to a large one.
             0 => vec![0; 3 << 20],
             1 => self.model(),
             _ => b"{\"objects\":[]}".to_vec(),
         };
-        // What the library itself does not take is left out.
+        // Names that the library itself refuses are left out.
         let _ = match self.below(5) {
             0 => zip.add_symlink(name, "/etc", SimpleFileOptions::default()),
             _ => zip.start_file(name, SimpleFileOptions::default()).and_then(|()| Ok(zip.write_all(&content)?)),
@@ -269,7 +271,7 @@ impl Requests {
         zip.finish().map(Cursor::into_inner).unwrap_or_default()
     }
 
-    /// A model with links, lists of another kind, or a head that does not fit.
+    /// Returns a model with links, lists of the wrong type, or a header that does not match.
     fn model(&mut self) -> Vec<u8> {
         let uri = self.of(&["http://evil.example/x.png", "../../outside.txt", "file:///etc/passwd", "data:,", "//x", "\\\\x\\y"]);
         let list = self.of(&["images", "buffers", "extensionsUsed", "meshes"]);
@@ -289,14 +291,14 @@ impl Requests {
     }
 }
 
-/// A refusal says in words what is wrong, as text or as the findings of a config.
+/// Whether a refusal says what is wrong, as text or as a config's findings.
 fn says_why(answer: &Answer) -> bool {
     let text = answer.text();
     let findings = || serde_json::from_str::<Value>(&text).is_ok_and(|said| said["findings"][0]["sentence"].is_string());
     (text.ends_with('\n') && text.trim().len() > 10) || findings()
 }
 
-/// All files below a folder by their paths in it; links are not followed.
+/// Returns all files in a folder and its subfolders by relative path; links are not followed.
 fn files(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).unwrap() {
@@ -341,7 +343,8 @@ fn two_thousand_wrong_requests_do_no_harm() {
             harm.push(format!("{} for {}", answer.status, shown()));
         }
         (taken, refused) = (taken + usize::from(answer.status < 400), refused + usize::from(answer.status >= 400));
-        // What locks the door is tried too; the others come after it.
+        // Requests that set the lock are sent too; release it, so that the others are not simply
+        // refused.
         if wrong.path.starts_with("/api/v1/lock") {
             exchange(server.address(), "POST", "/api/v1/unlock", "Host: localhost\r\n", b"");
         }
@@ -357,7 +360,7 @@ fn two_thousand_wrong_requests_do_no_harm() {
         (vec!["outside.txt".into(), "stage".into()], SECRET)
     );
     assert!(!Path::new("/tmp/stagepose-outside").exists());
-    // One that is under way has a folder that is not whole.
+    // While a job runs, its folder is incomplete: wait until another one can start.
     while supervisor.jobs.start("end", String::new(), &supervisor.link.events, |_| Ok(String::new())).is_err() {
         std::thread::yield_now();
     }

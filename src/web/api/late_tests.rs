@@ -1,5 +1,5 @@
-//! Requests that take their time: what has changed meanwhile counts, and nobody else waits for
-//! them.
+//! Slow requests: changes of the lock or of the pairing meanwhile count, and no other client has to
+//! wait for them.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -13,12 +13,12 @@ use super::tests::{exchange, supervised, whole_server, whole_site};
 use crate::daemon::Supervisor;
 use crate::web::{Server, Site};
 
-/// What this machine itself looks like.
+/// Headers of a request from this machine.
 const OWN: &str = "Host: localhost\r\n";
-/// What a browser on another machine looks like behind a proxy on this one.
+/// Headers of a browser on another machine behind a proxy on this one.
 const ELSEWHERE: &str = "Host: localhost\r\nX-Forwarded-For: 192.0.2.7\r\n";
 
-/// A request of which only a part was sent.
+/// Sends only the first part of a request.
 fn begun(server: &Server, method: &str, path: &str, headers: &str, content: &[u8], sent: usize) -> TcpStream {
     let mut stream = TcpStream::connect(server.address()).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
@@ -28,7 +28,7 @@ fn begun(server: &Server, method: &str, path: &str, headers: &str, content: &[u8
     stream
 }
 
-/// Its status after the rest; 0 where nothing came.
+/// Sends the rest and returns the status; 0 if nothing came.
 fn ended(mut stream: TcpStream, rest: &[u8]) -> u16 {
     let _ = stream.write_all(rest);
     let mut answer = Vec::new();
@@ -40,7 +40,7 @@ fn status(server: &Server, method: &str, path: &str, headers: &str) -> u16 {
     exchange(server.address(), method, path, headers, b"").status
 }
 
-/// Requests that change something by content: method, path, headers and content.
+/// Returns requests that change something by their content: method, path, headers and content.
 fn changes(supervisor: &Supervisor) -> Vec<(&'static str, &'static str, String, Vec<u8>)> {
     let config = std::fs::read(supervisor.file()).unwrap();
     vec![
@@ -51,7 +51,7 @@ fn changes(supervisor: &Supervisor) -> Vec<(&'static str, &'static str, String, 
     ]
 }
 
-/// What a folder has: names and contents.
+/// Returns the names and contents of a folder's files.
 fn all_of(folder: &Path) -> Vec<(String, Vec<u8>)> {
     let mut all: Vec<(String, Vec<u8>)> = Vec::new();
     for entry in std::fs::read_dir(folder).unwrap().flatten() {
@@ -79,7 +79,7 @@ fn a_change_begun_before_the_show_lock_is_refused() {
         assert_eq!(ended(request, &content[half..]), 423, "{method} {path}");
         assert_eq!((all_of(folder.path()), supervisor.mode()), (before.clone(), mode), "{method} {path}");
         assert_eq!(status(&server, "POST", "/api/v1/unlock", OWN), 204);
-        // The same request, without a lock, is carried out.
+        // Without a lock the same request is carried out.
         let request = begun(&server, method, path, &format!("{OWN}{headers}"), &content, half);
         std::thread::sleep(Duration::from_millis(200));
         assert!(matches!(ended(request, &content[half..]), 200..300), "{method} {path}");
@@ -116,7 +116,7 @@ fn a_browser_that_is_revoked_while_it_sends_changes_nothing() {
     assert!(!folder.path().join("sets/b.glb").exists());
 }
 
-/// Sends a content byte by byte until it is over, from as many connections.
+/// Sends contents byte by byte over several connections, until told to stop.
 fn drip(server: &Server, connections: usize, method: &str, path: &str, headers: &str, is_over: &AtomicBool) {
     let content = vec![b' '; 4000];
     let mut open: Vec<TcpStream> = (0..connections).map(|_| begun(server, method, path, headers, &content, 1)).collect();
@@ -150,7 +150,7 @@ fn a_client_sending_single_bytes_delays_no_other() {
                 ("POST", "/api/v1/recordings/mark", "{\"text\":\"cue\"}", 202),
             ] {
                 let request = begun(&server, method, path, OWN, content.as_bytes(), content.len());
-                // Before it had to wait until those who drip were done, an hour later.
+                // The slow clients may go on for an hour; this request must not wait for them.
                 request.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
                 assert_eq!(ended(request, b""), wanted, "{method} {path}");
             }

@@ -1,6 +1,7 @@
-//! Where the lines of large files begin: a recording of an hour has a hundred thousand rows, and
-//! nobody shall wait until those before a row are read. A file is gone through once; while it
-//! grows, only what is new. What a recorder has not finished yet is read as it is.
+//! An index of where the lines of large files begin. A recording of an hour has a hundred thousand
+//! rows, and a request must not wait until all rows before the one it wants are read. A file is
+//! scanned once; when it grows, only the new part is scanned. A recording in progress is read as
+//! far as it is written.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -11,25 +12,24 @@ use std::sync::{Mutex, PoisonError};
 use crate::capture::timestamps::{StampRow, TimestampsError, is_row, read_timestamps};
 use crate::safe_file;
 
-/// Of so many lines one is remembered. Chosen: 64 records are 0.1 MB, which are read at once.
-/// Raised, each row is read after more of those before it; lowered, an hour takes more memory than
-/// its 13 kB.
+/// Interval between indexed rows. Chosen: 64 records are 0.1 MB, which are read quickly. Raised,
+/// more rows must be read before the wanted one; lowered, an hour takes more memory than its 13 kB.
 const EACH: u64 = 64;
-/// Files that are remembered; a folder of a season's recordings has fewer. Raised, only memory.
+/// Maximum number of indexed files; a folder with a season's recordings has fewer. Raised, only
+/// more memory.
 const MAX_FILES: usize = 1000;
-/// Bytes before the end of what was read that tell whether it is still the same file. Chosen: a
-/// record's last numbers. Raised, nothing is gained.
+/// Bytes before the end of the scanned part by which the file is recognised. Chosen: a record's
+/// last numbers. Raised, nothing is gained.
 const TAIL: usize = 64;
 /// The index of a clip.
 const STAMPS: &str = "timestamps.csv";
 
-/// What a line is in a file.
+/// What counts as a row in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
-    /// Every line is one.
+    /// Every line.
     Records,
-    /// Those of a timestamps.csv that stand for rows: neither its first, nor empty ones, nor
-    /// remarks.
+    /// The data rows of a timestamps.csv: not its header, nor empty lines or comments.
     Stamps,
 }
 
@@ -42,19 +42,19 @@ impl Kind {
 /// What is known of a file.
 #[derive(Debug, Default)]
 struct Known {
-    /// A timestamps.csv's first line.
+    /// The header of a timestamps.csv.
     header: Vec<u8>,
-    /// Bytes of whole lines so far, and how many of these are rows.
+    /// Bytes of complete lines so far, and the number of rows among them.
     read: u64,
     rows: u64,
-    /// Where each row that is remembered begins.
+    /// Where each indexed row begins.
     places: Vec<u64>,
-    /// What stands before `read`.
+    /// The last bytes before `read`.
     tail: Vec<u8>,
 }
 
 impl Known {
-    /// Whether it is still of this file.
+    /// Whether the index still fits this file.
     fn is_of(&self, file: &mut File) -> io::Result<bool> {
         if file.metadata()?.len() < self.read {
             return Ok(false);
@@ -65,7 +65,7 @@ impl Known {
         Ok(tail == self.tail)
     }
 
-    /// Takes in what has come.
+    /// Indexes what has been appended to the file.
     fn follow(&mut self, file: &mut File, kind: Kind) -> io::Result<()> {
         file.seek(SeekFrom::Start(self.read))?;
         let (mut reader, mut line) = (BufReader::with_capacity(1 << 18, &*file), Vec::new());
@@ -89,20 +89,20 @@ impl Known {
         }
     }
 
-    /// The last place before a row that is known, and how many rows are between.
+    /// Returns the nearest indexed position at or before a row, and the number of rows in between.
     fn before(&self, row: u64) -> (u64, u64) {
         let k = (row / EACH).min((self.places.len() as u64).saturating_sub(1));
-        // Before the first row only a header may stand.
+        // Without any indexed row, at most a header has been read.
         self.places.get(k as usize).map_or((self.read, row), |place| (*place, row - k * EACH))
     }
 }
 
-/// All files that were asked for.
+/// The indexes of all requested files.
 #[derive(Debug, Default)]
 pub(super) struct LineIndex(Mutex<HashMap<PathBuf, Known>>);
 
 impl LineIndex {
-    /// So many lines of a clip's file of records from there on, each with its end.
+    /// Returns `count` lines of a clip's file of records, starting at `from`, each with a line end.
     pub fn records(&self, clip: &Path, name: &str, from: u64, count: u64) -> io::Result<Vec<u8>> {
         let mut text = Vec::new();
         self.each((clip, name), Kind::Records, from, count, |line| {
@@ -114,21 +114,22 @@ impl LineIndex {
         Ok(text)
     }
 
-    /// A row of a clip's timestamps.csv; none where it has fewer.
+    /// Returns a row of a clip's timestamps.csv; `None` if it has fewer rows.
     pub fn stamp(&self, clip: &Path, row: u64) -> Result<Option<StampRow>, TimestampsError> {
         let mut text = Vec::new();
         let header = self.each((clip, STAMPS), Kind::Stamps, row, 1, |line| text.extend_from_slice(line)).map_err(TimestampsError::Read)?;
         Ok(read_timestamps([header, text].concat().as_slice())?.pop())
     }
 
-    /// How many rows a clip's timestamps.csv has, those that are written whole.
+    /// Returns the number of completely written rows of a clip's timestamps.csv.
     pub fn rows(&self, clip: &Path) -> io::Result<u64> {
         self.each((clip, STAMPS), Kind::Stamps, 0, 0, |_| {})?;
         let known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         Ok(known.get(&clip.join(STAMPS)).map_or(0, |known| known.rows))
     }
 
-    /// Calls with so many rows of a clip's file from there on; gives the file's header.
+    /// Calls `take` with `count` rows of a clip's file, starting at `from`; returns the file's
+    /// header.
     fn each(&self, (clip, name): (&Path, &str), kind: Kind, from: u64, count: u64, mut take: impl FnMut(&[u8])) -> io::Result<Vec<u8>> {
         let mut file = safe_file::open_below(clip, Path::new(name))?;
         let path = clip.join(name);
@@ -187,7 +188,7 @@ mod tests {
                 text += ["", "\n", "# a remark\n", " , \n", ",,neither\n"][k % 5];
                 records += &format!("{{\"sequence\":{k}}}\n{}", if k % 7 == 0 { "\n" } else { "" });
             }
-            // Of the last lines a part is written.
+            // The last line is only partly written.
             std::fs::write(&csv, format!("{text}9")).unwrap();
             std::fs::write(&poses, format!("{records}{{\"seq")).unwrap();
             let whole = read_timestamps(std::fs::read(&csv).unwrap().as_slice()).unwrap();
@@ -205,7 +206,7 @@ mod tests {
                 );
             }
         }
-        // Another file in its place, also a longer one.
+        // A different file in its place, shorter or longer.
         for rows in [3, 4000] {
             let text: String = (0..rows).map(|k| format!("{{\"other\":{k}}}\n")).collect();
             std::fs::write(&poses, text).unwrap();

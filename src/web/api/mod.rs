@@ -1,5 +1,5 @@
-//! What the page can see and change of a running daemon: one file a resource. Each handler runs
-//! aside, on a thread that stands back behind the tracker.
+//! What the page can see and change of a running daemon, with one file per resource. Each handler
+//! runs on a separate thread with lower priority than the tracker's.
 
 mod backup;
 mod config;
@@ -25,7 +25,7 @@ use super::routes::Route;
 use crate::daemon::Supervisor;
 use crate::publish::FrameClock;
 
-/// All of them; ages are as `clock` counts them.
+/// Returns all routes; ages are by `clock`.
 pub fn routes(supervisor: &Arc<Supervisor>, clock: &Arc<FrameClock>) -> Vec<Route> {
     let resources = [steering::routes, config::routes, backup::routes, sets::routes, health::routes];
     let lines: Arc<LineIndex> = Arc::default();
@@ -34,7 +34,7 @@ pub fn routes(supervisor: &Arc<Supervisor>, clock: &Arc<FrameClock>) -> Vec<Rout
     resources.into_iter().flat_map(|resource| resource(supervisor)).chain(of_recordings).chain(probes).collect()
 }
 
-/// What the daemon says of itself in /api/v1/session.
+/// Returns the daemon's description for /api/v1/session.
 pub fn about(supervisor: &Arc<Supervisor>) -> About {
     let supervisor = supervisor.clone();
     Box::new(move || {
@@ -46,7 +46,7 @@ pub fn about(supervisor: &Arc<Supervisor>) -> About {
     })
 }
 
-/// Something that the system did not do.
+/// Returns the reply for an operation that the system refused.
 fn failed(what: &str, error: &std::io::Error) -> Reply {
     Reply::text(500, format!("{what}: {error}\n"))
 }
@@ -71,7 +71,7 @@ mod tests {
     use crate::daemon::live::LiveLink;
     use crate::web::{Server, Site};
 
-    /// A daemon's supervisor with a small good config in this folder.
+    /// Returns a daemon's supervisor with a small valid config in this folder.
     pub(super) fn supervised(folder: &Path) -> Arc<Supervisor> {
         let picture = image::GrayImage::from_fn(128, 96, |x, y| image::Luma([((x * 37 + y * 91) % 251) as u8]));
         picture.save(folder.join("backdrop.png")).unwrap();
@@ -83,12 +83,12 @@ mod tests {
         supervisor
     }
 
-    /// Status and content of a request to a server with these routes.
+    /// Returns status and content of a request to a server with these routes.
     pub(super) fn asked(routes: &[Route], method: &str, path: &str, content: &[u8]) -> (u16, Vec<u8>) {
         asked_with(routes, method, path, "", content)
     }
 
-    /// The same with more headers.
+    /// As [`asked`], with additional headers.
     pub(super) fn asked_with(routes: &[Route], method: &str, path: &str, headers: &str, content: &[u8]) -> (u16, Vec<u8>) {
         let settings = HttpSettings { listen: (Ipv4Addr::LOCALHOST, 0).into(), hosts: Vec::new() };
         let server = Server::start(&settings, routes.to_vec()).unwrap();
@@ -96,11 +96,11 @@ mod tests {
         (answer.status, answer.content)
     }
 
-    /// What came back; status 0 where nothing did.
+    /// An answer; status 0 if there was none.
     #[derive(Debug)]
     pub(super) struct Answer {
         pub status: u16,
-        /// Status line and headers, in small letters.
+        /// Status line and headers, in lower case.
         pub head: String,
         pub content: Vec<u8>,
     }
@@ -110,19 +110,19 @@ mod tests {
             String::from_utf8_lossy(&self.content).into_owned()
         }
 
-        /// All values of a header.
+        /// Returns all values of a header.
         pub fn values(&self, name: &str) -> Vec<&str> {
             let named = self.head.lines().filter_map(|line| line.split_once(": ")).filter(|(of, _)| *of == name);
             named.map(|(_, value)| value).collect()
         }
     }
 
-    /// Asks a server that runs, with these headers.
+    /// Sends a request with these headers to a running server.
     pub(super) fn exchange(server: SocketAddr, method: &str, path: &str, headers: &str, content: &[u8]) -> Answer {
         let mut stream = TcpStream::connect(server).unwrap();
         let head = format!("{method} {path} HTTP/1.0\r\nContent-Length: {}\r\n{headers}\r\n", content.len());
         stream.write_all(head.as_bytes()).unwrap();
-        // It may have heard enough before all is read.
+        // The server may answer before it has read everything.
         let _ = stream.write_all(content);
         let mut answer = Vec::new();
         let _ = stream.read_to_end(&mut answer);
@@ -132,16 +132,16 @@ mod tests {
         Answer { status: head.split(' ').nth(1).and_then(|status| status.parse().ok()).unwrap_or(0), head, content }
     }
 
-    /// A server with all that a daemon answers.
+    /// Starts a server with all routes of a daemon.
     pub(super) fn whole_server(supervisor: &Arc<Supervisor>, page_dir: Option<&Path>) -> Server {
         whole_site(supervisor, Site { page_dir: page_dir.map(Path::to_owned), ..Site::default() })
     }
 
-    /// The same, with more of a site.
+    /// As [`whole_server`], with the site's optional parts.
     pub(super) fn whole_site(supervisor: &Arc<Supervisor>, site: Site) -> Server {
         let settings = HttpSettings { listen: (Ipv4Addr::LOCALHOST, 0).into(), hosts: Vec::new() };
         let clock = Arc::new(FrameClock::new(crate::publish::Stamps::Live));
-        // A test asks more often than people.
+        // A test asks more often than people do, so it has no rate limits.
         let routes = routes(supervisor, &clock).into_iter().map(|route| Route { pace: None, ..route }).collect();
         let site = Site { about: Some(about(supervisor)), ..site };
         Server::start_site(&settings, routes, site).unwrap()

@@ -1,5 +1,5 @@
-//! `GET /api/v1/recordings` and what is below it: what was recorded, its states over time, its
-//! pictures and records, and all of it as a zip.
+//! `GET /api/v1/recordings` and the paths below it: the list of recordings, their states over time,
+//! their pictures and records, and a whole recording as a zip.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -27,19 +27,20 @@ use crate::web::download::Download;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
-/// Larger than any picture of a camera, bytes.
+/// Maximum size of a picture, bytes: larger than any camera's.
 const MAX_PICTURE: u64 = 64 << 20;
-/// Records in one answer at most: some 3 MB. Raised, an answer takes more memory.
+/// Maximum number of records in one answer: some 3 MB. Raised, an answer takes more memory.
 const MAX_RECORDS: u64 = 5000;
-/// Columns of a timeline at most: more than a screen has pixels. Raised, larger answers.
+/// Maximum number of columns of a timeline: more than a screen has pixels. Raised, larger answers.
 pub(super) const MAX_POINTS: u64 = 4000;
-/// Downloads at a time, for all: each keeps the disk busy. Raised, the recorder has less of it.
+/// Maximum number of concurrent downloads by all clients: each keeps the disk busy. Raised, less
+/// disk bandwidth is left for the recorder.
 const MAX_DOWNLOADS: usize = 2;
-/// Seconds of pictures in a report at most, as the command has it. Raised, reports grow too large
-/// for mail.
+/// Maximum seconds of pictures in a report, the same as for the command. Raised, reports become too
+/// large for mail.
 const MAX_PICTURE_SECONDS: u64 = 600;
-/// Folders within a recording's folder at most: frames/0000/picture. Deeper ones are not a
-/// recording's.
+/// Maximum depth of folders within a recording's folder: frames/0000/picture. Deeper files are not
+/// part of a recording.
 const DEEPEST: usize = 4;
 
 pub(super) fn routes(supervisor: &Arc<Supervisor>, lines: &Arc<LineIndex>) -> Vec<Route> {
@@ -70,7 +71,7 @@ pub(super) struct Folder {
     lines: Arc<LineIndex>,
 }
 
-/// A recording that is there.
+/// An existing recording.
 pub(super) struct Clip {
     pub id: String,
     pub path: PathBuf,
@@ -87,11 +88,11 @@ impl Folder {
         Ok(settings.recorder.folder.clone())
     }
 
-    /// The recording that the path names.
+    /// Returns the recording that the path names.
     pub fn clip(&self, call: &Call) -> Result<Clip, Reply> {
         let id = call.name("id")?.to_owned();
         let path = self.path()?.join(&id);
-        // A link would lead out of the folder.
+        // A symbolic link would lead out of the folder.
         let is_folder = path.symlink_metadata().is_ok_and(|about| about.is_dir());
         if !is_folder || !path.join("timestamps.csv").is_file() {
             return Err(Reply::text(404, "there is no such recording; GET /api/v1/recordings lists them\n"));
@@ -142,14 +143,14 @@ impl Folder {
         self.records(&clip.path, "poses.jsonl", call)
     }
 
-    /// So many lines of a clip's file from there on, as JSON lines.
+    /// Returns `count` lines of a clip's file from `from` on, as JSON lines.
     pub fn records(&self, clip: &Path, name: &str, call: &Call) -> Result<Reply, Reply> {
         let (from, count) = (call.queried("from", 0, 0..=u64::from(u32::MAX))?, call.queried("count", 500, 1..=MAX_RECORDS)?);
         let text = self.lines.records(clip, name, from, count).map_err(|e| failed("the records cannot be read", &e))?;
         Ok(Reply::new(200, "application/x-ndjson", text))
     }
 
-    /// What the list says of a recording, with when it began, milliseconds since 1970.
+    /// Returns a recording's entry in the list, and when it began, milliseconds since 1970.
     fn summary(&self, folder: &Path, name: &str, current: Option<&Path>) -> Option<(i64, Value)> {
         let path = folder.join(name);
         let index = path.join("timestamps.csv");
@@ -165,14 +166,14 @@ impl Folder {
         Some((begun, json!({"id": name, "begun_unix_ms": begun, "seconds": seconds, "frames": rows, "open": is_open})))
     }
 
-    /// The record of a row.
+    /// Returns the record of a row.
     fn record(&self, clip: &Path, row: u64) -> Option<String> {
         let line = String::from_utf8(self.lines.records(clip, "poses.jsonl", row, 1).ok()?).ok()?;
         serde_json::from_str::<Value>(&line).ok().map(|_| line.trim_end().to_owned())
     }
 }
 
-/// For a header: what is not plain ASCII by its bytes.
+/// Percent-encodes a text for a header: all bytes but printable ASCII.
 fn escaped(text: &str) -> String {
     let escape = |byte: u8| match byte {
         b' '..=b'~' if byte != b'%' => char::from(byte).to_string(),
@@ -184,7 +185,7 @@ fn escaped(text: &str) -> String {
 /// Held while a picture is decoded: one at a time, because each may take a gigabyte.
 static DECODING: Mutex<()> = Mutex::new(());
 
-/// A picture as a JPEG that browsers show.
+/// Converts a picture to a JPEG that browsers can show.
 fn jpeg(bytes: Vec<u8>) -> Result<Vec<u8>, Reply> {
     if bytes.starts_with(&[0xFF, 0xD8]) {
         return Ok(with_huffman_tables(&bytes).into_owned());
@@ -199,7 +200,7 @@ fn jpeg(bytes: Vec<u8>) -> Result<Vec<u8>, Reply> {
     crate::web::hub::grey_jpeg(&grey, width, height, Vec::new()).ok_or_else(none)
 }
 
-/// Counts downloads.
+/// Counts the running downloads.
 struct Running(Arc<AtomicUsize>);
 
 impl Drop for Running {
@@ -224,7 +225,7 @@ fn download(clip: &Clip, running: &Arc<AtomicUsize>) -> Result<Reply, Reply> {
     Ok(reply.with("content-disposition", &format!("attachment; filename=\"{}.zip\"", clip.id)))
 }
 
-/// As `stagepose report` makes it, with pictures where they are asked for.
+/// Makes a report as `stagepose report` does, with pictures if requested.
 fn report(supervisor: &Supervisor, clip: &Clip, call: &Call) -> Result<Reply, Reply> {
     let seconds = call.queried("pictures", 0, 0..=MAX_PICTURE_SECONDS)?;
     let (config, path) = (supervisor.file().to_owned(), clip.path.clone());
@@ -242,7 +243,7 @@ fn report(supervisor: &Supervisor, clip: &Clip, call: &Call) -> Result<Reply, Re
     Ok(reply.with("content-disposition", &format!("attachment; filename=\"report-{}.zip\"", clip.id)))
 }
 
-/// All plain files of a folder, as they are: pictures are packed already.
+/// Zips all regular files of a folder, without compression: pictures are compressed already.
 fn zip_folder(folder: &Path, name: &str, to: &mut dyn Write) -> io::Result<()> {
     let mut zip = ZipWriter::new_stream(to);
     let options = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored).large_file(true);
@@ -267,7 +268,7 @@ fn add<W: Write + io::Seek>(
         } else if kind.is_file() {
             zip.start_file(&below, options).map_err(io::Error::other)?;
             let file: File = safe_file::open_below(folder, &within.join(entry.file_name()))?;
-            // A recording that goes on grows: as long as it is now.
+            // A recording in progress grows; take its current length.
             let length = file.metadata()?.len();
             io::copy(&mut file.take(length), zip)?;
         }

@@ -1,7 +1,8 @@
 use super::*;
 use crate::web::api::tests::{asked, supervised};
 
-/// A recording of two rows, one with a JPEG and one grey, and a third without a picture.
+/// Makes a recording of three rows: one with a JPEG, one with a grey picture, one without a
+/// picture.
 pub(in crate::web::api) fn recording(folder: &Path) {
     let clip = folder.join("recordings/clip-1");
     std::fs::create_dir_all(clip.join("frames/0000")).unwrap();

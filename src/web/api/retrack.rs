@@ -1,5 +1,5 @@
-//! `POST /api/v1/recordings/ID/retrack` and what comes of it below `retracked`; `GET`,
-//! `DELETE /api/v1/jobs/N`: recordings tracked with today's config.
+//! `POST /api/v1/recordings/ID/retrack` and its results below `retracked`; `GET`,
+//! `DELETE /api/v1/jobs/N`: recordings tracked again with the current config.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -18,7 +18,7 @@ use crate::web::priority::stand_back;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
-/// Larger than what is told of a comparison, bytes.
+/// Maximum size of a comparison's text, bytes.
 const LARGEST: u64 = 1 << 20;
 
 pub(super) fn routes(supervisor: &Arc<Supervisor>, lines: &Arc<LineIndex>) -> Vec<Route> {
@@ -79,7 +79,7 @@ fn start(supervisor: &Arc<Supervisor>, folder: &Folder, call: &Call) -> Result<R
     }
 }
 
-/// The timeline of the new records, and how they compare with those that were recorded.
+/// Returns the timeline of the new records, and how they compare with the recorded ones.
 fn told(_: &Folder, clip: &Path, call: &mut Call) -> Result<Reply, Reply> {
     let points = call.queried("points", 1000, 1..=MAX_POINTS)?;
     let told = timeline(clip, "retracked/poses.jsonl", points as usize);
@@ -130,7 +130,7 @@ mod tests {
         assert_eq!(ask("GET", "/api/v1/recordings/clip-1/retracked").0, 404);
         let first = again();
         assert_eq!(first.iter().filter(|byte| **byte == b'\n').count(), 5);
-        // What came of it takes the place of the recorded one: now both are the same.
+        // Replace the recorded file by the result: now both are the same.
         std::fs::write(clip.join("poses.jsonl"), &first).unwrap();
         assert_eq!(again(), first);
         let (status, told) = ask("GET", "/api/v1/recordings/clip-1/retracked?points=10");

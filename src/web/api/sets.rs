@@ -1,5 +1,5 @@
-//! `GET`, `PUT /api/v1/set` and `sets/NAME.glb`: the virtual set, as the page composes it, and the
-//! models in it; kept beside the config.
+//! `GET`, `PUT /api/v1/set` and `sets/NAME.glb`: the virtual set, as the page composes it, and its
+//! models. They are kept next to the config.
 
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
@@ -18,13 +18,13 @@ use crate::web::content::{not_arrived, too_large};
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
-/// Larger than the description of a set, bytes: thousands of objects. A round figure.
+/// Maximum size of a set's description, bytes: thousands of objects. A round figure.
 const MAX_SET: u64 = 1 << 20;
-/// Larger than a model that a browser draws at a camera's rate, bytes.
+/// Maximum size of a model, bytes: more than a browser can draw at a camera's frame rate.
 pub(super) const MAX_MODEL: u64 = 64 << 20;
-/// Models at most. Raised, they may take more of the disk: each has up to [`MAX_MODEL`].
+/// Maximum number of models. Raised, they may take more of the disk: each has up to [`MAX_MODEL`].
 const MAX_MODELS: usize = 64;
-/// A set before anything was placed in it.
+/// A set before anything is placed in it.
 const EMPTY: &str = r#"{"objects":[]}"#;
 
 pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
@@ -61,7 +61,7 @@ fn none() -> Reply {
     Reply::text(404, "there is no such model; GET /api/v1/sets lists them\n")
 }
 
-/// Where the set and its models are: beside the config, or where the daemon may write.
+/// Returns the folder of the set and its models: next to the config, or where the daemon may write.
 fn folder(supervisor: &Supervisor) -> PathBuf {
     supervisor.keeping().folder()
 }
@@ -94,7 +94,7 @@ fn put_set(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     Ok(Reply::done().with("etag", &tag(&bytes)))
 }
 
-/// Names and bytes of the models that are there.
+/// Returns names and sizes in bytes of the existing models.
 pub(super) fn models(folder: &Path) -> Vec<(String, u64)> {
     let entries = std::fs::read_dir(folder.join("sets")).into_iter().flatten().flatten();
     let mut models: Vec<(String, u64)> = entries
@@ -107,7 +107,7 @@ pub(super) fn models(folder: &Path) -> Vec<(String, u64)> {
     models
 }
 
-/// Whether it is the name of a model.
+/// Whether it is a valid name of a model.
 pub(super) fn is_model(name: &str) -> bool {
     let is_plain = |b: u8| b.is_ascii_alphanumeric() || b"_-".contains(&b);
     name.strip_suffix(".glb").is_some_and(|stem| (1..=64).contains(&stem.len()) && stem.bytes().all(is_plain))
@@ -128,7 +128,7 @@ fn put_model(folder: &Path, call: &mut Call) -> Result<Reply, Reply> {
     }
     let unwritten = |e: io::Error| failed(&format!("{}: the model cannot be written", target.display()), &e);
     std::fs::create_dir_all(folder.join("sets")).map_err(unwritten)?;
-    // To the disk as it comes; it gets its name when it is known to be good.
+    // Written to the disk as it arrives; it gets its name only after it was checked.
     let mut beside = tempfile(&target).map_err(unwritten)?;
     let mut buffer = [0; 32 * 1024];
     let mut bytes = 0;
@@ -150,7 +150,7 @@ fn put_model(folder: &Path, call: &mut Call) -> Result<Reply, Reply> {
     Ok(Reply::done())
 }
 
-/// A file that goes again unless it is given its name.
+/// A file that is removed when dropped, unless it got its final name.
 struct Unfinished {
     path: PathBuf,
     file: std::fs::File,
@@ -158,7 +158,7 @@ struct Unfinished {
 
 impl Drop for Unfinished {
     fn drop(&mut self) {
-        // Nothing is there where it has its name by now.
+        // If it already has its final name, there is nothing to remove.
         let _ = std::fs::remove_file(&self.path);
     }
 }

@@ -1,5 +1,5 @@
-//! `POST /api/v1/mode`, `ring/save`, `recordings/start`, `stop`, `mark`: what the running daemon is
-//! asked to do.
+//! `POST /api/v1/mode`, `ring/save`, `recordings/start`, `stop`, `mark`: commands to the running
+//! daemon.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,17 +14,22 @@ use crate::printable::printable;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
-/// Larger than any request here, bytes.
+/// Maximum size of a request here, bytes.
 const LARGEST: u64 = 4096;
-/// Longest text of a mark, characters: a line in a list. Raised, lists grow wide.
+/// Maximum length of a mark's text, characters: a line in a list. Raised, lists become wide.
 const MAX_MARK: usize = 200;
 
-/// Marks that may come at once, and the time after which each further one may: faster than any
-/// hand. Raised, a program that marks on and on fills the list and the disk sooner.
+/// Number of marks that may come in quick succession. Raised, a runaway program fills the list and
+/// the disk sooner.
 const MARKS_AT_ONCE: u32 = 30;
+/// Minimum interval of further marks: faster than any hand. Lowered, a runaway program fills the
+/// list and the disk sooner.
 const ONE_MARK_EACH: Duration = Duration::from_millis(500);
-/// The same of changes of the mode, each of which opens or closes the camera.
+/// Number of mode changes that may come in quick succession; each opens or closes the camera.
+/// Raised, a runaway program switches the camera more often.
 const MODES_AT_ONCE: u32 = 10;
+/// Minimum interval of further mode changes. Lowered, a runaway program switches the camera more
+/// often.
 const ONE_MODE_EACH: Duration = Duration::from_secs(2);
 
 #[derive(Deserialize)]
@@ -50,7 +55,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
                 return Err(Reply::text(409, "nothing is tracked, so nothing can be recorded; start tracking first\n"));
             }
             if let (RecordingWish::Start, Some(settings)) = (wish, supervisor.settings()) {
-                // Said to whoever asks, not a moment later to whoever listens.
+                // Report the error to the client that asks, rather than later in an event.
                 let folder = &settings.recorder.folder;
                 may_record(folder)
                     .map_err(|e| Reply::text(409, format!("recordings cannot go to {}: {}\n", folder.display(), unwritten(&e))))?;

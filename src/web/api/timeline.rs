@@ -1,4 +1,4 @@
-//! A recording's states and fit over time, drawn together into as many columns as a screen has.
+//! A recording's states and fit over time, condensed to as many columns as a screen has.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -12,10 +12,10 @@ use crate::daemon::live::Event;
 use crate::safe_file;
 use crate::web::events::said;
 
-/// Events at most, the first ones: a list that a person reads. Raised, larger answers.
+/// Maximum number of events, the first ones: a list that a person reads. Raised, larger answers.
 const MAX_EVENTS: usize = 2000;
 
-/// What a timeline has of a record.
+/// The fields of a record that a timeline needs.
 #[derive(Debug, PartialEq, Deserialize)]
 struct Row<'a> {
     timestamp_ns: i64,
@@ -25,13 +25,13 @@ struct Row<'a> {
 }
 
 impl<'a> Row<'a> {
-    /// Of a line; none where it is no record.
+    /// Parses a line; returns `None` if it is not a record.
     fn of(line: &'a str) -> Option<Self> {
         Self::at_its_places(line).or_else(|| serde_json::from_str(line).ok())
     }
 
-    /// Looks only where this program's own records have it: a record has a hundred numbers, and an
-    /// hour a hundred thousand records.
+    /// Parses only the positions where this program writes the fields, which is fast: a record has
+    /// a hundred numbers, and an hour a hundred thousand records.
     fn at_its_places(line: &'a str) -> Option<Self> {
         let (_, rest) = line.strip_suffix('}')?.strip_prefix("{\"sequence\":")?.split_once(",\"timestamp_ns\":")?;
         let (stamp, rest) = rest.split_once(",\"state\":\"")?;
@@ -43,7 +43,7 @@ impl<'a> Row<'a> {
     }
 }
 
-/// Several rows that stand beside each other, as one.
+/// Several adjacent rows combined.
 #[derive(Debug, Default)]
 struct Column {
     rows: u64,
@@ -51,7 +51,7 @@ struct Column {
     rms_px: Option<f64>,
 }
 
-/// The worst first: a lost frame shows among hundreds that were tracked.
+/// States, worst first: a single lost frame shows among hundreds of tracked ones.
 const WORST_FIRST: [&str; 4] = ["lost", "searching", "coasting", "tracking"];
 
 impl Column {
@@ -71,7 +71,8 @@ impl Column {
     }
 }
 
-/// The timeline of a clip's file of records, with its events; what cannot be read ends it.
+/// Returns the timeline of a clip's file of records, with its events; it ends at the first
+/// unreadable record.
 pub(super) fn timeline(clip: &Path, poses: &str, points: usize) -> io::Result<Value> {
     let (mut columns, mut of_each): (Vec<Column>, u64) = (Vec::new(), 1);
     let (mut stamps, mut rows): (Vec<i64>, u64) = (Vec::new(), 0);
@@ -87,7 +88,7 @@ pub(super) fn timeline(clip: &Path, poses: &str, points: usize) -> io::Result<Va
         match columns.last_mut().filter(|column| column.rows < of_each) {
             Some(column) => column.add(&row),
             None => {
-                // Twice as many as are wanted: pairs become one.
+                // At twice the wanted number, adjacent columns are joined in pairs.
                 if columns.len() >= 2 * points {
                     columns = joined(columns);
                     of_each *= 2;
@@ -126,8 +127,8 @@ fn joined(columns: Vec<Column>) -> Vec<Column> {
     joined
 }
 
-/// The events as they stand in the file, each with how much it matters, what it says, and the first
-/// row that is not before it.
+/// Returns the events in the order of the file, each with its severity, its sentence, and the first
+/// row at or after it.
 fn with_rows(clip: &Path, stamps: &[i64]) -> Vec<Value> {
     let Ok(file) = safe_file::open_below(clip, Path::new("events.jsonl")) else { return Vec::new() };
     let lines = BufReader::new(file).lines().map_while(Result::ok);
@@ -137,7 +138,7 @@ fn with_rows(clip: &Path, stamps: &[i64]) -> Vec<Value> {
             let at = event["timestamp_ns"].as_i64().unwrap_or_default();
             let (level, says) = match serde_json::from_value::<Event>(event.clone()) {
                 Ok(event) => said(&event),
-                // Of another version.
+                // An event of another version.
                 Err(_) => ("info", event["event"].as_str().unwrap_or("event").replace('_', " ")),
             };
             event["level"] = level.into();

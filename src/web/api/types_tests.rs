@@ -1,12 +1,12 @@
 //! `page/types.d.ts`: what the program sends, as types for the page's modules.
 //!
-//! They are inferred from answers that the program really serialises, for most of these have no
-//! Rust type that a derive macro could read: they are put together with `json!` from several
-//! places, and some are records of a contract with hand-written serialisers. What is sent is what
-//! is declared, and no crate is needed. Samples must show each field both with a value and, where
-//! it may be null, without: a field that was only null, or an empty list, fails the test.
-//! `STAGEPOSE_REMAKE=1 cargo test --lib types_tests` writes the file anew;
-//! tests/page/types.test.mjs holds the modules to it.
+//! The types are inferred from answers that the program really serialises. Most answers have no
+//! Rust type from which a macro could derive them: they are assembled with `json!` in several
+//! places, and some are records of a contract with hand-written serialisers. This way the
+//! declarations match what is sent, without another crate. The samples must show each field with a
+//! value and, if it may be null, also without: a field that is always null, or a list that is
+//! always empty, fails the test. `STAGEPOSE_REMAKE=1 cargo test --lib types_tests` rewrites the
+//! file; tests/page/types.test.mjs checks the modules against it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -25,7 +25,7 @@ use crate::track::{SurfaceSpec, folds};
 use crate::tracker::TrackerSetup;
 use crate::web::hub::tests::heads;
 
-/// What was seen at one place of the samples.
+/// What was seen at one position of the samples.
 #[derive(Debug, Default)]
 struct Seen {
     is_null: bool,
@@ -33,29 +33,29 @@ struct Seen {
     is_number: bool,
     strings: BTreeSet<String>,
     list: Option<Box<Seen>>,
-    /// Objects, and each key with how many of them have it.
+    /// The number of objects, and for each key how many of them have it.
     objects: usize,
     keys: BTreeMap<String, (usize, Seen)>,
 }
 
-/// Words that stand for a type where a key of this name has nothing else.
+/// A set of words that becomes a type, for a key of this name whose values are all among them.
 struct Words {
     name: &'static str,
     key: &'static str,
-    /// A part of the place that it is at: two kinds of words may share one.
+    /// A part of the key's path: two sets of words may share a key name.
     within: &'static str,
     words: Vec<&'static str>,
 }
 
-/// The file that is written.
+/// The declarations file being written.
 struct Declarations {
     words: Vec<Words>,
-    /// Names by what they stand for.
+    /// Type names by the form they stand for.
     names: BTreeMap<String, &'static str>,
     text: String,
 }
 
-/// Keys whose values have any form: another program's message.
+/// Keys whose values may have any form: messages of another program.
 const ANY: [&str; 1] = ["last"];
 
 impl Seen {
@@ -88,7 +88,7 @@ impl Declarations {
         fitting.map_or("string", |one| one.name).to_owned()
     }
 
-    /// A type as it is written; `key` is what has it.
+    /// Returns a type as text; `key` is the key that has it.
     fn of(&self, key: &str, seen: &Seen, at: &str) -> String {
         if ANY.contains(&key) {
             return "unknown".to_owned();
@@ -146,19 +146,19 @@ impl Declarations {
     }
 }
 
-/// An object that is written in one line, without its braces.
+/// Returns an object type on one line without its braces.
 fn inner(form: &str) -> &str {
     form.strip_prefix("{ ").and_then(|form| form.strip_suffix(" }")).unwrap_or(form)
 }
 
-/// Whether an object of this form is one of the other: it has the same fields, of which some are
-/// never null here.
+/// Whether an object of form `form` is of type `other`: it has the same fields, some of which may
+/// be nullable only in `other`.
 fn is_of(form: &str, other: &str) -> bool {
     let (own, others) = (top_level(inner(form)), top_level(inner(other)));
     own.len() == others.len() && own.iter().zip(others).all(|(own, other)| *own == other || format!("{own} | null") == other)
 }
 
-/// The fields of an object that is written in one line.
+/// Returns the fields of an object type on one line.
 fn top_level(text: &str) -> Vec<&str> {
     let (mut fields, mut depth, mut from) = (Vec::new(), 0, 0);
     for (at, letter) in text.char_indices() {
@@ -176,7 +176,7 @@ fn top_level(text: &str) -> Vec<&str> {
     fields
 }
 
-/// All values at a place of the samples; `[]` are the items of a list.
+/// Returns all values at a path in the samples; `[]` stands for the items of a list.
 fn picked<'a>(samples: &'a [Value], path: &[&str]) -> Vec<&'a Value> {
     path.iter().fold(samples.iter().collect(), |found: Vec<&Value>, key| {
         let below = |value: &'a Value| -> Vec<&'a Value> {
@@ -189,7 +189,7 @@ fn picked<'a>(samples: &'a [Value], path: &[&str]) -> Vec<&'a Value> {
     })
 }
 
-/// A row where everything is known, and one where nothing is.
+/// Returns a row where everything is known, and one where nothing is.
 pub(in crate::web) fn samples() -> [PoseSample; 2] {
     let essential = EssentialMotion { rotation: UnitQuaternion::identity(), translation_direction: Vector3::x(), inliers: 9 };
     let whole = Measurement {
@@ -223,7 +223,7 @@ fn setup() -> TrackerSetup {
     setup
 }
 
-/// Answers of a server with all that a daemon has, by what they are.
+/// Returns answers of a server with all routes of a daemon, by type name.
 fn answers() -> BTreeMap<&'static str, Vec<Value>> {
     let folder = tempfile::tempdir().unwrap();
     let supervisor = supervised(folder.path());
@@ -300,7 +300,7 @@ fn answers() -> BTreeMap<&'static str, Vec<Value>> {
     ask("Judged", "PUT", "config", b"[camera]\nfov_deg = 600\n");
     ask("Judged", "PUT", "config", b"nothing");
     ask("Judged", "PUT", "config", &config);
-    // Of which there is something to note.
+    // A config that yields a note.
     let wide = String::from_utf8(config).unwrap().replace("[4.0, 3.0]", "[6.0, 3.0]");
     ask("Judged", "PUT", "config", wide.as_bytes());
     supervisor.refuse("stage.toml: it is refused; mend it".to_owned());
@@ -317,7 +317,7 @@ fn keys(value: &Value) -> Vec<&String> {
     value.as_object().map_or_else(Vec::new, |fields| fields.keys().collect())
 }
 
-/// Lines of /ws/events.
+/// Returns lines of /ws/events.
 fn events() -> Vec<Value> {
     let log = EventLog::default();
     let listener = log.listen();
