@@ -27,11 +27,15 @@ struct Asset {
     bytes: &'static [u8],
 }
 
-/// MIME types of the page's files.
+/// MIME type of HTML.
 const HTML: &str = "text/html; charset=utf-8";
+/// MIME type of scripts.
 const SCRIPT: &str = "text/javascript; charset=utf-8";
+/// MIME type of style sheets.
 const STYLE: &str = "text/css; charset=utf-8";
+/// MIME type of SVG pictures.
 const PICTURE: &str = "image/svg+xml";
+/// MIME type of plain text.
 const TEXT: &str = "text/plain; charset=utf-8";
 
 /// Makes the [`Asset`] for a file in `page/`, by its path there.
@@ -100,9 +104,10 @@ const ASSETS: &[Asset] = &[
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; base-uri 'none'; \
     form-action 'none'; frame-ancestors 'none'";
 
-/// Start and factor of the 64-bit FNV-1a hash, as published. The hash identifies versions; it does
-/// not protect against malice.
+/// Start of the 64-bit FNV-1a hash, as published. The hash identifies versions; it does not protect
+/// against malice.
 const FNV_START: u64 = 0xcbf2_9ce4_8422_2325;
+/// Factor of that hash, as published.
 const FNV_FACTOR: u64 = 0x0100_0000_01b3;
 
 fn hash(start: u64, bytes: &[u8]) -> u64 {

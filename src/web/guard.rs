@@ -13,8 +13,9 @@ use axum::http::{HeaderMap, HeaderName, Method, Request, Uri, Version, header};
 use super::hosts::{AllowedHosts, HostAndPort};
 use super::reply::Reply;
 
-/// Default ports of `http` and `https` (RFC 9110, 4.2).
+/// Default port of `http` (RFC 9110, 4.2).
 const HTTP_PORT: u16 = 80;
+/// Default port of `https`.
 const HTTPS_PORT: u16 = 443;
 
 /// Judges a request that came in at the address `reached`.

@@ -5,6 +5,7 @@ use super::*;
 use crate::frame::{Frame, Timestamp};
 use crate::track::Reason;
 
+/// Width and height of the pictures, pixels.
 const SIZE: (u32, u32) = (64, 48);
 
 fn sample(sequence: u64, state: State) -> PoseSample {

@@ -34,6 +34,8 @@ const MAX_TRIES: usize = 5;
 /// number of peers. Raised, they last less; lowered, fewer guessing peers can lock an honest one
 /// out.
 const MAX_TRIES_OF_ALL: usize = 100;
+/// Period over which tried codes are counted. Raised, guessing takes longer, and so does waiting
+/// after mistyping.
 const TRIES_WITHIN: Duration = Duration::from_secs(60);
 /// Maximum number of paired browsers; the oldest is removed. Chosen: more than a theatre has.
 /// Raised, forgotten ones stay longer.

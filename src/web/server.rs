@@ -57,9 +57,11 @@ use crate::tracker::TrackerSetup;
 /// Maximum time for a request's head, also while a connection waits for its next request. Chosen,
 /// not tuned. Raised, silent clients hold their places longer.
 const HEAD_WITHIN: Duration = Duration::from_secs(5);
-/// Maximum bytes and header lines of a request's head. Chosen: more than browsers send. Raised, a
-/// client may take more memory.
+/// Maximum size of a request's head, bytes. Chosen: more than browsers send. Raised, a client may
+/// take more memory.
 const MAX_HEAD: usize = 16 * 1024;
+/// Maximum number of header lines. Chosen: more than browsers send. Raised, a client may take more
+/// memory.
 const MAX_HEADERS: usize = 64;
 /// Lifetime of a connection that is not a WebSocket; clients then reconnect. A client that reads
 /// one byte a second must not keep it. Raised, such clients hold places longer; lowered, large

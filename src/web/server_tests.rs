@@ -219,6 +219,7 @@ fn exchange_start(server: &Server, request: &[u8]) -> String {
     String::from_utf8_lossy(&start).into_owned()
 }
 
+/// A request for a WebSocket.
 const UPGRADE: &str = "GET /ws HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
     Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n";
 

@@ -173,7 +173,7 @@ impl Folder {
     }
 }
 
-/// Percent-encodes a text for a header: all bytes but printable ASCII.
+/// Percent-encodes a text for a header: all bytes except printable ASCII, and `%`.
 fn escaped(text: &str) -> String {
     let escape = |byte: u8| match byte {
         b' '..=b'~' if byte != b'%' => char::from(byte).to_string(),
