@@ -2,7 +2,9 @@
 //! waits for a frame.
 //!
 //! ```text
-//! pose stage --row, sample--> Hub (a viewer waits?) --newest only--> thread `view` (encodes, joins) --newest only--> /ws/view, one each viewer
+//! pose stage --row, sample--> Hub (a viewer waits?)
+//!     --newest only--> threads `view` (joins) or `encode` (encodes, joins)
+//!     --newest only--> /ws/view, one per viewer
 //! ```
 //! A camera's own JPEGs are joined with their records on the thread `view`; other pictures are
 //! encoded and joined on a second thread, `encode`. All viewers share a message's memory, and each
