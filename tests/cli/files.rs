@@ -111,7 +111,7 @@ fn inputs_are_never_overwritten() {
     scene.write("good.jsonl", "kept");
     scene.replay(&["--poses", "good.jsonl", "--tum", "hard"]).assert_refused(2, &["--tum hard"]);
     assert_eq!(scene.read("good.jsonl"), "kept");
-    scene.replay(&["--poses", "one", "--tum", "./one"]).assert_refused(2, &["--poses goes to the same file; give each output"]);
+    scene.replay(&["--poses", "one", "--tum", "./one"]).assert_refused(2, &["--poses writes to the same file; give each output"]);
     scene.write("stage.toml", &format!("{CONFIG}[[output]]\nkind = \"json\"\nfile = \"hard\"\n"));
     scene.replay(&["--outputs"]).assert_refused(2, &["`file` in [[output]], line 8", "hard: the config reads this file"]);
     scene.write("stage.toml", CONFIG);
@@ -123,7 +123,7 @@ fn inputs_are_never_overwritten() {
     let file = scene.command(&["calibrate", "art.png", "--board", "9x6", "--square-mm", "25", "--output", "soft"]);
     ends(file, None).assert_refused(2, &["--output soft: it is one of the pictures"]);
     let twice = ["calibrate", "art.png", "--board", "9x6", "--square-mm", "25", "--report", "new", "--json", "./new"];
-    scene.run(&twice).assert_refused(2, &["--json ./new: --report goes to the same file"]);
+    scene.run(&twice).assert_refused(2, &["--json ./new: --report writes to the same file"]);
 }
 
 #[test]
@@ -214,7 +214,7 @@ fn pictures_of_too_many_pixels_are_refused_everywhere() {
     scene.write("large.pgm", "P5 16384 16384 255\n");
     let replayed = scene.replay(&["--poses", "poses.jsonl"]);
     replayed.assert_success();
-    assert!(replayed.stderr.contains("row 2 cannot be read: the picture is 16384 x 16384 pixels, and 67 million"), "{}", replayed.stderr);
+    assert!(replayed.stderr.contains("row 2 cannot be read: the picture is 16384 x 16384 pixels, the maximum is 67 million"), "{}", replayed.stderr);
     scene
         .run(&["calibrate", "large.pgm", "--board", "9x6", "--square-mm", "25"])
         .assert_refused(1, &["16384 x 16384 pixels", "scale it down"]);

@@ -163,7 +163,7 @@ fn remains_of_a_recording_are_not_overwritten() {
     std::fs::create_dir(folder.path().join("take")).unwrap();
     let ran = record(&["--poses", "take/poses.jsonl"]);
     let said = String::from_utf8_lossy(&ran.stderr).into_owned();
-    assert!(ran.status.code() == Some(2) && said.contains("the recording goes to the same file"), "{said}");
+    assert!(ran.status.code() == Some(2) && said.contains("the recording writes to the same file"), "{said}");
 }
 
 /// Writes a long clip of the fixture's frames that states, as a recording does, that the camera's
