@@ -40,7 +40,7 @@ const OLDEST: Duration = Duration::from_secs(5);
 /// Returns the time of mid-exposure of the middle row, and whether it comes from the driver's stamp
 /// (otherwise it is estimated from the arrival).
 ///
-/// Judges the driver by this one stamp; [`StampTrust`] also uses earlier ones.
+/// Judges the driver by this one stamp; `StampTrust` also uses earlier ones.
 pub fn mid_exposure(stamp: DriverStamp, arrival: Timestamp, shutter: &Shutter) -> (Timestamp, bool) {
     reckoned(stamp, arrival, shutter, OLDEST)
 }
