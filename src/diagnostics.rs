@@ -29,7 +29,7 @@ pub mod track {
 pub mod simulate {
     #[cfg(feature = "capture")]
     pub use crate::simulate::through_jpeg;
-    pub use crate::simulate::{artwork_surface, grey, look_at, paint, upright};
+    pub use crate::simulate::{PoseError, artwork_surface, grey, look_at, paint, percentile, upright};
 }
 
 /// Readers of single formats, and virtual cameras for tests.

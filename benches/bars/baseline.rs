@@ -1,7 +1,7 @@
 //! The committed figures, and how much worse a run may be.
 //!
-//! A build gives the same bytes on every run, on any number of threads. Another processor has other
-//! vector registers, and so sums in another order: that is what the tolerances are for.
+//! A build yields the same bytes on every run, on any number of threads. Another processor may have
+//! other vector registers and sum in another order, hence the tolerances.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -11,21 +11,22 @@ use crate::score::{Figures, Row};
 
 /// Where the baseline is, from the project's folder.
 pub const FILE: &str = "benches/bars/baseline.json";
-/// Frames in a hundred that a clip may give fewer than its baseline. Raised, lost frames pass.
+/// Maximum loss of reported poses against the baseline, percent of the frames. Raised, lost frames
+/// pass.
 const MAX_LOST_PERCENT: f64 = 2.0;
-/// Wrong poses that a clip may have more than its baseline: none.
+/// Maximum number of wrong poses beyond those of the baseline. Raised, wrong poses pass.
 const MAX_MORE_WRONG: usize = 0;
-/// How many times larger an error may be. Raised, a loss of accuracy passes.
+/// Maximum ratio of an error to its baseline. Raised, a loss of accuracy passes.
 const MAX_ERROR_RATIO: f64 = 1.05;
-/// How many times larger or smaller NEES/6 may be: it is a mean of squares, so it moves twice as
-/// much as errors do.
+/// Maximum ratio of NEES/6 to its baseline, or of the baseline to it. It is a mean of squares, so
+/// it changes twice as much as errors do.
 const MAX_NEES_RATIO: f64 = 1.10;
 
 /// Figures by the name of the scene.
 #[derive(Default)]
 pub struct Baseline(BTreeMap<String, Figures>);
 
-/// What the comparison says.
+/// The result of the comparison.
 #[derive(Default)]
 pub struct Verdict {
     regressions: Vec<String>,
@@ -33,7 +34,7 @@ pub struct Verdict {
     compared: usize,
 }
 
-/// Which way a figure went.
+/// How a figure changed.
 enum Change {
     Worse,
     Better,
@@ -50,7 +51,8 @@ impl Baseline {
         Ok(Self(serde_json::from_str(&text).map_err(|e| format!("{FILE}: {e}; `-- --write` renews it"))?))
     }
 
-    /// What is kept of scenes that do not run; nothing where there is no file yet.
+    /// Reads the baseline; empty if there is no file yet. Scenes that do not run keep their
+    /// figures.
     pub fn read_or_empty() -> Result<Self, String> {
         if Self::path().exists() { Self::read() } else { Ok(Self::default()) }
     }

@@ -1,4 +1,4 @@
-//! A scene with its frames, and how a tracker does on it.
+//! A scene with its frames, and how well a tracker follows it.
 
 use std::time::Instant;
 
@@ -7,12 +7,12 @@ use stagepose::{Frame, LightModel, PoseSample, Renderer, SensorNoise, State, Tim
 
 use crate::score::{Figures, Found, figures};
 
-/// A stage, and the clip that is made of it.
+/// A stage, and the clip that is rendered from it.
 pub struct Film {
     pub stage: VirtualStage,
     pub fps: f64,
     pub frames: u64,
-    /// Quality of the JPEGs that the camera sends, if it does.
+    /// JPEG quality of the camera; `None` if it sends raw pictures.
     pub jpeg: Option<u8>,
 }
 
@@ -21,19 +21,18 @@ impl Film {
         Timestamp::from_seconds(sequence as f64 / self.fps)
     }
 
-    /// The same scene with grey levels added up as if they were light, for figures beside those of
-    /// old.
+    /// Adds up grey levels as if they were light, to reproduce earlier figures.
     pub fn in_grey_averages(mut self) -> Self {
         self.stage.light_model = LightModel::GreyAverages;
         self.stage.noise = SensorNoise::webcam();
         self
     }
 
-    /// All frames, the first one at time 0.
+    /// Renders all frames; the first one is at time 0.
     pub fn render(&self) -> Result<Vec<Frame>, String> {
         let renderer = Renderer::new(self.stage.clone());
         let frame = |k: u64| {
-            // The stamp's own seconds: picture, truth and stamp agree to the nanosecond.
+            // Seconds of the rounded stamp, so that picture, truth and stamp agree exactly.
             let taken = renderer.render(self.stamp(k).seconds(), k);
             let picture = match self.jpeg {
                 Some(quality) => through_jpeg(&taken, quality).map_err(|e| e.to_string())?,
@@ -44,8 +43,8 @@ impl Film {
         (0..self.frames).map(frame).collect()
     }
 
-    /// The samples of a tracker that is told what is true of the stage, and the mean milliseconds a
-    /// frame.
+    /// Tracks the frames with the true stage configured. Returns the samples and the mean
+    /// milliseconds per frame.
     pub fn track(&self, frames: &[Frame]) -> Result<(Vec<PoseSample>, f64), String> {
         let mut tracker = Tracker::new(TrackerSetup::from(&self.stage)).map_err(|e| e.to_string())?;
         let start = Instant::now();
@@ -63,7 +62,7 @@ impl Film {
         figures(samples.len(), found.collect())
     }
 
-    /// As the camera, but a pose is wrong by the object's distance from the camera.
+    /// Scores an object; position errors are relative to its distance from the camera.
     pub fn score_object(&self, object: usize, samples: &[PoseSample]) -> Figures {
         let found = samples.iter().filter_map(|sample| {
             let ours = sample.objects.get(object).filter(|ours| ours.state == State::Tracking)?;

@@ -1,6 +1,6 @@
-//! The bars of accuracy: short scenes of the virtual stage, each hard in a way of its own, rendered
-//! in memory, tracked, scored against exact truth and compared with a committed baseline. Nothing
-//! but the clone is needed.
+//! Accuracy bars: short scenes of the virtual stage, each with its own difficulty, are rendered in
+//! memory, tracked, scored against exact truth and compared with a committed baseline. This needs
+//! nothing but the clone.
 //!
 //! `cargo bench --bench bars` ends with 1 where a figure is worse than its baseline; `-- --write`
 //! renews the baseline; `-- actors still` runs these scenes only; `-- --grey` adds up grey levels

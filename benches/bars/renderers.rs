@@ -1,6 +1,5 @@
-//! Whether the virtual stage agrees with the renderer of `../shared/bench`, which has nothing in
-//! common with it: both take the same picture of the same scenes, without noise, and the pictures
-//! are compared.
+//! Compares the virtual stage with the independent renderer of `../shared/bench`. Both render the
+//! same scenes without noise, and the pictures are compared.
 //!
 //! `cargo bench --bench bars -- --renderers PYTHON`, where PYTHON has what
 //! `../shared/bench/requirements.txt` lists.
@@ -17,13 +16,13 @@ use stagepose::{
     BodySpec, CameraModel, CameraPath, Draught, Intrinsics, LightKey, LightModel, Person, Renderer, Spline, ToneCurve, VirtualStage, Wave,
 };
 
-/// Root mean square of the difference that passes, grey levels: below a webcam's noise. Pictures at
-/// rest differ by 0.3 to 0.5, one that moves by 1.1, because the other renderer exposes bands of
-/// rows together. Raised, an error of the light or of the lens passes.
+/// Maximum root mean square difference, grey levels: below a webcam's noise. Pictures at rest
+/// differ by 0.3 to 0.5 and a moving one by 1.1, because the other renderer exposes bands of rows
+/// together. Raised, an error of the light or of the lens passes.
 const MAX_RMS: f64 = 1.5;
-/// Mean difference that passes, grey levels. Raised, one picture may be brighter.
+/// Maximum mean difference, grey levels. Raised, one picture may be brighter.
 const MAX_MEAN: f64 = 0.1;
-/// Rays a pixel: so many that where they are makes no difference.
+/// Rays per pixel: enough that their positions within the pixel do not matter.
 const SAMPLES: u32 = 64;
 /// The camera of all cases.
 const CAMERA: Intrinsics = Intrinsics {
@@ -46,7 +45,7 @@ const BLOWN_UP: u32 = 8;
 /// Where the camera is and what it looks at.
 const VIEW: [[f64; 3]; 2] = [[-0.7, -2.9, 0.25], [0.1, 0.0, 0.0]];
 
-/// A scene in both renderers' words.
+/// A scene, described for both renderers.
 struct Case {
     name: &'static str,
     stage: VirtualStage,
@@ -182,7 +181,7 @@ fn folded(mut case: Case) -> Case {
     case
 }
 
-/// A person, and a flat turned aside, both before the backdrop.
+/// Adds a person and a rotated flat in front of the backdrop.
 fn peopled(mut case: Case, folder: &Path) -> Result<Case, String> {
     // Blown up, so that they have no fine detail: the other renderer lays texels half a texel
     // further out at the sides of the clothes.

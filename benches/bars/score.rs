@@ -1,20 +1,15 @@
-//! The figures of a clip. What is wrong, and what is good, is as
-//! `../shared/bench/evaluate.py --tight` has it.
+//! The figures of a clip: how many poses were reported, how many are wrong, and how accurate the
+//! others are.
 
 use std::fmt;
 
 use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 use stagepose::Pose;
+use stagepose::diagnostics::simulate::{PoseError, percentile};
 
-/// A pose is wrong that is further off than this share of the distance. Raised, fewer poses are
-/// wrong.
-const WRONG_SHIFT: f64 = 0.01;
-/// A pose is wrong that is turned by more than this, degrees. Raised, fewer poses are wrong.
-const WRONG_TURN_DEG: f64 = 0.3;
-
-/// What is compared with the baseline. Errors are of the poses that are not wrong; `None` where
-/// there are none.
+/// The figures that are compared with the baseline. Errors exclude wrong poses; `None` if no pose
+/// remains.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
     pub frames: usize,
@@ -26,46 +21,42 @@ pub struct Figures {
     pub p95_mm: Option<f64>,
     pub median_mdeg: Option<f64>,
     pub p95_mdeg: Option<f64>,
-    /// Mean squared error over the covariance that was told, over 6, of all given poses: 1 is
-    /// honest.
+    /// Mean over all reported poses of the squared error, weighted by the inverse of the reported
+    /// covariance and divided by 6. It is 1 if the covariance is right.
     pub nees6: Option<f64>,
 }
 
-/// One given pose.
+/// One reported pose.
 pub struct Found {
-    shift_m: f64,
-    turn_deg: f64,
+    error: PoseError,
     nees6: Option<f64>,
-    is_wrong: bool,
 }
 
 impl Found {
-    /// The distance is that of the camera from what is seen: of the stage's origin, or of an
-    /// object.
+    /// `distance_m`: of the camera from what it sees: the stage's origin, or an object.
     pub fn new<To, From>(truth: &Pose<To, From>, pose: &Pose<To, From>, covariance: Option<&Matrix6<f64>>, distance_m: f64) -> Self {
         let shift = truth.translation - pose.translation;
-        let turn = (truth.rotation * pose.rotation.inverse()).scaled_axis();
-        let error = Vector6::from_iterator(shift.iter().chain(turn.iter()).copied());
+        let rotation = (truth.rotation * pose.rotation.inverse()).scaled_axis();
+        let error = Vector6::from_iterator(shift.iter().chain(rotation.iter()).copied());
         let nees6 = covariance.and_then(|c| Some(error.dot(&c.cholesky()?.solve(&error)) / 6.0));
-        let (shift_m, turn_deg) = (shift.norm(), turn.norm().to_degrees());
-        Self { shift_m, turn_deg, nees6, is_wrong: shift_m > WRONG_SHIFT * distance_m || turn_deg > WRONG_TURN_DEG }
+        Self { error: PoseError::between(pose, truth, distance_m), nees6 }
     }
 }
 
-/// The figures of a clip of so many frames.
+/// Returns the figures of a clip that has this many frames.
 pub fn figures(frames: usize, found: Vec<Found>) -> Figures {
-    let right = || found.iter().filter(|f| !f.is_wrong);
-    let shifts = sorted(right().map(|f| 1e3 * f.shift_m));
-    let turns = sorted(right().map(|f| 1e3 * f.turn_deg));
+    let right = || found.iter().map(|f| f.error).filter(|error| !error.is_wrong());
+    let shifts = sorted(right().map(|error| 1e3 * error.position_m));
+    let turns = sorted(right().map(|error| 1e3 * error.rotation_deg));
     let nees: Vec<f64> = found.iter().filter_map(|f| f.nees6).collect();
     Figures {
         frames,
         given: found.len(),
         wrong: found.len() - shifts.len(),
-        median_mm: percentile(&shifts, 0.5),
-        p95_mm: percentile(&shifts, 0.95),
-        median_mdeg: percentile(&turns, 0.5),
-        p95_mdeg: percentile(&turns, 0.95),
+        median_mm: percentile(&shifts, 0.5).map(rounded),
+        p95_mm: percentile(&shifts, 0.95).map(rounded),
+        median_mdeg: percentile(&turns, 0.5).map(rounded),
+        p95_mdeg: percentile(&turns, 0.95).map(rounded),
         nees6: (!nees.is_empty()).then(|| rounded(nees.iter().sum::<f64>() / nees.len() as f64)),
     }
 }
@@ -76,14 +67,7 @@ fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
     values
 }
 
-/// Between the two nearest ranks, as numpy has it.
-fn percentile(sorted: &[f64], share: f64) -> Option<f64> {
-    let rank = share * (sorted.len().checked_sub(1)?) as f64;
-    let (below, above) = (sorted[rank.floor() as usize], sorted[rank.ceil() as usize]);
-    Some(rounded(below + (above - below) * rank.fract()))
-}
-
-/// Four decimals: what is beyond says nothing, and the baseline is easier to read.
+/// Rounds to four decimals: further ones are noise, and the baseline is easier to read.
 fn rounded(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }
@@ -92,12 +76,13 @@ fn rounded(value: f64) -> f64 {
 pub struct Row {
     pub name: String,
     pub figures: Figures,
-    /// Of tracking a frame, mean; an object has none of its own.
+    /// Mean time to track a frame, milliseconds; `None` for an object, which is tracked with the
+    /// camera.
     pub ms: Option<f64>,
 }
 
 impl Row {
-    /// Above the lines.
+    /// Column headings.
     pub const HEAD: &str = "scene        frames  given %  good %  wrong  median mm   p95 mm  median mdeg  p95 mdeg  NEES/6  ms a frame";
 }
 

@@ -214,7 +214,11 @@ fn pictures_of_too_many_pixels_are_refused_everywhere() {
     scene.write("large.pgm", "P5 16384 16384 255\n");
     let replayed = scene.replay(&["--poses", "poses.jsonl"]);
     replayed.assert_success();
-    assert!(replayed.stderr.contains("row 2 cannot be read: the picture is 16384 x 16384 pixels, the maximum is 67 million"), "{}", replayed.stderr);
+    assert!(
+        replayed.stderr.contains("row 2 cannot be read: the picture is 16384 x 16384 pixels, the maximum is 67 million"),
+        "{}",
+        replayed.stderr
+    );
     scene
         .run(&["calibrate", "large.pgm", "--board", "9x6", "--square-mm", "25"])
         .assert_refused(1, &["16384 x 16384 pixels", "scale it down"]);

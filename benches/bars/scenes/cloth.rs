@@ -1,4 +1,4 @@
-//! The scene whose backdrop is cloth in folds, which the tracker is told as a survey would find
+//! The scene with a backdrop of folded cloth. The folds are configured as a survey would measure
 //! them.
 
 use std::sync::Arc;
