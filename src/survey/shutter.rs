@@ -10,7 +10,7 @@
 use crate::camera::Shutter;
 use crate::frame::{Frame, Timestamp};
 use crate::track::agreement::{Agreement, Said, agreement, weighted_median};
-use crate::track::{Clue, MODEL_ERROR_PX, Matcher, VAGUE_READOUT_S};
+use crate::track::{Clue, Matcher, TUNING};
 use crate::tracker::Tracker;
 
 /// Maximum number of frames used, from the clip's start: eight seconds at 30 per second. Raised,
@@ -106,9 +106,10 @@ impl Pass {
 
     /// Returns the error of the readout caused by model errors, one sigma, seconds.
     fn readout_by_model_s(&self) -> f64 {
-        let telling = self.readout.iter().zip(&self.speeds).filter(|(clue, _)| clue.information > VAGUE_READOUT_S.powi(-2));
+        let telling =
+            self.readout.iter().zip(&self.speeds).filter(|(clue, _)| clue.information > TUNING.body.max_vague_readout_sigma_s.powi(-2));
         let speed_px_s = weighted_median(telling.map(|(_, speed)| (*speed, 1.0)));
-        MODEL_ERROR_PX / speed_px_s.max(f64::MIN_POSITIVE)
+        TUNING.body.row_model_error_px / speed_px_s.max(f64::MIN_POSITIVE)
     }
 
     /// Returns the mean time between frames, seconds.
@@ -134,7 +135,7 @@ where
     for pass in 0..MAX_PASSES {
         let found = Pass::over(open()?, &mut matcher, shutter);
         let interval_s = found.interval_s();
-        let readout = agreed(&found.readout, VAGUE_READOUT_S);
+        let readout = agreed(&found.readout, TUNING.body.max_vague_readout_sigma_s);
         let exposure = agreed(&found.exposure, VAGUE_EXPOSURE);
         // The visible fraction of a change, from the answers at two shutters.
         if let (Some(r), Some((then_s, asked))) = (readout, before.filter(|(then_s, _)| (shutter.readout_s - then_s).abs() > 2e-4)) {
@@ -238,7 +239,7 @@ mod tests {
         let mut clues: Vec<Clue> = (0..40).map(|k| clue(0.003 + 1e-4 * f64::from(k % 5 - 2), 2e-4)).collect();
         clues.extend((0..10).map(|_| clue(0.03, 2e-4)));
         clues.extend((0..100).map(|_| clue(-0.2, 0.05)));
-        let found = agreed(&clues, VAGUE_READOUT_S).unwrap();
+        let found = agreed(&clues, TUNING.body.max_vague_readout_sigma_s).unwrap();
         assert!((found.value - 0.003).abs() < 2e-4, "{found:?}");
         assert!(found.sigma < 3e-4, "{found:?}");
         assert_eq!(found.frames, 50);
@@ -246,9 +247,9 @@ mod tests {
 
     #[test]
     fn too_few_precise_frames_yield_no_estimate() {
-        let mut clues = vec![clue(0.003, 1e-4); crate::track::agreement::MIN_FRAMES - 1];
+        let mut clues = vec![clue(0.003, 1e-4); TUNING.body.min_agreement_frames - 1];
         clues.extend(vec![clue(0.003, 0.1); 100]);
-        assert_eq!(agreed(&clues, VAGUE_READOUT_S), None);
+        assert_eq!(agreed(&clues, TUNING.body.max_vague_readout_sigma_s), None);
     }
 
     #[test]

@@ -8,13 +8,12 @@
 //! the stage's pose is known, only the parts of the frame that it leaves unexplained are searched,
 //! with a limited amount of work per frame.
 
+use super::tuning::frame_order::TUNING;
+use crate::track::acquire::tuning::TUNING as ACQUIRE_TUNING;
 use image::GrayImage;
 use tracing::{debug, debug_span};
 
-use super::acquire::candidate::{
-    Candidate, FEW_INLIERS, SurfaceMatch, SurfaceView, add_candidates_of_few, agreeing_matches, candidates, surface_view,
-};
-use super::acquire::expected_candidate::{FIRST_SHIFT, FIRST_TURN};
+use super::acquire::candidate::{Candidate, SurfaceMatch, SurfaceView, add_candidates_of_few, agreeing_matches, candidates, surface_view};
 use super::acquire::expected_candidate::{expected_candidate, prefer_expected_tilt, put_first};
 use super::acquire::feature_search::{FeatureSearch, Look};
 use super::acquire::unexplained::Unexplained;
@@ -33,20 +32,6 @@ use crate::features::Workers;
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::MotionEstimate;
-
-/// Maximum candidates per body that are aligned in a frame, best first. Raised, frames without the
-/// stage cost more; lowered to 1, only the wrong one of two planar poses may be tried.
-const TRIED: usize = 3;
-/// Minimum features at the first look for a closer look; fewer mean a black or blank frame. Raised,
-/// dim stages are not searched for; lowered, black frames cost more.
-const MIN_FEATURES: usize = 16;
-/// Maximum attempts per frame once the stage is known: follows in vain, candidates, patch checks.
-/// Raised, frames take longer; lowered, only the wrong one of two planar poses may be tried.
-const TRIED_BESIDE: usize = 2;
-
-/// Candidates of a second copy of a body that are checked: both planar poses. Raised, frames that
-/// find a body take longer; lowered to 1, only the wrong one may be tried.
-const TRIED_COPIES: usize = 2;
 
 /// A frame in which bodies are missing, and what is known of it.
 pub struct Scene<'a> {
@@ -187,7 +172,7 @@ impl BodySearch {
             let (image, mask) = (&scene.frame.image, mask.as_ref());
             features.look(image, mask, Look::Glance, workers);
             // So plain a frame has no further features.
-            let is_plain = features.features().len() < MIN_FEATURES;
+            let is_plain = features.features().len() < TUNING.min_glance_features;
             if !is_plain && !scene.missing().all(|body| features.is_enough(body.surfaces.clone())) {
                 features.look_again(image, mask, Look::Quick, workers);
             }
@@ -196,7 +181,7 @@ impl BodySearch {
         if self.ends_with_stage(scene) {
             return;
         }
-        if self.features.features().len() < MIN_FEATURES {
+        if self.features.features().len() < TUNING.min_glance_features {
             self.find_by_prediction(scene);
         } else {
             self.find_closely(scene);
@@ -230,7 +215,7 @@ impl BodySearch {
     /// that frames take about as long whether or not a body is missing.
     fn find_beside_stage(&mut self, scene: &mut Scene) {
         let in_vain = || scene.missing().filter(|body| body.followed_from.is_some());
-        (self.is_beside, self.tries) = (true, TRIED_BESIDE.saturating_sub(in_vain().count()));
+        (self.is_beside, self.tries) = (true, TUNING.max_attempts_when_known.saturating_sub(in_vain().count()));
         let is_covered = in_vain().any(|body| body.track.is_continued() && body.has_motion());
         if is_covered {
             // Following a tracked body already cost this frame's time. It is probably at its
@@ -278,7 +263,7 @@ impl BodySearch {
         self.spent.acquire_ms += start.elapsed_ms();
         let start = self.clock.start();
         for (k, candidates) in &mut found {
-            candidates.truncate(TRIED.min(self.tries));
+            candidates.truncate(TUNING.max_candidates_per_body.min(self.tries));
             scene.verified[*k] = self.align_best(*k, scene, candidates);
             // A body whose turn did not come was not tried in vain.
             scene.bodies[*k].is_in_vain = !candidates.is_empty() && scene.verified[*k].is_none();
@@ -323,7 +308,7 @@ impl BodySearch {
             if !sampled.is_empty() {
                 add_candidates_of_few(&tracked.body, &own, &self.camera, &mut found);
             }
-            if found.iter().all(|candidate| candidate.inliers < FEW_INLIERS) {
+            if found.iter().all(|candidate| candidate.inliers < ACQUIRE_TUNING.well_supported_inliers) {
                 let expected = expected_candidate(&tracked.body, &own, &self.camera, tracked.expected_poses(timestamp));
                 expected.into_iter().for_each(|candidate| put_first(&mut found, candidate));
             }
@@ -343,7 +328,8 @@ impl BodySearch {
         // turns at it.
         let is_retried = self.is_beside && scene.bodies[k].is_in_vain;
         let turn = self.turn;
-        let has_turn = |number: usize| turn.is_multiple_of(2) && number % TRIED_BESIDE == turn / 2 % TRIED_BESIDE;
+        let has_turn =
+            |number: usize| turn.is_multiple_of(2) && number % TUNING.max_attempts_when_known == turn / 2 % TUNING.max_attempts_when_known;
         scene.bodies[k].is_seen_in_part = false;
         let mut verified = None;
         for (number, candidate) in candidates.iter().enumerate() {
@@ -476,7 +462,7 @@ impl BodySearch {
             row_motion: RowMotion { before: None, ..view.row_motion },
             ..view
         };
-        let copy = found.iter().take(TRIED_COPIES).find_map(|candidate| {
+        let copy = found.iter().take(TUNING.max_copy_candidates).find_map(|candidate| {
             let verified = verify(&tracked.body, &candidate.pose, &view, false, &mut buffers);
             debug!(body = %tracked.body.name, inliers = candidate.inliers, ?verified, "copy");
             verified.ok().filter(|_| tracked.is_elsewhere(&first.pose, &buffers.anchors, &self.camera))
@@ -546,5 +532,8 @@ impl BodySearch {
 /// matches' noise.
 fn first_off(readout_s: f64, distance_m: f64, noise: [f64; 2]) -> [f64; 2] {
     let [shift, turn] = MotionEstimate::off_by_readout(readout_s, distance_m);
-    [FIRST_SHIFT * distance_m + shift + 2.0 * noise[0], FIRST_TURN + turn + 2.0 * noise[1]]
+    [
+        ACQUIRE_TUNING.feature_pose_shift_sigma * distance_m + shift + 2.0 * noise[0],
+        ACQUIRE_TUNING.feature_pose_rotation_sigma + turn + 2.0 * noise[1],
+    ]
 }

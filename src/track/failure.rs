@@ -11,17 +11,7 @@ use super::body::reason::Reason;
 use super::body::track_state::Doubt;
 use super::frame::frame_look::FrameLook;
 use super::patches::verify::Refusal;
-
-/// Minimum matches on one homography for the picture to count as recognised. Raised, a picture that
-/// is barely seen counts as not recognised. Only the reported reason depends on it.
-const MIN_RECOGNISED: usize = 12;
-/// Minimum side of the picture (root of its area): fraction of the frame's width, and pixels.
-/// Raised, other faults of a small picture are attributed to its size.
-const MIN_SIDE: f64 = 0.09;
-const MIN_SIDE_PX: f64 = 60.0;
-/// Maximum residual of the best pose beyond that of the homographies (see [`Recognition::misfit`])
-/// for the geometry to count as right. Raised, wrong sizes are not reported as the reason.
-const MAX_MISFIT: f64 = 0.6;
+use super::tuning::frame_order::TUNING;
 
 impl Reason {
     /// Returns why a verified pose was not reported.
@@ -36,15 +26,18 @@ impl Reason {
     /// refused; `look`: the frame's appearance; `width_px`: the frame's width.
     pub(super) fn of_failure(seen: &Recognition, refusal: Option<Refusal>, look: &FrameLook, width_px: u32) -> Self {
         let of_frame = look.fault().map(Self::from);
-        if seen.agreeing < MIN_RECOGNISED {
+        if seen.agreeing < TUNING.min_recognised_matches {
             return of_frame.unwrap_or(Self::NotRecognised);
         }
-        if seen.outline_px.is_some_and(|side| side < MIN_SIDE_PX.max(MIN_SIDE * f64::from(width_px))) {
+        if seen
+            .outline_px
+            .is_some_and(|side| side < TUNING.min_recognisable_side_px.max(TUNING.min_recognisable_width_ratio * f64::from(width_px)))
+        {
             return Self::TooSmall;
         }
         // A homography assumes neither lens nor size. If it explains the matches far better than
         // any pose does, lens or size is wrong.
-        if seen.misfit.is_none_or(|misfit| misfit > MAX_MISFIT) {
+        if seen.misfit.is_none_or(|misfit| misfit > TUNING.max_geometry_misfit) {
             return of_frame.unwrap_or(Self::NoPoseFits);
         }
         match refusal {

@@ -6,6 +6,7 @@
 //! result into a [`BodySighting`]; last, the matcher learns the shutter. It may use all rooms of
 //! `track`.
 
+use super::tuning::frame_order::TUNING;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -46,18 +47,6 @@ use crate::frame::{Frame, Timestamp};
 use crate::geometry::resection::perturbed;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
-
-/// Maximum sigma of an object's direction by residual tile displacements, radians (one degree).
-/// Raised, false poses of small pictures are reported; lowered, blurred objects are given up.
-const MAX_MISFIT_TURN: f64 = std::f64::consts::PI / 180.0;
-
-/// How long a second copy of the stage's picture counts as still there, seconds. Raised, the stage
-/// returns later once the copy is gone; lowered, a copy that is hard to see is forgotten.
-const COPY_REMEMBERED_S: f64 = 0.5;
-
-/// Minimum interval between recognitions of a followed stage for the focal length that its matches
-/// imply, seconds. Raised, a doubt lasts longer; lowered, more frames cost a search.
-const MATCHES_PACE_S: f64 = 1.0;
 
 /// What a frame shows of one body.
 #[derive(Debug, Clone)]
@@ -417,7 +406,7 @@ impl Matcher {
             _ => {}
         }
         let stage = &mut self.bodies[0];
-        let is_open = |then: Timestamp| frame.timestamp.seconds_since(then) <= COPY_REMEMBERED_S;
+        let is_open = |then: Timestamp| frame.timestamp.seconds_since(then) <= TUNING.copy_memory_s;
         if come[0] && stage.two_seen.is_some_and(is_open) {
             self.verified[0] = None;
             stage.leave_open(Reason::Ambiguous);
@@ -465,12 +454,12 @@ impl Matcher {
     }
 
     /// Asks feature matches for the focal length: those that found the stage, and, at most once per
-    /// [`MATCHES_PACE_S`], those of a frame whose tiles disagree with earlier matches.
+    /// `focal_match_interval_s`, those of a frame whose tiles disagree with earlier matches.
     fn ask_matches(&mut self, frame: &Frame, clue: Option<&FocalClue>) {
         let Some(found) = self.verified[0] else { return };
         let stage = &mut self.bodies[0];
         let mut matches = std::mem::take(&mut stage.seen.matches);
-        let is_due = self.matches_asked.is_none_or(|then| frame.timestamp.seconds_since(then) >= MATCHES_PACE_S);
+        let is_due = self.matches_asked.is_none_or(|then| frame.timestamp.seconds_since(then) >= TUNING.focal_match_interval_s);
         if matches.is_empty() && is_due && clue.is_some_and(|clue| self.lens_watch.is_disputed(clue)) {
             self.matches_asked = Some(frame.timestamp);
             let views = self.search.recognise(&frame.image, stage);
@@ -490,7 +479,7 @@ impl Matcher {
     fn refuse_misfits(&mut self) {
         for k in 1..self.bodies.len() {
             let turn = self.fits[k].and_then(|fit| fit.at_most).map_or(0.0, |c| c.fixed_view::<3, 3>(3, 3).trace().max(0.0).sqrt());
-            if turn > MAX_MISFIT_TURN {
+            if turn > TUNING.max_misfit_direction_sigma {
                 debug!(body = %self.bodies[k].body.name, turn, "misfit");
                 (self.verified[k], self.fits[k]) = (None, None);
                 let was_followed = self.bodies[k].followed_from.is_some();

@@ -13,7 +13,10 @@
 //! The files in this folder define the order of a frame: `matcher` runs it, `body_search` finds
 //! missing bodies, `failure` says why a frame has no pose, `two_view` describes the frame by a
 //! homography and an essential matrix, `tile_observer` measures single frames for the survey,
-//! `settings` holds what is configured.
+//! `settings` holds what is configured, `tuning` what is tuned.
+
+#[macro_use]
+mod tuning;
 
 mod acquire;
 mod align;
@@ -32,12 +35,10 @@ mod tile_observer;
 mod two_view;
 
 pub use acquire::candidate::{SurfaceMatch, SurfaceView};
-pub(crate) use acquire::feature_search::LOWE_RATIO;
 pub use acquire::view_bank::ViewStore;
 pub use align::{AlignKernels, Alignment, Clue, UsedPixel};
 pub(crate) use body::agreement;
 pub use body::learnt_camera::{LearntCamera, LearntError, LearntTime, MAX_LEARNT_BYTES};
-pub use body::learnt_readout::{MODEL_ERROR_PX, VAGUE_READOUT_S};
 pub use body::pixel_watch::{Displaced, UsedPixels};
 pub use body::reason::Reason;
 pub use body::shutter_news::ShutterNews;
@@ -56,3 +57,4 @@ pub use scene::shape::{BentShape, ShapePoint, ShapeWay, SurfaceShape};
 pub use scene::surface::{BodySpec, ReferenceKind, SurfaceDoubt, SurfaceError, SurfaceSpec};
 pub use settings::TrackerSettings;
 pub use tile_observer::{KnownRates, ObservedFrame, ObservedTile, TileObserver};
+pub use tuning::TUNING;

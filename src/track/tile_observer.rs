@@ -5,6 +5,7 @@
 //! better model. Nothing is tracked here: every frame is aligned by itself, starting at the motion
 //! found for it before. Uses `align`, `patches` and `scene`.
 
+use super::tuning::frame_order::TUNING;
 use image::GrayImage;
 use nalgebra::{Matrix2, Vector2, Vector3};
 
@@ -18,16 +19,6 @@ use crate::features::Workers;
 use crate::geometry::resection::{MovingCamera, Observation, resect, residual_and_jacobian};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::{Motion, MotionEstimate};
-
-/// Sigma of a frame's motion after the model changed: fraction of the distance, and radians.
-/// Raised, frames start at coarser levels than necessary; lowered, a large change loses frames.
-const START_SHIFT: f64 = 0.02;
-const START_TURN: f64 = 0.01;
-
-/// Maximum anchors searched for in a frame, and the minimum found. Raised, the first costs time,
-/// and the second drops frames that show little of the stage.
-const ANCHORS: usize = 400;
-const MIN_ANCHORS: usize = 16;
 
 /// Measures the tiles of one body in frames.
 pub struct TileObserver {
@@ -135,11 +126,11 @@ impl TileObserver {
         let (image, scale) = if is_half { (&self.half, 2.0) } else { (image, 1.0) };
         let picture = SearchPicture { image, scale, mask: self.mask.as_ref() };
         let pose = start.inverse();
-        visible_targets(&self.body, &pose, &camera, &picture, ANCHORS, &mut self.targets);
+        visible_targets(&self.body, &pose, &camera, &picture, TUNING.max_anchors, &mut self.targets);
         register(&self.body, &self.targets, &picture, &self.workers, &mut self.registered);
         let seen: Vec<(&Registered, Observation)> = self.registered.iter().flatten().filter_map(|r| Some((r, r.observation?))).collect();
         let observations: Vec<Observation> = seen.iter().map(|(_, o)| *o).collect();
-        if observations.len() < MIN_ANCHORS {
+        if observations.len() < TUNING.min_anchors {
             return None;
         }
         let still = MovingCamera::still(&camera);
@@ -166,7 +157,7 @@ impl TileObserver {
     /// the motion's rates, if known. `None` if the picture does not confirm the model.
     pub fn observe(&mut self, image: &GrayImage, start: &Motion, rates: Option<KnownRates>) -> Option<ObservedFrame> {
         let distance_m = self.aligner.distance_m(&start.pose);
-        let unseen = MotionEstimate::unseen(start.pose, distance_m, START_SHIFT * distance_m, START_TURN);
+        let unseen = MotionEstimate::unseen(start.pose, distance_m, TUNING.start_shift_sigma * distance_m, TUNING.start_rotation_sigma);
         let mut expected = MotionEstimate { motion: *start, ..unseen };
         if let Some(rates) = rates {
             expected.motion = rates.on(&start.pose);

@@ -3,6 +3,7 @@
 //! explains the frame better. It uses the anchors that fitted the verified pose; nothing here
 //! influences tracking.
 
+use super::tuning::frame_order::TUNING;
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::patches::fitted_anchor::FittedAnchor;
@@ -29,19 +30,6 @@ pub struct TwoView {
     /// Whether a scene with depth explains the correspondences better than one plane.
     pub has_depth: bool,
 }
-
-/// Minimum correspondences of a reported homography: three times the four that define one. Raised,
-/// small stages have none; lowered, its eight numbers are mostly noise.
-const MIN_FOR_HOMOGRAPHY: usize = 12;
-/// Minimum baseline of an essential matrix, as a fraction of the distance. Raised, fewer frames
-/// have one; lowered, its direction is noise near the reference camera.
-const MIN_BASELINE: f64 = 0.01;
-/// Minimum fraction of correspondences that fit the motion refined from the metric pose to accept
-/// it. Raised, more frames pay for five-point samples; lowered, a worse motion may be kept.
-const CLEAR_SHARE: f64 = 0.8;
-/// Five-point samples, and models kept for refinement. Raised, frames that need them cost more.
-const SAMPLES: usize = 12;
-const KEPT: usize = 6;
 
 /// Returns `T_body_reference`, the pose of the reference camera (C3): the photograph's own camera,
 /// or a virtual pinhole on the first surface's axis, as far in front of its centre as the surface
@@ -86,7 +74,7 @@ pub fn two_view(
     let distance = (t_camera_body * body.surfaces[0].spec.pose).translation.norm();
     let focal = 0.5 * (camera.intrinsics().fx + camera.intrinsics().fy);
     let sigma = verified.rms_px.max(0.05) / focal;
-    let has_baseline = t_frame_reference.translation.norm() >= MIN_BASELINE * distance;
+    let has_baseline = t_frame_reference.translation.norm() >= TUNING.min_baseline * distance;
     let essential = has_baseline.then(|| estimate_motion(pairs, &t_frame_reference, sigma, seed)).flatten();
     TwoView {
         homography: first_surface_homography(body, anchors, rays, camera, points),
@@ -124,7 +112,7 @@ fn first_surface_homography(
     let of_first = anchors.iter().zip(rays).filter(|(a, _)| a.surface == 0);
     pairs.clear();
     pairs.extend(of_first.filter_map(|(a, ray)| Some(PointPair { from: a.artwork, to: camera.undistorted_pixel((*ray)?) })));
-    if pairs.len() < MIN_FOR_HOMOGRAPHY {
+    if pairs.len() < TUNING.min_homography_matches {
         return None;
     }
     let fit = Homography::from_pairs(pairs, None)?.refined(pairs, 0.2, 15)?;
@@ -151,10 +139,10 @@ fn estimate_motion(pairs: &[RayPair], metric: &Pose<Camera, ReferenceCamera>, si
     };
     let near = refine_motion(&known, pairs, sigma, 12);
     let agreeing_near = agreeing(&near);
-    if agreeing_near as f64 >= CLEAR_SHARE * pairs.len() as f64 {
+    if agreeing_near as f64 >= TUNING.min_refined_inlier_ratio * pairs.len() as f64 {
         return Some((near, agreeing_near));
     }
-    let mut starts: Vec<TwoViewMotion> = essential_candidates(pairs, threshold, SAMPLES, KEPT, seed)
+    let mut starts: Vec<TwoViewMotion> = essential_candidates(pairs, threshold, TUNING.five_point_samples, TUNING.kept_models, seed)
         .iter()
         .filter_map(|e| motion_by_cheirality(e, pairs))
         .filter(|(_, in_front)| 2 * in_front > pairs.len())

@@ -8,6 +8,7 @@ mod constants;
 mod modules;
 mod prose;
 mod specification;
+mod tuning;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
@@ -82,7 +83,7 @@ fn every_module_group_uses_only_groups_before_it() {
 }
 
 /// The rooms of `track` from the top, and the files that run them; each uses only those above it.
-const TRACK: [&str; 14] = [
+const TRACK: [&str; 15] = [
     "scene",
     "frame",
     "patches",
@@ -91,6 +92,7 @@ const TRACK: [&str; 14] = [
     "acquire",
     "body",
     // The order of a frame.
+    "tuning",
     "settings",
     "failure",
     "two_view",
@@ -100,7 +102,8 @@ const TRACK: [&str; 14] = [
     "synthetic",
 ];
 /// The rooms of `track::align`, likewise.
-const ALIGN: [&str; 10] = ["lanes", "picture", "learned", "pixels", "kernel", "solve", "hypotheses", "kernels", "frame_problem", "aligner"];
+const ALIGN: [&str; 11] =
+    ["tuning", "lanes", "picture", "learned", "pixels", "kernel", "solve", "hypotheses", "kernels", "frame_problem", "aligner"];
 
 /// Holds the modules directly inside `parent` to an order.
 fn assert_order(parent: &[&str], order: &[&str]) {

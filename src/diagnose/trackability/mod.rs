@@ -31,7 +31,7 @@ pub use strength_map::StrengthMap;
 use crate::camera::CameraModel;
 use crate::features::{ExtractorOptions, Feature, FeatureExtractor, TiltedViews, Workers, append_tilted_features};
 use crate::matching::{Match, MatchBuffers, ReferenceIndex};
-use crate::track::{BodySpec, LOWE_RATIO, SurfaceSpec};
+use crate::track::{BodySpec, SurfaceSpec, TUNING};
 
 /// The best rating.
 pub const BEST: u8 = 5;
@@ -283,7 +283,7 @@ fn recognised(
     let seen = seen.concat();
     let mut index = ReferenceIndex::default();
     index.add(0, own, |p| p, 1.0);
-    let matches = matched(&seen, &index, LOWE_RATIO, workers);
+    let matches = matched(&seen, &index, TUNING.acquire.lowe_ratio, workers);
     let is_right = |m: &&Match| {
         let (seen, own) = (&seen[m.frame as usize], &own[m.reference as usize]);
         (seen.position - own.position).norm() < RIGHT_PX * seen.scale.max(own.scale)

@@ -5,6 +5,7 @@
 //! Both planar poses stay candidates until alignment with the picture decides. If few matches
 //! agree, affine maps replace homographies.
 
+use crate::track::acquire::tuning::TUNING;
 use nalgebra::{Matrix2, Vector2};
 
 use crate::camera::{CameraModel, Pixel};
@@ -80,41 +81,6 @@ pub struct AgreeingMatch {
     pub floor: f64,
 }
 
-/// Minimum inliers of a homography: twice the four that define it. Raised, small or dim pictures
-/// are not found; lowered, frames without the stage cost more.
-const MIN_INLIERS: usize = 8;
-/// Minimum places that agree on an affine map: two more than define one. Raised, weak pictures are
-/// not found; lowered, frames without them cost more.
-const MIN_AFFINE_INLIERS: usize = 5;
-/// Matches above which a pose is well supported and no affine maps are tried. Raised, well-visible
-/// bodies cost more; lowered, a homography through wrong matches may be the only one tried.
-pub const FEW_INLIERS: usize = 20;
-/// Maximum candidates: both planar poses of a homography and of an affine map. Raised, wrong ones
-/// cost more.
-const MAX_CANDIDATES: usize = 4;
-/// How far from a match its surface's affine map is sampled to get planar poses, pixels of the
-/// match's level. Raised, perspective distorts the sample; lowered, no effect.
-const AFFINE_REACH_PX: f64 = 10.0;
-/// Position noise of a feature, one sigma, pixels of its level. Raised, wrong matches come within
-/// reach of a pose; lowered, right ones fall out of reach of an inaccurate start.
-pub const FEATURE_NOISE_PX: f64 = 1.0;
-/// Maximum distance of matches that refine a pose, sigmas: from the start, then from the refined
-/// pose. Raised, wrong matches pull it; lowered, right ones of other surfaces are excluded.
-const REFINED_WITHIN: [f64; 2] = [20.0, 8.0];
-/// Maximum steps of either refinement; alignment continues from the result. Raised, candidates cost
-/// more.
-const REFINING_STEPS: usize = 5;
-/// If one planar pose explains `TELLING_MATCHES`, its twin must explain `MIN_EXPLAINED` of them.
-/// First lowered or second raised, right ones are skipped; second lowered, wrong ones cost time.
-const TELLING_MATCHES: usize = 60;
-const MIN_EXPLAINED: f64 = 0.5;
-/// Upper bound of a squared residual, sigmas; its root is the inlier limit. Raised, wrong matches
-/// decide between candidates.
-const MAX_SQUARED: f64 = 16.0;
-/// Maximum samples of the robust homography. Raised, frames without the stage cost more; lowered,
-/// homographies among many wrong matches are missed.
-const SAMPLES: usize = 1500;
-
 /// Returns the matches that belong to the surfaces of a body, in the same order (best first).
 /// `surfaces`: range of the body's surface numbers in the index.
 pub fn surface_matches(
@@ -164,14 +130,14 @@ pub fn candidates(
         let mut explained = 0;
         for start in surface_poses(body, &view, camera, &mut seen) {
             // From nearby or far aside, the planar pose with the opposite tilt explains little.
-            let near = || within_reach(&start, &still, &observations, REFINED_WITHIN[1]).count() as f64;
-            if explained >= TELLING_MATCHES && near() < MIN_EXPLAINED * explained as f64 {
+            let near = || within_reach(&start, &still, &observations, TUNING.refinement_gate_sigmas[1]).count() as f64;
+            if explained >= TUNING.twin_test_matches && near() < TUNING.min_twin_match_ratio * explained as f64 {
                 continue;
             }
             let Some(candidate) = refined_candidate(&start, &still, &observations) else { continue };
             poses.push(candidate.pose);
             explained = explained.max(candidate.inliers);
-            if candidate.inliers >= MIN_INLIERS {
+            if candidate.inliers >= TUNING.min_homography_inliers {
                 add_new(&mut found, candidate);
             }
         }
@@ -185,7 +151,7 @@ pub fn candidates(
 /// small, blurred and weak pictures so few matches are right that no sample of four consists of
 /// right ones; but each single match tells how its surface is seen.
 pub fn add_candidates_of_few(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, found: &mut Vec<Candidate>) {
-    if found.iter().any(|candidate| candidate.inliers >= FEW_INLIERS) {
+    if found.iter().any(|candidate| candidate.inliers >= TUNING.well_supported_inliers) {
         return;
     }
     let observations: Vec<Observation> = matches.iter().map(|m| observation(body, m)).collect();
@@ -193,7 +159,7 @@ pub fn add_candidates_of_few(body: &PreparedBody, matches: &[SurfaceMatch], came
     for surface in 0..body.surfaces.len() as u32 {
         let starts = affine_poses(body, surface, matches, camera);
         let refined = starts.iter().filter_map(|start| refined_candidate(start, &still, &observations));
-        refined.filter(|candidate| candidate.inliers >= MIN_AFFINE_INLIERS).for_each(|candidate| add_new(found, candidate));
+        refined.filter(|candidate| candidate.inliers >= TUNING.min_affine_inliers).for_each(|candidate| add_new(found, candidate));
     }
     keep_best(found);
 }
@@ -201,7 +167,7 @@ pub fn add_candidates_of_few(body: &PreparedBody, matches: &[SurfaceMatch], came
 /// Keeps the candidates of lowest cost, best first.
 fn keep_best(found: &mut Vec<Candidate>) {
     found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-    found.truncate(MAX_CANDIDATES);
+    found.truncate(TUNING.max_candidates);
 }
 
 /// Adds a candidate unless a nearly identical one is there.
@@ -214,7 +180,7 @@ fn add_new(found: &mut Vec<Candidate>, candidate: Candidate) {
 /// Refines a start and returns it with its inliers and cost.
 fn refined_candidate(start: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, observations: &[Observation]) -> Option<Candidate> {
     let found = refined(start, camera, observations)?;
-    let inliers = within_reach(&found.pose, camera, observations, MAX_SQUARED.sqrt()).count();
+    let inliers = within_reach(&found.pose, camera, observations, TUNING.max_squared_match_residual.sqrt()).count();
     Some(Candidate { pose: found.pose, inliers, cost: truncated_cost(&found.pose, camera, observations), off: off(&found) })
 }
 
@@ -224,9 +190,9 @@ fn refined(start: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, obser
     let near = |pose: &Pose<Camera, Body>, sigmas: f64| -> Vec<Observation> {
         within_reach(pose, camera, observations, sigmas).copied().collect()
     };
-    let [rough, fine] = REFINED_WITHIN;
-    let pose = resect(start, camera, &near(start, rough), REFINING_STEPS)?.pose;
-    resect(&pose, camera, &near(&pose, fine), REFINING_STEPS)
+    let [rough, fine] = TUNING.refinement_gate_sigmas;
+    let pose = resect(start, camera, &near(start, rough), TUNING.max_refinement_steps)?.pose;
+    resect(&pose, camera, &near(&pose, fine), TUNING.max_refinement_steps)
 }
 
 /// See [`Candidate::off`]; infinite if the matches leave a direction undetermined.
@@ -248,14 +214,14 @@ fn within_reach<'a>(
 }
 
 fn observation(body: &PreparedBody, m: &SurfaceMatch) -> Observation {
-    let information = Matrix2::identity() / (FEATURE_NOISE_PX * m.scale).powi(2);
+    let information = Matrix2::identity() / (TUNING.feature_noise_px * m.scale).powi(2);
     Observation { point: body.surfaces[m.surface as usize].spec.body_point(m.artwork), pixel: m.pixel, information, delay_s: 0.0, group: 0 }
 }
 
-/// Returns the sum of squared residuals in sigmas, each truncated at [`MAX_SQUARED`].
+/// Returns the sum of squared residuals in sigmas, each truncated at `max_squared_match_residual`.
 fn truncated_cost(pose: &Pose<Camera, Body>, camera: &MovingCamera<CameraModel>, observations: &[Observation]) -> f64 {
     let squared = |o: &Observation| squared_residual(pose, camera, o).unwrap_or(f64::INFINITY);
-    observations.iter().map(|o| squared(o).min(MAX_SQUARED)).sum()
+    observations.iter().map(|o| squared(o).min(TUNING.max_squared_match_residual)).sum()
 }
 
 /// Whether two candidates are equivalent: within a hundredth of the distance and half a degree.
@@ -289,14 +255,15 @@ impl SurfaceView {
     /// Returns the squared residual of the homography for a match, in sigmas, truncated.
     fn squared_error(&self, m: &SurfaceMatch) -> f64 {
         let pair = PointPair { from: m.artwork, to: m.undistorted };
-        (self.homography.squared_error(&pair) / (FEATURE_NOISE_PX * m.scale).powi(2)).min(MAX_SQUARED)
+        (self.homography.squared_error(&pair) / (TUNING.feature_noise_px * m.scale).powi(2)).min(TUNING.max_squared_match_residual)
     }
 }
 
 /// See [`Recognition::misfit`].
 fn misfit(poses: &[Pose<Camera, Body>], camera: &MovingCamera<CameraModel>, agreeing: &[AgreeingMatch]) -> Option<f64> {
-    let squared =
-        |pose: &Pose<Camera, Body>, o: &Observation| squared_residual(pose, camera, o).map_or(MAX_SQUARED, |s| s.min(MAX_SQUARED));
+    let squared = |pose: &Pose<Camera, Body>, o: &Observation| {
+        squared_residual(pose, camera, o).map_or(TUNING.max_squared_match_residual, |s| s.min(TUNING.max_squared_match_residual))
+    };
     let over =
         |pose: &Pose<Camera, Body>| agreeing.iter().map(|m| squared(pose, &m.observation) - m.floor).sum::<f64>() / agreeing.len() as f64;
     poses.iter().map(over).min_by(f64::total_cmp).filter(|m| m.is_finite())
@@ -306,14 +273,16 @@ fn misfit(poses: &[Pose<Camera, Body>], camera: &MovingCamera<CameraModel>, agre
 /// mirrored, as the surface's front never is.
 pub fn surface_view(surface: u32, matches: &[SurfaceMatch], camera: &CameraModel, seed: u64) -> Option<SurfaceView> {
     let own: Vec<SurfaceMatch> = matches.iter().filter(|m| m.surface == surface).copied().collect();
-    if own.len() < MIN_INLIERS {
+    if own.len() < TUNING.min_homography_inliers {
         return None;
     }
     let pairs: Vec<PointPair> = own.iter().map(|m| PointPair { from: m.artwork, to: m.undistorted }).collect();
     let threshold = 4.0 * (f64::from(camera.width().max(camera.height())) / 1280.0).max(0.75);
-    let order = Order::BestFirst { even_after: SAMPLES, draws_each: 1, stops_by_best: false };
-    let options = RobustOptions { threshold, max_samples: SAMPLES, confidence: 0.9999, order, weighs_alike: false, seed };
-    let found = robust_homography(&pairs, &options).filter(|f| f.inliers.len() >= MIN_INLIERS && f.model.keeps_orientation())?;
+    let order = Order::BestFirst { even_after: TUNING.max_homography_samples, draws_each: 1, stops_by_best: false };
+    let options =
+        RobustOptions { threshold, max_samples: TUNING.max_homography_samples, confidence: 0.9999, order, weighs_alike: false, seed };
+    let found =
+        robust_homography(&pairs, &options).filter(|f| f.inliers.len() >= TUNING.min_homography_inliers && f.model.keeps_orientation())?;
     let matches = found.inliers.iter().map(|&k| own[k]).collect();
     Some(SurfaceView { surface, homography: found.model, matches })
 }
@@ -338,7 +307,7 @@ fn affinities(surface: u32, matches: &[SurfaceMatch]) -> (Vec<&SurfaceMatch>, Ve
     let affinity = |m: &SurfaceMatch| LocalAffinity {
         pair: PointPair { from: m.artwork, to: m.undistorted },
         derivative: m.derivative,
-        noise: FEATURE_NOISE_PX * m.scale,
+        noise: TUNING.feature_noise_px * m.scale,
     };
     matches.iter().filter(|m| m.surface == surface).map(|m| (m, affinity(m))).unzip()
 }
@@ -349,7 +318,7 @@ fn affinities(surface: u32, matches: &[SurfaceMatch]) -> (Vec<&SurfaceMatch>, Ve
 pub fn agreeing_matches(body: &PreparedBody, matches: &[SurfaceMatch]) -> Vec<SurfaceMatch> {
     let of_surface = |surface: u32| {
         let (own, affinities) = affinities(surface, matches);
-        most_agreeing(&affinities, MIN_AFFINE_INLIERS).unwrap_or_default().into_iter().map(move |k| *own[k])
+        most_agreeing(&affinities, TUNING.min_affine_inliers).unwrap_or_default().into_iter().map(move |k| *own[k])
     };
     (0..body.surfaces.len() as u32).flat_map(of_surface).collect()
 }
@@ -358,10 +327,10 @@ pub fn agreeing_matches(body: &PreparedBody, matches: &[SurfaceMatch]) -> Vec<Su
 fn affine_poses(body: &PreparedBody, surface: u32, matches: &[SurfaceMatch], camera: &CameraModel) -> Vec<Pose<Camera, Body>> {
     let spec = &body.surfaces[surface as usize].spec;
     let (own, affinities) = affinities(surface, matches);
-    let Some((map, agreeing)) = robust_affine(&affinities, MIN_AFFINE_INLIERS) else { return Vec::new() };
+    let Some((map, agreeing)) = robust_affine(&affinities, TUNING.min_affine_inliers) else { return Vec::new() };
     let steps = [Vector2::x(), -Vector2::x(), Vector2::y(), -Vector2::y()];
     let around = |m: &SurfaceMatch| {
-        let back = m.derivative.try_inverse().unwrap_or_default() * (AFFINE_REACH_PX * m.scale);
+        let back = m.derivative.try_inverse().unwrap_or_default() * (TUNING.affine_reach_px * m.scale);
         steps.map(|step| m.artwork + back * step)
     };
     let metric = |artwork: Vector2<f64>| {

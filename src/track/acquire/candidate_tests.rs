@@ -1,3 +1,4 @@
+use crate::track::acquire::tuning::TUNING;
 use nalgebra::{Rotation2, UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -106,7 +107,7 @@ fn eight_right_matches_among_sixty_locate_a_body() {
         let (mut found, _) = candidates_of(&body, &few, &camera);
         by_homography += usize::from(is_right(&found));
         add_candidates_of_few(&body, &few, &camera, &mut found);
-        assert!(is_right(&found) && found.len() <= MAX_CANDIDATES, "{seed}: {found:?}");
+        assert!(is_right(&found) && found.len() <= TUNING.max_candidates, "{seed}: {found:?}");
         assert!(found.windows(2).all(|w| w[0].cost <= w[1].cost));
     }
     assert!(by_homography < 8, "{by_homography}");
@@ -172,7 +173,7 @@ fn five_refinement_steps_converge_the_best_candidate() {
         add_candidates_of_few(&body, &matches, &camera, &mut found);
         let best = found.first().expect("a candidate");
         let observations: Vec<Observation> = matches.iter().map(|m| observation(&body, m)).collect();
-        let near: Vec<Observation> = within_reach(&best.pose, &still, &observations, REFINED_WITHIN[1]).copied().collect();
+        let near: Vec<Observation> = within_reach(&best.pose, &still, &observations, TUNING.refinement_gate_sigmas[1]).copied().collect();
         let rest = resect(&best.pose, &still, &near, 100).expect("enough matches").pose;
         let shift = (rest.translation - best.pose.translation).norm();
         assert!(shift < 0.01 * best.off[0] && rest.angle_to(&best.pose) < 0.01 * best.off[1], "{seed}: {shift} of {:?}", best.off);

@@ -5,25 +5,14 @@
 //! and too collinear to determine a pose. But a lateral shift of the predicted pose takes only one
 //! match, and three that agree on it are rarely wrong.
 
+use crate::track::acquire::tuning::TUNING;
 use nalgebra::{Matrix2, Vector2, Vector3};
 
-use super::candidate::{Candidate, FEATURE_NOISE_PX, SurfaceMatch, nearly_same};
+use super::candidate::{Candidate, SurfaceMatch, nearly_same};
 use crate::camera::{CameraModel, Normalized};
 use crate::geometry::local_affinities::{LocalAffinity, robust_shift};
 use crate::geometry::{Body, Camera, PointPair, Pose};
 use crate::track::scene::reference::PreparedBody;
-
-/// Sigma of a pose found by features: fraction of the distance, and radians. Raised, alignment
-/// starts at coarser levels than necessary; lowered, such a pose pulls the aligned one.
-pub const FIRST_SHIFT: f64 = 0.003;
-pub const FIRST_TURN: f64 = 0.003;
-
-/// Maximum distance of a body from its predicted place, fraction of the frame's width. Raised,
-/// wrong matches agree by chance; lowered, bodies whose motion changed are found later.
-const FURTHEST: f64 = 0.05;
-/// Minimum places that must agree on a shift. Raised, emerging bodies are found a frame later;
-/// lowered, wrong candidates cost time.
-const MIN_AGREEING: usize = 3;
 
 /// Shifts each expected pose laterally to where most matches nearby are, and returns the one with
 /// the most support.
@@ -42,7 +31,8 @@ pub fn expected_candidate(
 fn shifted(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, expected: &Pose<Camera, Body>) -> Option<Candidate> {
     let (depths, affinities): (Vec<f64>, Vec<LocalAffinity>) =
         matches.iter().filter_map(|m| relative_to_expected(body, m, camera, expected)).unzip();
-    let (shift, agreeing) = robust_shift(&affinities, FURTHEST * f64::from(camera.width()), MIN_AGREEING)?;
+    let (shift, agreeing) =
+        robust_shift(&affinities, TUNING.max_predicted_distance * f64::from(camera.width()), TUNING.min_agreeing_places)?;
     let depth = agreeing.iter().map(|&k| depths[k]).sum::<f64>() / agreeing.len() as f64;
     let middle = Vector2::new(f64::from(camera.width()), f64::from(camera.height())) * 0.5;
     let [from, to] = [middle, middle + shift].map(|p| camera.from_undistorted_pixel(p).0);
@@ -53,7 +43,7 @@ fn shifted(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, 
         pose: Pose::new(expected.rotation, expected.translation + aside),
         inliers: agreeing.len(),
         cost: 0.0,
-        off: [open.hypot(FIRST_SHIFT * depth), (open / depth).hypot(FIRST_TURN)],
+        off: [open.hypot(TUNING.feature_pose_shift_sigma * depth), (open / depth).hypot(TUNING.feature_pose_rotation_sigma)],
     })
 }
 
@@ -73,7 +63,7 @@ fn relative_to_expected(
     let (depth, from) = seen(m.artwork)?;
     let by_artwork = Matrix2::from_columns(&[seen(m.artwork + Vector2::x())?.1 - from, seen(m.artwork + Vector2::y())?.1 - from]);
     let pair = PointPair { from, to: m.undistorted };
-    Some((depth, LocalAffinity { pair, derivative: m.derivative * by_artwork.try_inverse()?, noise: FEATURE_NOISE_PX * m.scale }))
+    Some((depth, LocalAffinity { pair, derivative: m.derivative * by_artwork.try_inverse()?, noise: TUNING.feature_noise_px * m.scale }))
 }
 
 /// Of two planar poses of the same matches, puts first the one whose rotation is nearer to the

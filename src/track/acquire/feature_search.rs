@@ -6,6 +6,7 @@
 //! whole bank. Once the stage is known, only unexplained parts of the frame are searched, a limited
 //! slice per frame.
 
+use crate::track::acquire::tuning::TUNING;
 use std::sync::Arc;
 
 use image::GrayImage;
@@ -18,33 +19,12 @@ use crate::features::{ContrastStretch, ExtractorOptions, Feature, FeatureExtract
 use crate::matching::{Match, MatchBuffers, ReferenceFeature, ReferenceIndex};
 use crate::track::scene::reference::PreparedSurface;
 
-/// Lowe's ratio (2004, section 7.1): a match counts if its distance is less than this fraction of
-/// the second nearest's. Raised, more matches are wrong; lowered, dim stages keep too few.
-pub const LOWE_RATIO: f32 = 0.85;
 /// Features of a quick look: the strongest of a frame. Raised, every frame of a search takes
 /// longer; lowered, occluded stages need the close look more often.
 const QUICK_FEATURES: usize = 600;
 /// Features of a glance: the strongest of a frame. Raised, every frame of a search takes longer;
 /// lowered, more frames need a quick look as well.
 const GLANCE_FEATURES: usize = QUICK_FEATURES / 2;
-/// Matches of a body that make a glance sufficient. Raised, more frames need a quick look as well;
-/// lowered, alignment starts further off.
-const ENOUGH_MATCHES: usize = 60;
-/// Maximum width of the levels that a glance or a quick look uses, pixels. Raised, every frame of a
-/// search takes longer; lowered, stages that are seen small need the close look.
-const QUICK_PX: u32 = 800;
-
-/// Comparisons per slice: features of the frame times features of the missing bodies' views.
-/// Raised, frames in which a body is missing take longer; lowered, props are found less often.
-const SLICE_COMPARISONS: usize = 3_000_000;
-/// Minimum and maximum features per slice. Raised, slices take longer; lowered, small and dim props
-/// are not found.
-const MIN_SLICE_FEATURES: usize = 150;
-const MAX_SLICE_FEATURES: usize = 400;
-
-/// Maximum missing surfaces that one slice is compared with; the others take turns. Raised, slices
-/// have too few features; lowered, each surface waits longer.
-const SURFACES_OF_SLICE: usize = 5;
 
 /// How closely a frame is searched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -172,7 +152,7 @@ impl FeatureSearch {
             self.missing_views.take_from(&self.all_views, |surface| self.missing.binary_search(&surface).is_ok());
         }
         let entries = self.missing_views.features().len().max(1);
-        let count = (SLICE_COMPARISONS / entries).clamp(MIN_SLICE_FEATURES, MAX_SLICE_FEATURES).min(self.count);
+        let count = (TUNING.comparisons_per_slice / entries).clamp(TUNING.min_slice_features, TUNING.max_slice_features).min(self.count);
         // If everything is explained, there is nothing to stretch the contrast of.
         let stretched = if unexplained.is_anything() { self.contrast.stretched(image) } else { None };
         let image = stretched.unwrap_or(image);
@@ -182,7 +162,7 @@ impl FeatureSearch {
 
     fn options(&self, look: Look) -> ExtractorOptions {
         let all = ExtractorOptions { count: self.count, ..Default::default() };
-        let strongest = |count: usize| ExtractorOptions { count: self.count.min(count), largest_px: QUICK_PX, ..all };
+        let strongest = |count: usize| ExtractorOptions { count: self.count.min(count), largest_px: TUNING.max_quick_width_px, ..all };
         match look {
             Look::Glance => strongest(GLANCE_FEATURES),
             Look::Quick => strongest(QUICK_FEATURES),
@@ -200,14 +180,14 @@ impl FeatureSearch {
     pub fn is_enough(&self, surfaces: std::ops::Range<u32>) -> bool {
         let reference = self.reference();
         let own = self.matches.iter().filter(|m| surfaces.contains(&reference[m.reference as usize].surface));
-        own.count() >= ENOUGH_MATCHES
+        own.count() >= TUNING.sufficient_glance_matches
     }
 
     fn compare(&mut self, asked: Asked, workers: &Workers) {
         self.asked = asked;
         let Self { frontal, all_views, missing_views, features, buffers, matches, .. } = self;
         let index = part(asked, frontal, all_views, missing_views);
-        index.match_features(features, LOWE_RATIO, workers, buffers, matches);
+        index.match_features(features, TUNING.lowe_ratio, workers, buffers, matches);
     }
 
     /// Returns the matches of a body's surfaces, best first.
@@ -229,9 +209,9 @@ impl FeatureSearch {
 /// Returns a test of which of `number` missing surfaces belong to a slice. The first one advances
 /// by one more per round, so that the same surfaces do not always meet the same part of the frame.
 fn in_turn(number: usize, slice: usize) -> impl Fn(usize) -> bool + Clone {
-    let round = number.div_ceil(SURFACES_OF_SLICE).max(1);
-    let first = (slice * SURFACES_OF_SLICE + slice / round) % number.max(1);
-    move |k| number <= SURFACES_OF_SLICE || (k + number - first) % number < SURFACES_OF_SLICE
+    let round = number.div_ceil(TUNING.max_slice_surfaces).max(1);
+    let first = (slice * TUNING.max_slice_surfaces + slice / round) % number.max(1);
+    move |k| number <= TUNING.max_slice_surfaces || (k + number - first) % number < TUNING.max_slice_surfaces
 }
 
 fn part<'a>(
@@ -269,10 +249,10 @@ mod tests {
         assert!((0..5).all(in_turn(5, 3)) && !in_turn(6, 0)(5));
         for number in [6_usize, 7, 10, 16, 33] {
             // Within two rounds, starting at any slice, each surface has its turn; five per slice.
-            let round = number.div_ceil(SURFACES_OF_SLICE);
+            let round = number.div_ceil(TUNING.max_slice_surfaces);
             for slice in 0..40 {
                 assert!((0..number).all(|k| (slice..slice + 2 * round).any(|slice| in_turn(number, slice)(k))), "{number} {slice}");
-                assert_eq!((0..number).filter(|k| in_turn(number, slice)(*k)).count(), SURFACES_OF_SLICE);
+                assert_eq!((0..number).filter(|k| in_turn(number, slice)(*k)).count(), TUNING.max_slice_surfaces);
             }
         }
     }

@@ -8,6 +8,8 @@
 //! all have the same residuals. Slightly distorted pictures and slightly misplaced surfaces are
 //! rival explanations and are tested too.
 
+use crate::track::acquire::tuning::TUNING;
+use crate::track::model_error::tuning::TUNING as MODEL_ERROR_TUNING;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix2, Matrix2xX, Vector2};
 use tracing::debug;
 
@@ -15,38 +17,9 @@ use super::candidate::AgreeingMatch;
 use crate::camera::{CameraModel, Intrinsics};
 use crate::geometry::resection::{MovingCamera, Observation, resect, residual_and_jacobian, squared_residual};
 use crate::geometry::{Body, Camera, Pose};
-use crate::track::model_error::focal_clue::{DIRECTION_SIGMA, FIXED_SIGMA, MAX_CHANGE, PLACE_SIGMA_M};
 use crate::track::model_error::lens_watch::MatchedFocal;
-use crate::track::model_error::model_unknowns::{CORNERS, fill_corners, fill_place};
+use crate::track::model_error::model_unknowns::{CORNER_UNKNOWNS, fill_corners, fill_place};
 use crate::track::scene::reference::PreparedBody;
-
-/// Minimum matches for an estimate. Raised, wrong lenses pass where a stage has little detail.
-const MIN_MATCHES: usize = 24;
-/// Maximum matches used, evenly spaced. Raised, the frame that finds the stage takes longer.
-const MAX_MATCHES: usize = 120;
-/// Minimum excess of the mean truncated square over that of free homographies, sigmas. Raised,
-/// small errors of the focal length pass; lowered, frames that fit are tested as well.
-const MIN_MISFIT: f64 = 0.1;
-/// Step between the focal lengths tried (logarithm), and number of steps each way; a best fit at
-/// either end is rejected. Raised, modes that crop more are found, in more time.
-const STEP: f64 = 0.09;
-const STEPS: i32 = 8;
-/// Minimum drop of the cost, in mean squared residuals of the better fit: five sigmas. Raised,
-/// wrong lenses pass; lowered, noise widens the covariance.
-const MIN_GAIN: f64 = 25.0;
-/// Minimum drop of the cost, as a fraction of its excess over free homographies. Raised, wrong
-/// lenses pass where other parts do not fit either; lowered, other faults pass for a wrong lens.
-const MIN_SHARE: f64 = 0.5;
-/// Upper bound of a squared residual, sigmas; as in `candidate`. Raised, wrong matches decide.
-const MAX_SQUARED: f64 = 16.0;
-/// Maximum steps of a resection. Raised, focal lengths far off are judged better, in more time.
-const RESECTION_STEPS: usize = 10;
-/// How far pictures may be distorted or stretched unless more is configured, one sigma. Raised,
-/// wrong lenses pass; lowered, careless measurements are taken for a wrong lens.
-const ASKEW_SIGMA: f64 = 0.005;
-/// How far the camera may move while the rows are read, one sigma: metres and radians. Raised,
-/// wrong lenses of moving cameras are found later.
-const MOVED_SIGMA: [f64; 2] = [0.02, 0.02];
 
 /// Estimates whether another focal length fits the matches.
 ///
@@ -61,10 +34,10 @@ pub fn matched_focal(
     is_global: bool,
     suspected: Option<f64>,
 ) -> MatchedFocal {
-    if matches.len() < MIN_MATCHES {
+    if matches.len() < TUNING.min_focal_matches {
         return MatchedFocal::Unclear;
     }
-    let asked: Vec<AgreeingMatch> = matches.iter().step_by(matches.len().div_ceil(MAX_MATCHES)).copied().collect();
+    let asked: Vec<AgreeingMatch> = matches.iter().step_by(matches.len().div_ceil(TUNING.max_focal_matches)).copied().collect();
     let observations: Vec<Observation> = asked.iter().map(|m| m.observation).collect();
     let trial = Trial { camera, body, matches: &asked, observations: &observations, is_global };
     trial.ask(pose, suspected).unwrap_or(MatchedFocal::Unclear)
@@ -94,20 +67,20 @@ impl Trial<'_> {
     fn ask(&self, pose: &Pose<Camera, Body>, suspected: Option<f64>) -> Option<MatchedFocal> {
         let calibrated = self.fit(pose, 0.0)?;
         let excess = calibrated.cost - self.matches.iter().map(|m| m.floor).sum::<f64>();
-        if excess > MIN_MISFIT * self.observations.len() as f64 {
+        if excess > TUNING.min_focal_misfit * self.observations.len() as f64 {
             let best = self.best(calibrated);
             let rival = |moved, askew| self.rival_cost(&calibrated, moved, askew).unwrap_or(calibrated.cost).min(calibrated.cost);
             let moved = if self.is_global { calibrated.cost } else { rival(true, false) };
             let askew = rival(!self.is_global, true);
             debug!(change = best.change, calibrated = calibrated.cost, excess, moved, askew, left = best.cost, "focal length by matches");
-            let is_inside = best.change.abs() < (f64::from(STEPS) - 0.5) * STEP;
+            let is_inside = best.change.abs() < (f64::from(TUNING.focal_steps_each_way) - 0.5) * TUNING.log_focal_step;
             let gain = calibrated.cost - best.cost;
             let is_moved = moved - best.cost < self.min_gain(&best);
-            if is_inside && !is_moved && gain > self.min_gain(&best) && gain > MIN_SHARE * excess {
+            if is_inside && !is_moved && gain > self.min_gain(&best) && gain > TUNING.min_focal_cost_drop_ratio * excess {
                 if askew - best.cost > self.min_gain(&best) {
                     return Some(MatchedFocal::Changed(best.change));
                 }
-                if best.change.abs() < MAX_CHANGE {
+                if best.change.abs() < MODEL_ERROR_TUNING.max_focal_change {
                     return Some(MatchedFocal::Contested(best.change));
                 }
             }
@@ -119,7 +92,7 @@ impl Trial<'_> {
 
     /// Returns the drop of the cost that exceeds noise if this fit is the best.
     fn min_gain(&self, best: &Fit) -> f64 {
-        MIN_GAIN * best.cost / (2 * self.observations.len() - 7) as f64
+        TUNING.min_focal_cost_drop * best.cost / (2 * self.observations.len() - 7) as f64
     }
 
     /// Fits the pose with another focal length, starting from that with a similar one.
@@ -127,8 +100,11 @@ impl Trial<'_> {
         let i = *self.camera.intrinsics();
         let camera = CameraModel::new(Intrinsics { fx: i.fx * change.exp(), fy: i.fy * change.exp(), ..i }).ok()?;
         let still = MovingCamera::still(&camera);
-        let pose = resect(start, &still, self.observations, RESECTION_STEPS)?.pose;
-        let square = |o: &Observation| squared_residual(&pose, &still, o).map_or(MAX_SQUARED, |square| square.min(MAX_SQUARED));
+        let pose = resect(start, &still, self.observations, TUNING.max_resection_steps)?.pose;
+        let square = |o: &Observation| {
+            squared_residual(&pose, &still, o)
+                .map_or(TUNING.max_squared_focal_residual, |square| square.min(TUNING.max_squared_focal_residual))
+        };
         Some(Fit { change, pose, cost: self.observations.iter().map(square).sum() })
     }
 
@@ -136,15 +112,15 @@ impl Trial<'_> {
     /// the step.
     fn best(&self, calibrated: Fit) -> Fit {
         let mut best = calibrated;
-        for direction in [-STEP, STEP] {
+        for direction in [-TUNING.log_focal_step, TUNING.log_focal_step] {
             let mut last = calibrated;
-            for _ in 0..STEPS {
+            for _ in 0..TUNING.focal_steps_each_way {
                 let Some(next) = self.fit(&last.pose, last.change + direction) else { break };
                 last = next;
                 best = if next.cost < best.cost { next } else { best };
             }
         }
-        let mut step = 0.5 * STEP;
+        let mut step = 0.5 * TUNING.log_focal_step;
         for _ in 0..4 {
             for change in [best.change - step, best.change + step] {
                 best = self.fit(&best.pose, change).filter(|next| next.cost < best.cost).unwrap_or(best);
@@ -156,7 +132,7 @@ impl Trial<'_> {
 
     /// Fits another focal length, reached by steps from a known one.
     fn towards(&self, start: Fit, change: f64) -> Fit {
-        let steps = (change.abs() / STEP).ceil().max(1.0);
+        let steps = (change.abs() / TUNING.log_focal_step).ceil().max(1.0);
         let mut last = start;
         for k in 1..=steps as u32 {
             let Some(next) = self.fit(&last.pose, change * f64::from(k) / steps) else {
@@ -173,22 +149,22 @@ impl Trial<'_> {
     fn rival_cost(&self, fit: &Fit, is_moved: bool, is_askew: bool) -> Option<f64> {
         let count = self.body.surfaces.len();
         let (motion, corners) = (6, 12);
-        let places = corners + CORNERS * count;
+        let places = corners + CORNER_UNKNOWNS * count;
         let n = places + 6 * (count - 1);
         let doubt = |k: usize| &self.body.surfaces[k].spec.doubt;
         let sigma = |k: usize| match k {
             0..6 => f64::INFINITY,
             k if k < corners => {
                 if is_moved {
-                    MOVED_SIGMA[(k - motion) / 3]
+                    TUNING.readout_motion_sigma[(k - motion) / 3]
                 } else {
-                    FIXED_SIGMA
+                    MODEL_ERROR_TUNING.fixed_sigma
                 }
             }
-            _ if !is_askew => FIXED_SIGMA,
-            k if k < places => ASKEW_SIGMA.max(doubt((k - corners) / CORNERS).corners_share()),
-            k if (k - places) % 6 < 3 => PLACE_SIGMA_M.max(doubt(1 + (k - places) / 6).position_m),
-            k => DIRECTION_SIGMA.max(doubt(1 + (k - places) / 6).rotation_rad),
+            _ if !is_askew => MODEL_ERROR_TUNING.fixed_sigma,
+            k if k < places => TUNING.surface_skew_sigma.max(doubt((k - corners) / CORNER_UNKNOWNS).corners_share()),
+            k if (k - places) % 6 < 3 => MODEL_ERROR_TUNING.clue_place_sigma_m.max(doubt(1 + (k - places) / 6).position_m),
+            k => MODEL_ERROR_TUNING.clue_direction_sigma.max(doubt(1 + (k - places) / 6).rotation_rad),
         };
         let prior = DVector::from_fn(n, |k, _| sigma(k).powi(-2));
         let row_share = |y: f64| (y + 0.5) / f64::from(self.camera.height()) - 0.5;
@@ -205,7 +181,7 @@ impl Trial<'_> {
             row.columns_mut(motion, 6).copy_from(&(by_pose * row_share(m.observation.pixel.y)));
             let by_point = by_pose.fixed_columns::<3>(0) * to_camera;
             let by_surface = by_point * spec.pose.rotation_matrix();
-            fill_corners(&mut row, corners + CORNERS * k, &by_surface, spec.size_m, m.on_picture_m);
+            fill_corners(&mut row, corners + CORNER_UNKNOWNS * k, &by_surface, spec.size_m, m.on_picture_m);
             if k > 0 {
                 let from_centre = m.observation.point.coords - spec.pose.translation;
                 fill_place(&mut row, places + 6 * (k - 1), &by_point, &from_centre);
@@ -219,7 +195,7 @@ impl Trial<'_> {
         let taken: f64 = prior.iter().zip(step.iter()).map(|(information, step)| information * step * step).sum();
         let square = |(row, residual, information): &(Matrix2xX<f64>, Vector2<f64>, Matrix2<f64>)| {
             let left = residual + row * &step;
-            left.dot(&(information * left)).min(MAX_SQUARED)
+            left.dot(&(information * left)).min(TUNING.max_squared_focal_residual)
         };
         Some(taken + rows.iter().map(square).sum::<f64>())
     }

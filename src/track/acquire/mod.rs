@@ -17,6 +17,7 @@ pub mod expected_view;
 pub mod feature_search;
 pub mod matched_focal;
 pub mod search_windows;
+pub mod tuning;
 pub mod unexplained;
 pub mod unexplained_cells;
 pub mod view_bank;

@@ -8,24 +8,16 @@
 //! windows, up to a limit of pixels. The choice depends only on earlier frames, so it is
 //! reproducible.
 
+use crate::track::acquire::tuning::TUNING;
+
 /// Side of a window, pixels. Raised, a slice takes longer; lowered, pictures are cut more often.
-const SIDE_PX: u32 = 400;
+const WINDOW_SIDE_PX: u32 = 400;
 /// Maximum area of a region that becomes one window, whatever its shape, pixels. Raised, a slice
 /// takes longer; lowered, narrow regions are searched almost twice.
-const WHOLE_PX: u64 = ((SIDE_PX + STEP_PX / 2) * (SIDE_PX + STEP_PX / 2)) as u64;
+const MAX_SINGLE_WINDOW_PX: u64 = ((WINDOW_SIDE_PX + WINDOW_STEP_PX / 2) * (WINDOW_SIDE_PX + WINDOW_STEP_PX / 2)) as u64;
 /// Step between windows, pixels: half a window. Raised, pictures between two windows are cut;
 /// lowered, there are more windows.
-const STEP_PX: u32 = SIDE_PX / 2;
-/// Maximum area of a slice with more than one window, pixels. Raised, frames in which a body is
-/// missing take longer; lowered, searching everywhere takes more frames.
-const SLICE_PX: u64 = 280_000;
-/// Maximum side of a window at a predicted place, pixels. Raised, a body that is elsewhere is found
-/// late; lowered, one that changes its speed leaves its window.
-const EXPECTED_PX: u32 = 340;
-
-/// Minimum mean wait (looks) of a window that shares the slice with a predicted place. Raised, a
-/// body elsewhere is found later; lowered, a partly occluded one gets too few features.
-const JOINING_URGENCY: f32 = 6.0;
+const WINDOW_STEP_PX: u32 = WINDOW_SIDE_PX / 2;
 
 /// A rectangle of a frame: first column and row, then the end column and row, exclusive.
 pub type Extent = [[u32; 2]; 2];
@@ -90,7 +82,7 @@ impl SearchWindows {
         self.all.clear();
         for (region, [origin, end]) in regions.enumerate() {
             let size = [0, 1].map(|k| end[k] - origin[k]);
-            let is_whole = size.iter().map(|n| u64::from(*n)).product::<u64>() <= WHOLE_PX;
+            let is_whole = size.iter().map(|n| u64::from(*n)).product::<u64>() <= MAX_SINGLE_WINDOW_PX;
             let [across, down] = size.map(|length| if is_whole { Pieces::one(length) } else { Pieces::of(length) });
             for row in 0..down.count {
                 for column in 0..across.count {
@@ -109,9 +101,9 @@ impl SearchWindows {
         // A window too large for the rest of the slice waits; smaller, less urgent ones may still
         // fit.
         let mut pixels = self.slice.iter().map(Window::area).sum::<u64>();
-        let least_urgency = if self.slice.is_empty() { 0.0 } else { JOINING_URGENCY };
+        let least_urgency = if self.slice.is_empty() { 0.0 } else { TUNING.min_joining_wait };
         for (window, _) in self.all.iter().take_while(|(_, urgency)| *urgency >= least_urgency) {
-            if self.slice.is_empty() || pixels + window.area() <= SLICE_PX {
+            if self.slice.is_empty() || pixels + window.area() <= TUNING.max_slice_px {
                 pixels += window.area();
                 self.slice.push(*window);
             }
@@ -127,9 +119,9 @@ impl SearchWindows {
 }
 
 /// Returns the part of a place along an axis that lies within a region, limited to the middle
-/// [`EXPECTED_PX`]; `None` if it lies outside.
+/// `max_predicted_window_px`; `None` if it lies outside.
 fn shortened([from, to]: [u32; 2], [first, end]: [u32; 2]) -> Option<[u32; 2]> {
-    let spare = to.saturating_sub(from).saturating_sub(EXPECTED_PX);
+    let spare = to.saturating_sub(from).saturating_sub(TUNING.max_predicted_window_px);
     let [from, to] = [(from + spare / 2).max(first), (to - spare.div_ceil(2)).min(end)];
     (from < to).then_some([from, to])
 }
@@ -148,8 +140,8 @@ impl Pieces {
 
     fn of(whole: u32) -> Self {
         // A region slightly longer than a window is not worth two.
-        let count = if whole <= SIDE_PX + STEP_PX / 2 { 1 } else { (whole - SIDE_PX).div_ceil(STEP_PX) + 1 };
-        Self { count, length: if count == 1 { whole } else { SIDE_PX }, whole }
+        let count = if whole <= WINDOW_SIDE_PX + WINDOW_STEP_PX / 2 { 1 } else { (whole - WINDOW_SIDE_PX).div_ceil(WINDOW_STEP_PX) + 1 };
+        Self { count, length: if count == 1 { whole } else { WINDOW_SIDE_PX }, whole }
     }
 
     fn start(&self, k: u32) -> u32 {
@@ -241,12 +233,13 @@ mod tests {
     fn the_windows_miss_nothing() {
         let mut windows = SearchWindows::default();
         let slice = windows.fill_slice([FRAME].into_iter(), |w| Some((*w, 1.0))).to_vec();
-        assert!(slice.len() == 1 || slice.iter().map(Window::area).sum::<u64>() <= SLICE_PX);
+        assert!(slice.len() == 1 || slice.iter().map(Window::area).sum::<u64>() <= TUNING.max_slice_px);
         // Every square of half a window's side lies completely in one window.
-        for y in (0..=720 - STEP_PX).step_by(20) {
-            for x in (0..=1280 - STEP_PX).step_by(20) {
-                let holds =
-                    |w: &Window| [x, y].iter().enumerate().all(|(k, at)| w.origin[k] <= *at && at + STEP_PX <= w.origin[k] + w.size[k]);
+        for y in (0..=720 - WINDOW_STEP_PX).step_by(20) {
+            for x in (0..=1280 - WINDOW_STEP_PX).step_by(20) {
+                let holds = |w: &Window| {
+                    [x, y].iter().enumerate().all(|(k, at)| w.origin[k] <= *at && at + WINDOW_STEP_PX <= w.origin[k] + w.size[k])
+                };
                 assert!(windows.all.iter().any(|(w, _)| holds(w)), "{x} {y}");
             }
         }

@@ -8,15 +8,16 @@
 //!
 //! Per frame: `expected_view` renders the known surfaces, the frame is compared with it,
 //! `unexplained_cells` forms regions, `search_windows` chooses what to search. The comparison uses
-//! a quarter of the frame's size, every second row, in squares of [`CELL`] pixels, and is invariant
-//! to gain and bias, as light may change.
+//! a quarter of the frame's size, every second row, in squares of [`CELL_SIDE`] pixels, and is
+//! invariant to gain and bias, as light may change.
 
+use crate::track::acquire::tuning::TUNING;
 use image::GrayImage;
 use nalgebra::Vector2;
 
 use super::expected_view::{ExpectedView, ROW_STEP};
 use super::search_windows::{Extent, SearchWindows, Window};
-use super::unexplained_cells::{MARGIN_PX, SIDE_PX, UnexplainedCells};
+use super::unexplained_cells::{CELL_SIDE_PX, UnexplainedCells};
 use crate::features::{ExtractorOptions, Feature, FeatureExtractor, Workers};
 use crate::geometry::{Body, Camera, Pose};
 use crate::simd::multiversion;
@@ -25,24 +26,15 @@ use crate::track::scene::reference::PreparedBody;
 
 /// The level that is compared: a quarter of the frame's size. Raised, small props vanish in it;
 /// lowered, the comparison costs four times as much.
-const LEVEL: usize = 2;
-/// Side of a cell, pixels of the level; follows from [`SIDE_PX`]. Three by three cells are judged
-/// together.
-const CELL: usize = (SIDE_PX >> LEVEL) as usize;
+const COMPARED_LEVEL: usize = 2;
+/// Side of a cell, pixels of the level; follows from [`CELL_SIDE_PX`]. Three by three cells are
+/// judged together.
+const CELL_SIDE: usize = (CELL_SIDE_PX >> COMPARED_LEVEL) as usize;
 /// Compared rows per cell.
-const CELL_ROWS: usize = CELL / ROW_STEP;
-/// Minimum correlation of an explained cell with its prediction. Raised, moving shadows and folds
-/// are searched as well, which costs time; lowered, a prop that resembles its background is not.
-const EXPLAINED_CORRELATION: f32 = 0.9;
-/// Minimum standard deviation of a cell that is worth searching, grey levels. Raised, faint
-/// pictures are not found; lowered, plain walls are searched.
-const MIN_CONTRAST: f32 = 3.0;
+const COMPARED_ROWS: usize = CELL_SIDE / ROW_STEP;
 /// Minimum pixels of three by three cells to judge them. Raised, props at the border of the stage
 /// are overlooked; lowered, a few pixels decide.
-const MIN_JUDGED: f32 = (9 * CELL * CELL_ROWS / 4) as f32;
-/// Weight of features in a window at a predicted place, relative to another window of the same
-/// size. Raised, what is new elsewhere is found later; lowered, a briefly occluded body is.
-const EXPECTED_SHARE: f64 = 2.0;
+const MIN_JUDGED: f32 = (9 * CELL_SIDE * COMPARED_ROWS / 4) as f32;
 
 /// A part of the frame that no followed body explains.
 #[derive(Debug, Clone, Default)]
@@ -94,7 +86,7 @@ impl Region {
 pub struct Unexplained {
     expected: ExpectedView,
     /// For a row of cells, sums over its rows of pixels, per column; as in [`Moments`].
-    columns: [Vec<f32>; MOMENTS],
+    columns: [Vec<f32>; SUM_COUNT],
     moments: Vec<Moments>,
     /// Sums over three rows of cells.
     triples: Vec<Moments>,
@@ -114,10 +106,10 @@ pub struct Unexplained {
 /// Sums over the pixels of a cell. Of those covered by a surface: count, grey, grey squared,
 /// prediction, prediction squared, product. Of the others: count, grey, grey squared.
 #[derive(Debug, Clone, Copy, Default)]
-struct Moments([f32; MOMENTS]);
+struct Moments([f32; SUM_COUNT]);
 
 /// Number of sums: six of covered pixels and three of open ones.
-const MOMENTS: usize = 9;
+const SUM_COUNT: usize = 9;
 
 impl Moments {
     fn add(&mut self, other: &Self) {
@@ -127,11 +119,11 @@ impl Moments {
     /// Whether the cells show detail that differs from the expected surfaces, or detail where no
     /// surface is expected.
     fn is_unexplained(&self) -> bool {
-        let has_detail = |n: f32, s: f32, ss: f32| n >= MIN_JUDGED && ss / n - (s / n).powi(2) > MIN_CONTRAST.powi(2);
+        let has_detail = |n: f32, s: f32, ss: f32| n >= MIN_JUDGED && ss / n - (s / n).powi(2) > TUNING.min_searched_contrast.powi(2);
         let [n, s, ss, p, pp, sp, m, t, tt] = self.0;
         let differs = || {
             let (seen, expected, both) = (ss - s * s / n, pp - p * p / n, sp - s * p / n);
-            both <= 0.0 || both * both < EXPLAINED_CORRELATION.powi(2) * seen * expected
+            both <= 0.0 || both * both < TUNING.min_explained_correlation.powi(2) * seen * expected
         };
         has_detail(m, t, tt) || (has_detail(n, s, ss) && differs())
     }
@@ -141,11 +133,11 @@ multiversion! {
     /// Adds a row of pixels to the sums of its columns, except at its ends and at edges between
     /// surfaces, where a pixel shows both sides. `owners`: of the row above, this one and the one
     /// below.
-    fn add_row(seen: &[u16], expected: &[f32], owners: [&[u16]; 3], columns: &mut [Vec<f32>; MOMENTS]); ["avx2"] => add_row_plain, else add_row_plain
+    fn add_row(seen: &[u16], expected: &[f32], owners: [&[u16]; 3], columns: &mut [Vec<f32>; SUM_COUNT]); ["avx2"] => add_row_plain, else add_row_plain
 }
 
 #[inline(always)]
-fn add_row_plain(seen: &[u16], expected: &[f32], owners: [&[u16]; 3], columns: &mut [Vec<f32>; MOMENTS]) {
+fn add_row_plain(seen: &[u16], expected: &[f32], owners: [&[u16]; 3], columns: &mut [Vec<f32>; SUM_COUNT]) {
     let n = seen.len().saturating_sub(2);
     let [above, here, below] = owners;
     let (left, right, own) = (&here[..n], &here[2..][..n], &here[1..][..n]);
@@ -156,7 +148,7 @@ fn add_row_plain(seen: &[u16], expected: &[f32], owners: [&[u16]; 3], columns: &
         let is_inside = (left[u] == owner) & (right[u] == owner) & (above[u] == owner) & (below[u] == owner);
         let covered = if is_inside & (owner > 0) { 1.0 } else { 0.0 };
         let open = if is_inside & (owner == 0) { 1.0 } else { 0.0 };
-        let (grey, prediction) = (f32::from(seen[u]) * GREY, expected[u]);
+        let (grey, prediction) = (f32::from(seen[u]) * GREY_PER_SUM, expected[u]);
         c[u] += covered;
         s[u] += covered * grey;
         ss[u] += covered * grey * grey;
@@ -170,7 +162,7 @@ fn add_row_plain(seen: &[u16], expected: &[f32], owners: [&[u16]; 3], columns: &
 }
 
 /// Factor from the level's pixel sums to grey values.
-const GREY: f32 = 1.0 / (1u32 << (2 * LEVEL)) as f32;
+const GREY_PER_SUM: f32 = 1.0 / (1u32 << (2 * COMPARED_LEVEL)) as f32;
 
 impl Unexplained {
     /// Compares a frame with the bodies known to be at these poses; each with the number of its
@@ -181,11 +173,11 @@ impl Unexplained {
         levels: &mut FrameLevels,
         rays: &CameraRays,
     ) {
-        self.expected.clear(rays, LEVEL);
+        self.expected.clear(rays, COMPARED_LEVEL);
         for (first, body, pose) in known {
             (first as usize..).zip(&body.surfaces).for_each(|(number, surface)| self.expected.draw(number, surface, &pose, rays));
         }
-        self.compare(levels.level(LEVEL).sums());
+        self.compare(levels.level(COMPARED_LEVEL).sums());
         self.cells.number_regions();
         self.collect_regions([rays.camera().width(), rays.camera().height()]);
     }
@@ -249,7 +241,7 @@ impl Unexplained {
             let region = &regions[window.region];
             let whole: u64 = region.size().iter().map(|n| u64::from(*n)).product();
             let part = (region.cells as f64 * window.area() as f64 / whole as f64).sqrt();
-            if expected == Some(*window) { EXPECTED_SHARE * part } else { part }
+            if expected == Some(*window) { TUNING.predicted_window_weight * part } else { part }
         };
         let total: f64 = slice.iter().map(weight).sum();
         for window in slice {
@@ -266,20 +258,20 @@ impl Unexplained {
     fn compare(&mut self, sums: &[u16]) {
         let Self { expected, columns, moments, triples, open, cells, .. } = self;
         let [width, height] = expected.size();
-        let [across, down] = [width / CELL, height / CELL_ROWS];
+        let [across, down] = [width / CELL_SIDE, height / COMPARED_ROWS];
         moments.clear();
         moments.resize(across * down, Moments::default());
         columns.iter_mut().for_each(|sums| sums.resize(width, 0.0));
         for (row, line_of_cells) in moments.chunks_exact_mut(across.max(1)).enumerate() {
             columns.iter_mut().for_each(|sums| sums.fill(0.0));
             // Skips the border of the level: its pixels lack neighbours.
-            for v in (row * CELL_ROWS).max(1)..((row + 1) * CELL_ROWS).min(height - 1) {
+            for v in (row * COMPARED_ROWS).max(1)..((row + 1) * COMPARED_ROWS).min(height - 1) {
                 let line = |v: usize| v * width..(v + 1) * width;
                 let owners = [v - 1, v, v + 1].map(|v| &expected.owners()[line(v)]);
                 add_row(&sums[line(v * ROW_STEP)], &expected.grey()[line(v)], owners, columns);
             }
             for (k, cell) in line_of_cells.iter_mut().enumerate() {
-                cell.0 = columns.each_ref().map(|sums| sums[k * CELL..][..CELL].iter().sum());
+                cell.0 = columns.each_ref().map(|sums| sums[k * CELL_SIDE..][..CELL_SIDE].iter().sum());
             }
         }
         open.clear();
@@ -306,15 +298,15 @@ impl Unexplained {
         regions.resize_with(cells.regions().len(), Region::default);
         for ((size, number), region) in cells.regions().iter().zip(regions) {
             let [low, high] = cells.extent(*number);
-            let origin = low.map(|v| v.saturating_sub(MARGIN_PX));
-            let end = [0, 1].map(|k| (high[k] + MARGIN_PX).min(frame[k]));
+            let origin = low.map(|v| v.saturating_sub(TUNING.region_margin_px));
+            let end = [0, 1].map(|k| (high[k] + TUNING.region_margin_px).min(frame[k]));
             let mut raw = std::mem::take(&mut region.mask).into_raw();
             raw.clear();
             let [width, height] = [0, 1].map(|k| end[k] - origin[k]);
             let mut y = origin[1];
             while y < end[1] {
                 // Rows within one line of cells are identical.
-                let next = end[1].min(y - y % SIDE_PX + SIDE_PX);
+                let next = end[1].min(y - y % CELL_SIDE_PX + CELL_SIDE_PX);
                 let first = raw.len();
                 cells.push_row([origin[0], end[0]], y, *number, &mut raw);
                 (y + 1..next).for_each(|_| raw.extend_from_within(first..first + width as usize));

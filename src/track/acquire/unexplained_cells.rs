@@ -6,24 +6,14 @@
 //! `unexplained`; windows come from `search_windows`.
 
 use super::search_windows::{Extent, Window};
+use crate::track::acquire::tuning::TUNING;
 
 /// Side of a cell, pixels of the frame. Raised, small props are merged with their surroundings;
 /// lowered, a cell has too few pixels to be judged.
-pub const SIDE_PX: u32 = 16;
-/// Minimum cells of a region that is searched. Raised, props that come into view are found later;
-/// lowered, specks are searched.
-const MIN_CELLS: usize = 6;
-/// Maximum regions searched in a frame, largest first. Raised, a frame full of specks costs more.
-const MAX_REGIONS: usize = 24;
-/// Margin around a region that is searched too, pixels of the frame. Raised, searches cost more;
-/// lowered, corners near a region's border are found at full size only.
-pub const MARGIN_PX: u32 = 64;
+pub const CELL_SIDE_PX: u32 = 16;
 
-/// Initial wait of a cell that becomes unexplained, looks. Raised, a body that emerges from behind
-/// a person waits longer; lowered, one that comes into view waits until the people were searched.
-const NEW_WAIT: u8 = 6;
 /// Wait value of an explained cell.
-const EXPLAINED: u8 = u8::MAX;
+const EXPLAINED_WAIT: u8 = u8::MAX;
 /// Label of a cell that is in no region yet.
 const UNNUMBERED: u32 = u32::MAX;
 
@@ -35,7 +25,7 @@ pub struct UnexplainedCells {
     /// 0: explained; otherwise the region's number from 1, or [`UNNUMBERED`] while regions are
     /// being numbered.
     labels: Vec<u32>,
-    /// Looks since each cell was searched, or [`EXPLAINED`].
+    /// Looks since each cell was searched, or [`EXPLAINED_WAIT`].
     waits: Vec<u8>,
     stack: Vec<usize>,
     /// Number of cells and label of each region.
@@ -46,14 +36,14 @@ impl UnexplainedCells {
     /// Updates the cells with which of them are unexplained, row by row.
     pub fn renew(&mut self, size: [usize; 2], is_unexplained: impl Iterator<Item = bool>) {
         self.size = size;
-        self.waits.resize(size[0] * size[1], EXPLAINED);
+        self.waits.resize(size[0] * size[1], EXPLAINED_WAIT);
         self.labels.clear();
         for (wait, is_unexplained) in self.waits.iter_mut().zip(is_unexplained) {
             self.labels.push(if is_unexplained { UNNUMBERED } else { 0 });
             *wait = match (is_unexplained, *wait) {
-                (false, _) => EXPLAINED,
-                (true, EXPLAINED) => NEW_WAIT,
-                (true, wait) => wait.saturating_add(1).min(EXPLAINED - 1),
+                (false, _) => EXPLAINED_WAIT,
+                (true, EXPLAINED_WAIT) => TUNING.initial_wait,
+                (true, wait) => wait.saturating_add(1).min(EXPLAINED_WAIT - 1),
             };
         }
     }
@@ -88,10 +78,10 @@ impl UnexplainedCells {
             }
             self.regions.push((size, number));
         }
-        self.regions.retain(|(size, _)| *size >= MIN_CELLS);
+        self.regions.retain(|(size, _)| *size >= TUNING.min_region_cells);
         // Largest first; ties in reading order.
         self.regions.sort_unstable_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
-        self.regions.truncate(MAX_REGIONS);
+        self.regions.truncate(TUNING.max_regions);
     }
 
     /// Returns the number of cells and the label of each region, largest first.
@@ -103,7 +93,7 @@ impl UnexplainedCells {
     pub fn extent(&self, number: u32) -> Extent {
         let own = (0..self.labels.len()).filter(|cell| self.labels[*cell] == number).map(|cell| self.pixel(cell));
         own.fold([[u32::MAX; 2], [0; 2]], |[low, high], at| {
-            [[0, 1].map(|k| low[k].min(at[k])), [0, 1].map(|k| high[k].max(at[k] + SIDE_PX))]
+            [[0, 1].map(|k| low[k].min(at[k])), [0, 1].map(|k| high[k].max(at[k] + CELL_SIDE_PX))]
         })
     }
 
@@ -112,7 +102,7 @@ impl UnexplainedCells {
     pub fn push_row(&self, [from, to]: [u32; 2], y: u32, number: u32, row: &mut Vec<u8>) {
         let mut x = from;
         while x < to {
-            let next = to.min(x - x % SIDE_PX + SIDE_PX);
+            let next = to.min(x - x % CELL_SIDE_PX + CELL_SIDE_PX);
             row.resize(row.len() + (next - x) as usize, if self.is_in([x, y], number) { 255 } else { 0 });
             x = next;
         }
@@ -120,20 +110,20 @@ impl UnexplainedCells {
 
     /// Whether a pixel of the frame lies in a region.
     fn is_in(&self, [x, y]: [u32; 2], number: u32) -> bool {
-        let [column, row] = [x, y].map(|v| (v / SIDE_PX) as usize);
+        let [column, row] = [x, y].map(|v| (v / CELL_SIDE_PX) as usize);
         column < self.size[0] && self.labels.get(row * self.size[0] + column) == Some(&number)
     }
 
     /// Returns the first pixel of a cell.
     fn pixel(&self, cell: usize) -> [u32; 2] {
-        [cell % self.size[0], cell / self.size[0]].map(|v| v as u32 * SIDE_PX)
+        [cell % self.size[0], cell / self.size[0]].map(|v| v as u32 * CELL_SIDE_PX)
     }
 
     /// Returns the cells of a window's region whose first pixels lie in a rectangle (end
     /// exclusive).
     fn cells_of(&self, window: &Window, [from, to]: Extent) -> impl Iterator<Item = usize> + use<'_> {
         let [columns, rows] = [0, 1].map(|k| {
-            let [first, end] = [from[k], to[k]].map(|v| (v.div_ceil(SIDE_PX) as usize).min(self.size[k]));
+            let [first, end] = [from[k], to[k]].map(|v| (v.div_ceil(CELL_SIDE_PX) as usize).min(self.size[k]));
             first..end
         });
         let number = self.regions.get(window.region).map_or(0, |region| region.1);
@@ -150,14 +140,14 @@ impl UnexplainedCells {
             cells += 1;
             let at = self.pixel(cell);
             low = [0, 1].map(|k| low[k].min(at[k]));
-            high = [0, 1].map(|k| high[k].max(at[k] + SIDE_PX));
+            high = [0, 1].map(|k| high[k].max(at[k] + CELL_SIDE_PX));
         }
         let (waited, own) = self.cells_of(window, window.own).fold((0.0, 0), |(sum, n), cell| (sum + f32::from(self.waits[cell]), n + 1));
-        if cells < MIN_CELLS || own == 0 {
+        if cells < TUNING.min_region_cells || own == 0 {
             return None;
         }
-        let origin = [0, 1].map(|k| low[k].saturating_sub(MARGIN_PX).max(window.origin[k]));
-        let size = [0, 1].map(|k| (high[k] + MARGIN_PX).min(window.origin[k] + window.size[k]) - origin[k]);
+        let origin = [0, 1].map(|k| low[k].saturating_sub(TUNING.region_margin_px).max(window.origin[k]));
+        let size = [0, 1].map(|k| (high[k] + TUNING.region_margin_px).min(window.origin[k] + window.size[k]) - origin[k]);
         Some((Window { origin, size, ..*window }, waited / own as f32))
     }
 
@@ -199,7 +189,7 @@ mod tests {
         cells.note_searched(&whole(0));
         look(&mut cells, &[person, prop]);
         let urgency = |cells: &UnexplainedCells, region: usize| cells.content(&whole(region)).expect("cells enough").1;
-        assert_eq!([urgency(&cells, 0), urgency(&cells, 1)], [1.0, f32::from(NEW_WAIT)]);
+        assert_eq!([urgency(&cells, 0), urgency(&cells, 1)], [1.0, f32::from(TUNING.initial_wait)]);
         cells.note_searched(&whole(1));
         for _ in 0..3 {
             look(&mut cells, &[person, prop]);
@@ -234,7 +224,10 @@ mod tests {
         let mut cells = UnexplainedCells::default();
         look(&mut cells, &[[30, 5, 34, 9]]);
         let content = cells.content(&whole(0)).expect("cells enough").0;
-        assert_eq!((content.origin, content.size), ([480 - MARGIN_PX, 80 - MARGIN_PX], [64 + 2 * MARGIN_PX; 2]));
+        assert_eq!(
+            (content.origin, content.size),
+            ([480 - TUNING.region_margin_px, 80 - TUNING.region_margin_px], [64 + 2 * TUNING.region_margin_px; 2])
+        );
         assert!(cells.is_in([480, 80], 1) && !cells.is_in([479, 80], 1));
         // A window that contains only two cells is not searched.
         let corner = Window { region: 0, origin: [528, 80], size: [200, 32], own: [[528, 80], [728, 112]] };

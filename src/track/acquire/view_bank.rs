@@ -8,6 +8,8 @@
 //! bank is identical to a computed one: its [`BankKey`] is a digest of everything that it depends
 //! on, and anything that does not parse as the bank of that key is recomputed.
 
+use crate::track::acquire::tuning::TUNING;
+use crate::track::scene::tuning::TUNING as SCENE_TUNING;
 use std::hash::{DefaultHasher, Hasher};
 use std::sync::Arc;
 
@@ -16,22 +18,8 @@ use nalgebra::{Matrix2, Vector2};
 use tracing::debug;
 
 use crate::features::{Descriptor, ExtractorOptions, Feature, FeatureExtractor, Polarity, TiltedViews, Workers, append_tilted_features};
-use crate::track::scene::reference::{ANCHOR_BORDER, ANCHORS, Anchor, PreparedSurface, octave_count};
+use crate::track::scene::reference::{Anchor, PreparedSurface, octave_count};
 
-/// Frontal features of all surfaces together, and minimum per surface. Raised, matching costs more
-/// in proportion; lowered, less is recognised of a stage that is seen in part or small.
-const REFERENCE_FEATURES: usize = 4000;
-const MIN_REFERENCE_FEATURES: usize = 700;
-/// Features of all tilted views together, and minimum per view. Raised, a close look takes longer;
-/// lowered, steep views of a partly occluded stage are not recognised.
-const TILTED_FEATURES: usize = 8000;
-const MIN_TILTED_FEATURES: usize = 60;
-/// Maximum side of the artwork's copy from which frontal features are taken, pixels. Raised,
-/// features go to detail that no frame shows; lowered, close views find fewer.
-const MAX_REFERENCE_PX: u32 = 2000;
-/// The same for tilted views, which no frame shows as large. Raised, the start takes longer, by the
-/// square.
-const MAX_TILTED_PX: u32 = 1300;
 /// Simulated tilted views: tilt and number of longitudes. More of one tilt: longitudes in between
 /// are recognised better, and the start takes longer.
 const VIEWS: [TiltedViews; 3] =
@@ -41,10 +29,6 @@ const VIEWS: [TiltedViews; 3] =
 pub fn view_shapes() -> impl Iterator<Item = Matrix2<f64>> {
     VIEWS.into_iter().flat_map(|views| (0..views.count).map(move |number| views.shape_in_picture(number)))
 }
-
-/// Pyramid levels of a reference picture, 1.2 apart: a factor of 15 in scale. Lowered, stages that
-/// are seen small are not recognised.
-const LEVELS: usize = 16;
 
 /// Stores banks of pictures from one start to the next. The core exchanges bytes; the creator of a
 /// tracker decides where they are.
@@ -77,12 +61,12 @@ pub struct PictureCopy<'a> {
 impl<'a> PictureCopy<'a> {
     /// Returns the copy for frontal features.
     pub fn frontal(surface: &'a PreparedSurface) -> Self {
-        Self::up_to(surface, MAX_REFERENCE_PX)
+        Self::up_to(surface, TUNING.max_reference_px)
     }
 
     /// Returns the copy for tilted views.
     pub fn tilted(surface: &'a PreparedSurface) -> Self {
-        Self::up_to(surface, MAX_TILTED_PX)
+        Self::up_to(surface, TUNING.max_tilted_px)
     }
 
     fn up_to(surface: &'a PreparedSurface, largest_px: u32) -> Self {
@@ -114,8 +98,10 @@ impl<'a> BankBuilder<'a> {
     pub fn new(pictures: usize, store: Option<Arc<dyn ViewStore>>, workers: &'a Workers) -> Self {
         let views: usize = VIEWS.iter().map(|v| v.count).sum();
         let pictures = pictures.max(1);
-        let counts =
-            [(REFERENCE_FEATURES / pictures).max(MIN_REFERENCE_FEATURES), (TILTED_FEATURES / pictures / views).max(MIN_TILTED_FEATURES)];
+        let counts = [
+            (TUNING.max_reference_features / pictures).max(TUNING.min_surface_features),
+            (TUNING.max_tilted_features / pictures / views).max(TUNING.min_tilted_view_features),
+        ];
         Self { counts, store, workers, extractor: FeatureExtractor::default() }
     }
 
@@ -135,7 +121,8 @@ impl<'a> BankBuilder<'a> {
 
     fn described(&mut self, surface: &PreparedSurface) -> ViewBank {
         let Self { counts, workers, extractor, .. } = self;
-        let [frontal, tilted] = counts.map(|count| ExtractorOptions { count, levels: LEVELS, area_power: 0.35, ..Default::default() });
+        let [frontal, tilted] =
+            counts.map(|count| ExtractorOptions { count, levels: TUNING.reference_levels, area_power: 0.35, ..Default::default() });
         let mut bank = ViewBank { frontal: Vec::new(), tilted: Vec::new(), anchors: surface.find_anchors() };
         extractor.extract(PictureCopy::frontal(surface).image, None, &frontal, workers, &mut bank.frontal);
         for views in VIEWS {
@@ -154,17 +141,19 @@ const KEY_BYTES: usize = 16;
 /// First bytes of a bank's file.
 const MAGIC: &[u8; 8] = b"SPVIEWS\n";
 /// Version of the byte format; raise it when the format changes.
-const VERSION: u32 = 4;
+const BANK_VERSION: u32 = 4;
 /// Bytes of a feature: place, scale, angle, descriptor and polarity (0 dark, 1 bright).
 const FEATURE_BYTES: usize = 3 * 8 + 4 + 4 * 8 + 1;
 /// Bytes of an anchor: column and row of its octave.
 const ANCHOR_BYTES: usize = 2 * 4;
 
-/// The source code of everything that computes a bank, including the constants of this file. A
+/// The source code of everything that computes a bank, including its constants. A
 /// changed algorithm changes the keys by itself, without raising a version.
-const SOURCES: [&str; 11] = [
+const SOURCES: [&str; 13] = [
+    include_str!("tuning.rs"),
     include_str!("view_bank.rs"),
     include_str!("../scene/reference.rs"),
+    include_str!("../scene/tuning.rs"),
     include_str!("../../features/corners.rs"),
     include_str!("../../features/descriptor.rs"),
     include_str!("../../features/extractor.rs"),
@@ -196,7 +185,7 @@ impl ViewBank {
     fn to_bytes(&self, key: &BankKey) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(128 + (self.frontal.len() + self.tilted.len()) * FEATURE_BYTES);
         bytes.extend_from_slice(MAGIC);
-        bytes.extend_from_slice(&VERSION.to_le_bytes());
+        bytes.extend_from_slice(&BANK_VERSION.to_le_bytes());
         bytes.extend_from_slice(&key.0);
         for list in std::iter::once(&self.frontal).chain(&self.tilted) {
             bytes.extend_from_slice(&(list.len() as u32).to_le_bytes());
@@ -217,7 +206,7 @@ impl ViewBank {
     fn from_bytes(bytes: &[u8], key: &BankKey, size: (u32, u32)) -> Option<Self> {
         let (content, own_digest) = bytes.split_last_chunk::<KEY_BYTES>()?;
         let is_whole = digest([content]) == *own_digest;
-        let mut rest = content.strip_prefix(MAGIC)?.strip_prefix(&VERSION.to_le_bytes())?.strip_prefix(&key.0)?;
+        let mut rest = content.strip_prefix(MAGIC)?.strip_prefix(&BANK_VERSION.to_le_bytes())?.strip_prefix(&key.0)?;
         let frontal = take_features(&mut rest, size)?;
         let tilted = view_shapes().map(|_| take_features(&mut rest, size)).collect::<Option<_>>()?;
         let anchors = (0..octave_count(size)).map(|octave| take_anchors(&mut rest, size, octave)).collect::<Option<_>>()?;
@@ -268,11 +257,12 @@ fn take_features(rest: &mut &[u8], size: (u32, u32)) -> Option<Vec<Feature>> {
 /// cannot have them.
 fn take_anchors(rest: &mut &[u8], (width, height): (u32, u32), octave: usize) -> Option<Vec<Anchor>> {
     let (count, after) = rest.split_first_chunk::<4>()?;
-    let count = Some(u32::from_le_bytes(*count) as usize).filter(|count| *count <= ANCHORS)?;
+    let count = Some(u32::from_le_bytes(*count) as usize).filter(|count| *count <= SCENE_TUNING.max_octave_anchors)?;
     let (own, after) = after.split_at_checked(count * ANCHOR_BYTES)?;
     *rest = after;
     let sides = [width >> octave, height >> octave];
-    let is_inside = |place: u32, side: u32| place >= ANCHOR_BORDER && place.saturating_add(ANCHOR_BORDER) < side;
+    let is_inside =
+        |place: u32, side: u32| place >= SCENE_TUNING.anchor_border_px && place.saturating_add(SCENE_TUNING.anchor_border_px) < side;
     own.as_chunks::<ANCHOR_BYTES>()
         .0
         .iter()

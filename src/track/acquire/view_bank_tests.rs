@@ -177,7 +177,7 @@ fn intact_bank_bytes_are_accepted_for_their_key_only() {
     let mut outside = few();
     outside.anchors[0][0] = Anchor::at([4, 6], 0);
     assert_eq!(ViewBank::from_bytes(&outside.to_bytes(&KEY), &KEY, SIZE), None);
-    outside.anchors[0] = vec![Anchor::at([7, 7], 0); ANCHORS + 1];
+    outside.anchors[0] = vec![Anchor::at([7, 7], 0); SCENE_TUNING.max_octave_anchors + 1];
     assert_eq!(ViewBank::from_bytes(&outside.to_bytes(&KEY), &KEY, SIZE), None);
     // A huge feature count must not cause an allocation.
     let mut many = bytes;

@@ -22,7 +22,7 @@ use crate::geometry::{Body, Camera, Pose};
 use crate::motion::{Motion, MotionError, MotionEstimate};
 use crate::track::frame::frame_levels::{FINEST, FrameLevels};
 use crate::track::frame::rays::CameraRays;
-use crate::track::frame::tile_grid::MAX_TILES;
+use crate::track::frame::tuning::TUNING as FRAME_TUNING;
 use crate::track::scene::reference::PreparedBody;
 use crate::track::scene::surface::SurfaceSpec;
 
@@ -77,7 +77,7 @@ impl Aligner {
 
     /// Returns the maximum number of patches per frame: one per tile of each surface.
     pub fn most_patches(&self) -> usize {
-        self.settings.surfaces.len() * MAX_TILES[0] * MAX_TILES[1]
+        self.settings.surfaces.len() * FRAME_TUNING.max_tiles[0] * FRAME_TUNING.max_tiles[1]
     }
 
     /// Updates the surfaces' places and shapes; their pictures stay. The noise learnt so far keeps

@@ -1,11 +1,11 @@
 //! The aligner on rendered frames: accuracy, occlusion, blur, wrong pictures, still cameras, and
 //! what it learns.
 
+use crate::track::align::tuning::TUNING;
 use image::GrayImage;
 use nalgebra::{Vector3, Vector6};
 
 use super::super::CameraRays;
-use super::super::learned::slow_estimates::{FIRST_TRIAL, TRIAL_FRAMES};
 use super::*;
 use crate::geometry::resection::perturbed;
 use crate::motion::{Motion, MotionEstimate, ProcessNoise};
@@ -238,7 +238,7 @@ fn followed(coarse: &SurfaceSpec, picture: GrayImage) -> Aligner {
     let rays = CameraRays::new(lens(480, 360), None);
     let pose = |k: u32| perturbed(&truth(), &Vector6::new(0.03 * f64::from(k), 0.0, 0.0, 0.0, 0.0, 0.0));
     let mut estimate = MotionEstimate::unseen(pose(0).inverse(), 3.4, 0.01, 0.003);
-    for k in 0..FIRST_TRIAL + 1 {
+    for k in 0..TUNING.first_enlargement_trial_frames + 1 {
         let mut frame = FrameLevels::default();
         frame.update(&view(&display, &pose(k), &lens(480, 360)));
         let found = accepted(&mut aligner, &mut frame, &rays, &estimate);
@@ -311,7 +311,7 @@ fn an_ineffective_enlargement_trial_keeps_the_solution() {
         let pose = aligner.align(&mut frame, &rays, &expected, None).expect("the picture agrees").alignment.pose;
         (pose, aligner.buffers.light)
     };
-    assert_eq!(found(0), found(TRIAL_FRAMES));
+    assert_eq!(found(0), found(TUNING.enlargement_trial_interval_frames));
 }
 
 #[test]

@@ -48,3 +48,4 @@ pub use solve::verdict::{Alignment, is_sharp};
 
 #[cfg(test)]
 mod kernel_tests;
+pub mod tuning;

@@ -1,14 +1,8 @@
 //! Robust mean of what many frames say about one quantity, when some of them are wrong. Used for
 //! the readout time.
 
+use crate::track::body::tuning::TUNING;
 use nalgebra::Vector2;
-
-/// Frames per block: neighbouring frames share their errors, so sigma is computed from blocks of
-/// this many. Raised, sigma itself scatters; lowered, sigma comes out too small.
-pub const BLOCK: usize = 6;
-/// Minimum frames for an agreement: two blocks. Raised, clips with a short shake give no answer;
-/// lowered, sigma is a guess.
-pub const MIN_FRAMES: usize = 12;
 
 /// What one frame says: a value, and its variance due to the frame's noise.
 pub type Said = Vector2<f64>;
@@ -55,7 +49,7 @@ impl AgreementBuffers {
             }));
             value = said.iter().zip(&weights).map(|(t, w)| t.x * w).sum::<f64>() / weights.iter().sum::<f64>();
         }
-        let blocks = said.chunks(BLOCK).zip(weights.chunks(BLOCK));
+        let blocks = said.chunks(TUNING.agreement_block_frames).zip(weights.chunks(TUNING.agreement_block_frames));
         let squares: f64 = blocks.map(|(said, w)| said.iter().zip(w).map(|(t, w)| w * (t.x - value)).sum::<f64>().powi(2)).sum();
         let sigma = squares.sqrt() / weights.iter().sum::<f64>();
         self.weights = weights;
@@ -78,9 +72,10 @@ impl AgreementBuffers {
     }
 }
 
-/// Returns the robust mean of what frames say, in order; `None` for fewer than [`MIN_FRAMES`].
+/// Returns the robust mean of what frames say, in order; `None` for fewer than
+/// `min_agreement_frames`.
 pub fn agreement(said: &[Said]) -> Option<Agreement> {
-    (said.len() >= MIN_FRAMES).then(|| AgreementBuffers::default().agreement(said))
+    (said.len() >= TUNING.min_agreement_frames).then(|| AgreementBuffers::default().agreement(said))
 }
 
 /// Returns the weighted median of (value, weight) pairs; 0 if there are none.

@@ -2,6 +2,7 @@
 //! set back.
 
 use crate::frame::Timestamp;
+use crate::track::body::tuning::TUNING;
 
 /// The offset between timestamps and the tracker's own time.
 #[derive(Debug, Default)]
@@ -10,17 +11,13 @@ pub(in crate::track) struct ClockSteps {
     last: Option<Timestamp>,
 }
 
-/// Pause that stands for a step back, nanoseconds; restarts tracking. Raised, nothing changes;
-/// lowered below a second, motion is carried over a pause of unknown length.
-const PAUSE_NS: i64 = 10_000_000_000;
-
 impl ClockSteps {
     /// Converts a timestamp to the own time; unchanged until the clock was set back.
     pub fn own(&mut self, stamp: Timestamp) -> Timestamp {
         let own = stamp.after_ns(self.shift_ns);
         let own = match self.last {
             Some(last) if own <= last => {
-                let anew = last.after_ns(PAUSE_NS);
+                let anew = last.after_ns(TUNING.clock_restart_pause_ns);
                 self.shift_ns = anew.ns_since(stamp);
                 anew
             }
@@ -39,6 +36,16 @@ mod tests {
     fn a_clock_set_back_counts_as_a_pause() {
         let mut steps = ClockSteps::default();
         let own = [5, 7, 1, 3, 9, 2].map(|t| steps.own(Timestamp::from_ns(t)).ns());
-        assert_eq!(own, [5, 7, 7 + PAUSE_NS, 9 + PAUSE_NS, 15 + PAUSE_NS, 15 + 2 * PAUSE_NS]);
+        assert_eq!(
+            own,
+            [
+                5,
+                7,
+                7 + TUNING.clock_restart_pause_ns,
+                9 + TUNING.clock_restart_pause_ns,
+                15 + TUNING.clock_restart_pause_ns,
+                15 + 2 * TUNING.clock_restart_pause_ns
+            ]
+        );
     }
 }

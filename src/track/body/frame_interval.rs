@@ -5,23 +5,18 @@
 //! slack.
 
 use crate::frame::Timestamp;
+use crate::track::body::tuning::TUNING;
 
 /// Number of intervals remembered; their median is the camera's interval, despite dropped frames.
 /// Raised, a change of the rate is noticed later; lowered, two dropped frames pass for one.
-const REMEMBERED: usize = 5;
-/// Maximum interval, seconds; longer gaps are interruptions. Raised, a clip of single pictures
-/// would count as a film; lowered, a camera of 2 frames a second has no interval.
-const MAX_S: f64 = 0.5;
-/// Maximum time to the next frame, in intervals, unless a frame is missing. Raised, slow cameras
-/// coast longer; lowered, late frames end a track.
-const JITTER: f64 = 1.25;
+const REMEMBERED_INTERVALS: usize = 5;
 
 /// The frame interval according to the last timestamps.
 #[derive(Debug, Clone, Default)]
 pub struct FrameInterval {
     last: Option<Timestamp>,
     /// Ring buffer of the last intervals, seconds; 0 where there was none yet.
-    intervals: [f64; REMEMBERED],
+    intervals: [f64; REMEMBERED_INTERVALS],
     next: usize,
 }
 
@@ -30,9 +25,9 @@ impl FrameInterval {
     pub fn update(&mut self, timestamp: Timestamp) {
         let Some(before) = self.last.replace(timestamp) else { return };
         let interval = timestamp.seconds_since(before);
-        if interval > 0.0 && interval <= MAX_S {
+        if interval > 0.0 && interval <= TUNING.max_interval_s {
             self.intervals[self.next] = interval;
-            self.next = (self.next + 1) % REMEMBERED;
+            self.next = (self.next + 1) % REMEMBERED_INTERVALS;
         }
     }
 
@@ -41,7 +36,7 @@ impl FrameInterval {
         let mut known = self.intervals;
         known.sort_by(f64::total_cmp);
         let first = known.partition_point(|interval| *interval == 0.0);
-        known[first..].get((REMEMBERED - first) / 2).map_or(0.0, |middle| JITTER * middle)
+        known[first..].get((REMEMBERED_INTERVALS - first) / 2).map_or(0.0, |middle| TUNING.max_jitter_intervals * middle)
     }
 }
 

@@ -9,14 +9,14 @@ use std::fmt::Write as _;
 use thiserror::Error;
 
 /// Start of the first line.
-const HEAD: &str = "stagepose learnt camera";
+const SNAPSHOT_HEAD: &str = "stagepose learnt camera";
 /// Version of the format; raise it when the format changes.
-const VERSION: u32 = 1;
+const SNAPSHOT_VERSION: u32 = 1;
 /// Maximum size of a snapshot that is read, bytes. Raised, foreign files cost more to refuse;
 /// lowered, later snapshots may not fit.
 pub const MAX_LEARNT_BYTES: u64 = 64 << 10;
 /// Maximum shutter time that is accepted, seconds; as in the config.
-const MAX_S: f64 = crate::camera::Shutter::MAX_S;
+const MAX_SHUTTER_S: f64 = crate::camera::Shutter::MAX_S;
 
 /// A learnt time and its uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -62,7 +62,7 @@ impl LearntCamera {
 
     /// Serialises to text.
     pub fn to_bytes(&self) -> Vec<u8> {
-        let mut text = format!("{HEAD} {VERSION}\n");
+        let mut text = format!("{SNAPSHOT_HEAD} {SNAPSHOT_VERSION}\n");
         for (name, time) in [("readout_s", self.readout), ("exposure_s", self.exposure)] {
             if let Some(LearntTime { seconds, sigma_s }) = time {
                 // Writing to a string cannot fail.
@@ -79,8 +79,8 @@ impl LearntCamera {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, LearntError> {
         let text = std::str::from_utf8(bytes).map_err(|_| LearntError::Foreign)?;
         let mut lines = text.lines().enumerate();
-        let version = lines.next().and_then(|(_, line)| line.strip_prefix(HEAD)).ok_or(LearntError::Foreign)?.trim();
-        if version.parse() != Ok(VERSION) {
+        let version = lines.next().and_then(|(_, line)| line.strip_prefix(SNAPSHOT_HEAD)).ok_or(LearntError::Foreign)?.trim();
+        if version.parse() != Ok(SNAPSHOT_VERSION) {
             return Err(LearntError::Version(version.chars().take(12).collect()));
         }
         let mut learnt = Self::default();
@@ -89,7 +89,7 @@ impl LearntCamera {
             let words: Vec<&str> = line.split_whitespace().take(4).collect();
             let &[name, seconds, sigma_s] = words.as_slice() else { return Err(damaged) };
             let (Ok(seconds), Ok(sigma_s)) = (seconds.parse::<f64>(), sigma_s.parse::<f64>()) else { return Err(damaged) };
-            let is_possible = seconds.abs() <= MAX_S && sigma_s > 0.0 && sigma_s <= MAX_S;
+            let is_possible = seconds.abs() <= MAX_SHUTTER_S && sigma_s > 0.0 && sigma_s <= MAX_SHUTTER_S;
             let time = Some(LearntTime { seconds, sigma_s }).filter(|_| is_possible);
             match (name, time) {
                 ("readout_s", Some(_)) => learnt.readout = time,

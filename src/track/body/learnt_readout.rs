@@ -6,64 +6,17 @@
 //! the frames' disagreement, the model's error and nonlinearity. Until enough frames have been
 //! asked, it uses what was known before.
 
+use crate::track::body::tuning::TUNING;
 use std::collections::VecDeque;
 
-use super::agreement::{Agreement, AgreementBuffers, BLOCK, MIN_FRAMES, Said};
+use super::agreement::{Agreement, AgreementBuffers, Said};
 use super::learnt_camera::LearntTime;
 use super::shutter_news::ShutterNews;
 use crate::track::align::ShutterClue;
 
-/// Maximum sigma of a single frame's readout estimate, seconds. Raised, still frames count, which
-/// show only the model's errors; lowered, slow clips give no answer.
-pub const VAGUE_READOUT_S: f64 = 0.01;
-/// Sigma of row displacement common to all frames that is not due to the readout, pixels. Raised,
-/// slow clips teach nothing; lowered, a readout is learnt that the camera does not have.
-pub const MODEL_ERROR_PX: f64 = 0.05;
 /// Sigma of a readout time about which nothing is known, around 0, seconds. Raised, first poses of
 /// moving cameras are less certain; lowered, slow sensors contradict it.
 const UNKNOWN_SIGMA_S: f64 = 0.02;
-/// Maximum frames remembered. Raised, the first frames, which were solved with another readout
-/// time, count for longer; lowered, sigma is larger.
-const MAX_FRAMES: usize = 240;
-/// Linearisation error of a readout step, fraction of the step, one sigma. Raised, the readout is
-/// known later; lowered, first answers look too certain.
-pub const CURVATURE: f64 = 0.25;
-/// Minimum fraction of a readout change that a frame must show to count. Raised, cameras shaken
-/// evenly teach less; lowered, one frame's noise passes for a large change.
-const MIN_SHOWN: f64 = 0.3;
-/// Change at which the used readout time follows the found one, in sigmas. Raised, it lags;
-/// lowered, poses are corrected in every frame.
-const SHARE_OF_SIGMA: f64 = 0.2;
-/// Fraction of a readout change that still affects the motion one frame later, as it was learnt
-/// with the former value. Raised, poses stay less certain for longer after a change.
-const SETTLING: f64 = 0.7;
-/// Remaining effect below which a change counts as settled, seconds. Raised, poses are certain
-/// again slightly sooner.
-const MIN_SETTLING_S: f64 = 1e-5;
-/// Minimum readout time, seconds; less counts as global. Raised, fast rolling shutters pass for
-/// global ones; lowered, noise passes for a readout time.
-const FASTEST_READOUT_S: f64 = 5e-4;
-/// Maximum sigma of a known readout time: fraction of it, or seconds, whichever is larger. Raised,
-/// it is announced before it is certain.
-const KNOWN_SHARE: f64 = 0.05;
-const KNOWN_SIGMA_S: f64 = 5e-4;
-/// Minimum displacement of rows by the readout's sigma for a frame to be asked, pixels. Raised, the
-/// readout stays less certain; lowered, slow frames cost more for nothing.
-const ASKED_PX: f64 = 0.1;
-/// Row displacement by the readout's sigma, pixels, above which velocity jumps are not tried.
-/// Raised, the readout is found less well; lowered, starts and stops are followed less well.
-const OPEN_PX: f64 = 0.1;
-/// Minimum differences of found and known readout that contradict: sigmas, seconds, fraction; all
-/// must be exceeded. Raised, wrong configs pass; lowered, right ones are blamed.
-const CONTRADICTING_SIGMAS: f64 = 3.0;
-const CONTRADICTING_S: f64 = 1e-3;
-const CONTRADICTING_SHARE: f64 = 0.1;
-/// Interval of frames that are asked if the readout is configured. Raised, wrong configs are
-/// noticed later; lowered, frames cost more.
-const CHECKED_FRAMES: u32 = 8;
-/// Minimum speed of such a frame, pixels per second. Raised, wrong configs are noticed later;
-/// lowered, slow frames are asked, which show nothing.
-const CHECKED_SPEED_PX_S: f64 = 100.0;
 
 /// How well the readout time is known when a frame arrives.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -82,19 +35,19 @@ impl ReadoutDoubt {
             return None;
         }
         let speed_px_s = speed_px_s();
-        let by_check = self.is_check_due && speed_px_s > CHECKED_SPEED_PX_S;
-        (by_check || self.sigma_s * speed_px_s > ASKED_PX).then_some(speed_px_s)
+        let by_check = self.is_check_due && speed_px_s > TUNING.min_readout_check_speed_px_s;
+        (by_check || self.sigma_s * speed_px_s > TUNING.min_readout_row_shift_px).then_some(speed_px_s)
     }
 
     /// Returns the speed above which the readout's sigma displaces the rows of a frame noticeably,
     /// pixels per second; `None` if the readout is configured.
     pub fn noticed_speed_px_s(&self) -> Option<f64> {
-        (self.sigma_s > 0.0).then(|| ASKED_PX / self.sigma_s)
+        (self.sigma_s > 0.0).then(|| TUNING.min_readout_row_shift_px / self.sigma_s)
     }
 
     /// Whether, at this speed, a jump in velocity could explain the possible readout error.
     pub fn is_open(&self, speed_px_s: f64) -> bool {
-        self.sigma_s * speed_px_s > OPEN_PX
+        self.sigma_s * speed_px_s > TUNING.max_jump_row_shift_px
     }
 }
 
@@ -118,7 +71,7 @@ impl Known {
 
     /// Whether it is known well enough to be relied on.
     pub fn is_sure(&self) -> bool {
-        self.sigma_s < KNOWN_SIGMA_S.max(KNOWN_SHARE * self.readout_s.abs())
+        self.sigma_s < TUNING.max_known_readout_sigma_s.max(TUNING.max_known_readout_sigma_ratio * self.readout_s.abs())
     }
 }
 
@@ -165,9 +118,9 @@ impl LearntReadout {
         Self {
             configured_s,
             before,
-            told: VecDeque::with_capacity(MAX_FRAMES),
-            said: Vec::with_capacity(MAX_FRAMES),
-            buffers: AgreementBuffers::with_capacity(MAX_FRAMES),
+            told: VecDeque::with_capacity(TUNING.max_readout_frames),
+            said: Vec::with_capacity(TUNING.max_readout_frames),
+            buffers: AgreementBuffers::with_capacity(TUNING.max_readout_frames),
             used: before,
             settling_s: 0.0,
             frames: 0,
@@ -201,10 +154,12 @@ impl LearntReadout {
     /// Advances by one frame and returns how well the readout is known for it.
     pub fn next_doubt(&mut self) -> ReadoutDoubt {
         self.frames = self.frames.wrapping_add(1);
-        self.settling_s = if self.settling_s > MIN_SETTLING_S { SETTLING * self.settling_s } else { 0.0 };
-        let is_suspected = self.told.len() >= MIN_FRAMES && self.contradicts_roughly();
-        let is_check_due =
-            self.configured_s.is_some() && (self.frames.is_multiple_of(CHECKED_FRAMES) || is_suspected) && !self.has_told_news;
+        self.settling_s =
+            if self.settling_s > TUNING.min_readout_change_effect_s { TUNING.readout_change_decay * self.settling_s } else { 0.0 };
+        let is_suspected = self.told.len() >= TUNING.min_agreement_frames && self.contradicts_roughly();
+        let is_check_due = self.configured_s.is_some()
+            && (self.frames.is_multiple_of(TUNING.readout_check_interval_frames) || is_suspected)
+            && !self.has_told_news;
         ReadoutDoubt { sigma_s: self.sigma_s(), is_check_due }
     }
 
@@ -218,17 +173,19 @@ impl LearntReadout {
     pub fn hear(&mut self, clue: &ShutterClue, interval_s: f64) {
         let (used_s, readout, shown) = (self.used.readout_s, clue.readout.clue, clue.readout.shown);
         let information = readout.information * shown.powi(2);
-        if information <= VAGUE_READOUT_S.powi(-2) || !readout.score.is_finite() || shown < MIN_SHOWN {
+        if information <= TUNING.max_vague_readout_sigma_s.powi(-2) || !readout.score.is_finite() || shown < TUNING.min_shown_readout_ratio
+        {
             return;
         }
-        if self.told.len() == MAX_FRAMES {
+        if self.told.len() == TUNING.max_readout_frames {
             self.told.pop_front();
         }
         let readout_s = used_s + readout.score / readout.information / shown;
         self.told.push_back(Told { readout_s, variance_s2: information.recip(), used_s, speed_px_s: clue.speed_px_s });
         // Once there are many, a single frame changes little, so the average is updated once per
         // block.
-        let is_time = self.told.len() < 10 * BLOCK || self.frames.is_multiple_of(BLOCK as u32);
+        let is_time =
+            self.told.len() < 10 * TUNING.agreement_block_frames || self.frames.is_multiple_of(TUNING.agreement_block_frames as u32);
         if let Some(found) = is_time.then(|| self.found()).flatten() {
             match self.configured_s {
                 Some(configured_s) => self.compare(configured_s, found.readout),
@@ -240,22 +197,22 @@ impl LearntReadout {
     fn found(&mut self) -> Option<Found> {
         let used_s = self.used.readout_s;
         self.said.clear();
-        let unlinear = |t: &Told| (CURVATURE * (t.used_s - used_s)).powi(2);
+        let unlinear = |t: &Told| (TUNING.readout_linearisation_error * (t.used_s - used_s)).powi(2);
         self.said.extend(self.told.iter().map(|t| Said::new(t.readout_s, t.variance_s2 + unlinear(t))));
-        if self.said.len() < BLOCK {
+        if self.said.len() < TUNING.agreement_block_frames {
             return None;
         }
         let Agreement { value, sigma, frames } = self.buffers.agreement(&self.said);
         // With few blocks, the block scatter is unreliable; with a single one it is zero.
-        let blocks = frames as f64 / BLOCK as f64;
+        let blocks = frames as f64 / TUNING.agreement_block_frames as f64;
         let of_one = 1.4826 * self.buffers.weighted_median(self.said.iter().map(|s| ((s.x - value).abs(), 1.0)));
         let by_scatter = sigma.max(of_one / blocks.sqrt()) * (1.0 + 2.0 / blocks);
         let by_noise = self.said.iter().map(|s| s.y.recip()).sum::<f64>().powf(-0.5);
         let speed_px_s = self.buffers.weighted_median(self.told.iter().map(|t| (t.speed_px_s, 1.0)));
-        let by_model = MODEL_ERROR_PX / speed_px_s.max(f64::MIN_POSITIVE);
+        let by_model = TUNING.row_model_error_px / speed_px_s.max(f64::MIN_POSITIVE);
         let weight = self.said.iter().map(|s| s.y.recip()).sum::<f64>();
         let mean_used_s = self.told.iter().zip(&self.said).map(|(t, s)| t.used_s / s.y).sum::<f64>() / weight;
-        let by_curvature = CURVATURE * (value - mean_used_s);
+        let by_curvature = TUNING.readout_linearisation_error * (value - mean_used_s);
         let sigma_of_no_change_s = by_scatter.max(by_noise).hypot(by_model);
         let sigma_s = sigma_of_no_change_s.hypot(by_curvature);
         tracing::trace!(value, by_scatter, by_noise, by_model, by_curvature, frames, "readout");
@@ -281,10 +238,10 @@ impl LearntReadout {
         }
         // Once a readout time is in use, a later increase of sigma does not reset it to zero.
         let unsure_s = if self.used.readout_s == 0.0 { 3.0 * sigma_of_no_change_s } else { 0.0 };
-        let is_none = readout_s.abs() < FASTEST_READOUT_S.max(unsure_s);
+        let is_none = readout_s.abs() < TUNING.min_rolling_readout_s.max(unsure_s);
         let goal_s = if is_none { 0.0 } else { readout_s };
         let step_s = goal_s - self.used.readout_s;
-        if step_s.abs() > SHARE_OF_SIGMA * sigma_s {
+        if step_s.abs() > TUNING.readout_update_sigmas * sigma_s {
             // Changes at once: with a readout that is too short by a factor, the estimated velocity
             // is too large by that factor.
             self.used.readout_s = goal_s;
@@ -292,20 +249,20 @@ impl LearntReadout {
         }
         // The difference between the found and the used value counts as uncertainty.
         self.used.sigma_s = sigma_s.hypot(readout_s - self.used.readout_s);
-        if self.used.is_sure() && !self.has_told_news && self.told.len() >= 2 * MIN_FRAMES {
+        if self.used.is_sure() && !self.has_told_news && self.told.len() >= 2 * TUNING.min_agreement_frames {
             self.has_told_news = true;
             self.news = Some(ShutterNews::ReadoutLearnt(self.used.as_time()));
         }
     }
 
     fn contradicts_roughly(&self) -> bool {
-        let off = |t: &Told| ((t.readout_s - t.used_s).abs() > CONTRADICTING_S, t.readout_s > t.used_s);
+        let off = |t: &Told| ((t.readout_s - t.used_s).abs() > TUNING.min_readout_contradiction_s, t.readout_s > t.used_s);
         let count = |above: bool| self.told.iter().filter(|t| off(t) == (true, above)).count();
         3 * count(true).max(count(false)) > 2 * self.told.len()
     }
 
     fn compare(&mut self, configured_s: f64, found: Known) {
-        if !self.has_told_news && self.told.len() >= 2 * MIN_FRAMES && contradict(self.before, found) {
+        if !self.has_told_news && self.told.len() >= 2 * TUNING.min_agreement_frames && contradict(self.before, found) {
             self.has_told_news = true;
             self.news = Some(ShutterNews::ReadoutContradicted { configured_s, found: found.as_time() });
             // The configured value stays in use, but with a sigma.
@@ -317,8 +274,8 @@ impl LearntReadout {
 /// Whether the found value is incompatible with what was known before.
 fn contradict(before: Known, found: Known) -> bool {
     let off_s = (found.readout_s - before.readout_s).abs();
-    off_s > CONTRADICTING_SIGMAS * found.sigma_s.hypot(before.sigma_s)
-        && off_s > CONTRADICTING_S.max(CONTRADICTING_SHARE * before.readout_s.abs())
+    off_s > TUNING.min_readout_contradiction_sigmas * found.sigma_s.hypot(before.sigma_s)
+        && off_s > TUNING.min_readout_contradiction_s.max(TUNING.min_readout_contradiction_ratio * before.readout_s.abs())
 }
 
 #[cfg(test)]
@@ -364,7 +321,7 @@ mod tests {
     #[test]
     fn a_short_shake_is_not_mistaken_for_a_long_one() {
         let mut learnt = LearntReadout::new(None, None);
-        shaken(&mut learnt, 0.02, BLOCK as u32 - 1);
+        shaken(&mut learnt, 0.02, TUNING.agreement_block_frames as u32 - 1);
         assert_eq!(learnt.used(), Known::NOTHING);
         shaken(&mut learnt, 0.02, 4);
         let Known { readout_s, sigma_s } = learnt.used();
@@ -377,7 +334,7 @@ mod tests {
         // A few frames that agree to a tenth: the possible linearisation error is no evidence for
         // zero.
         let mut learnt = LearntReadout::new(None, None);
-        for k in 0..BLOCK + 2 {
+        for k in 0..TUNING.agreement_block_frames + 2 {
             learnt.next_doubt();
             let error_s = if k % 2 == 0 { 6e-4 } else { -6e-4 };
             learnt.hear(&clue(0.008, learnt.used().readout_s, error_s, 300.0), INTERVAL_S);

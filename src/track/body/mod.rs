@@ -19,3 +19,4 @@ pub mod reason;
 pub mod shutter_news;
 pub mod track_state;
 pub mod tracked_body;
+pub mod tuning;

@@ -4,6 +4,7 @@
 //! disappears coasts for a while, then is lost. Decisions depend on frame timestamps alone, never
 //! on a clock, so a replay reproduces the live result.
 
+use crate::track::body::tuning::TUNING;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -82,24 +83,6 @@ pub struct TrackStateMachine {
     is_of_camera: bool,
 }
 
-/// Maximum motion between frames that confirm each other: distances per second, radians per second.
-/// Raised, two wrong poses may confirm each other; lowered, fast cameras are reported later.
-const FASTEST_SHIFT_PER_S: f64 = 3.0;
-const FASTEST_TURN_PER_S: f64 = 12.0;
-/// Tolerance for measurement noise and timestamp jitter: fraction of the distance, and radians.
-/// Raised, two wrong poses may confirm each other; lowered, noisy poses are not confirmed.
-const SLACK_SHIFT: f64 = 0.02;
-const SLACK_TURN: f64 = 0.02;
-/// Maximum interval between frames that confirm each other, seconds. Raised, two wrong poses have
-/// longer to agree; lowered, cameras of 2 frames a second are never tracked.
-const MAX_GAP_S: f64 = 0.5;
-/// Maximum speed since the last reported pose, m/s, if that exceeds `FASTEST_SHIFT_PER_S`: a thrown
-/// prop. Raised, copies farther away pass for motion; lowered, thrown props count as jumps.
-const FASTEST_M_PER_S: f64 = 10.0;
-/// How long poses must agree where the body cannot have moved there, seconds: after a cut or a
-/// wrong pose. Raised, a cut costs more; lowered, a pan to a copy is believed sooner.
-const JUMP_CONFIRMED_S: f64 = 3.0;
-
 impl TrackStateMachine {
     /// Creates the machine of a stage: what moves is the camera, whose acceleration is limited,
     /// unlike a thrown or bouncing prop.
@@ -156,12 +139,12 @@ impl TrackStateMachine {
         self.doubt = None;
         if let Some(pose) = verified {
             let pending = self.taken_up(pose, timestamp);
-            let disagrees =
-                pending.agreeing == 1 && self.pending.as_ref().is_some_and(|before| timestamp.seconds_since(before.timestamp) <= MAX_GAP_S);
+            let disagrees = pending.agreeing == 1
+                && self.pending.as_ref().is_some_and(|before| timestamp.seconds_since(before.timestamp) <= TUNING.max_confirming_gap_s);
             self.pending = Some(pending);
             let is_confirmed = match pending.jumped {
                 None => pending.agreeing >= confirm_frames,
-                Some(since) => timestamp.seconds_since(since) >= JUMP_CONFIRMED_S,
+                Some(since) => timestamp.seconds_since(since) >= TUNING.jump_confirmation_s,
             };
             if is_confirmed {
                 self.found_before = true;
@@ -180,7 +163,7 @@ impl TrackStateMachine {
             (false, false) => State::Searching,
         };
         if verified.is_none() {
-            let is_stale = |p: &Pending| timestamp.seconds_since(p.timestamp) > MAX_GAP_S;
+            let is_stale = |p: &Pending| timestamp.seconds_since(p.timestamp) > TUNING.max_confirming_gap_s;
             // A single verified frame must be confirmed by the next one; a track may skip frames
             // while it coasts, and so may a jump.
             self.pending = self.pending.filter(|p| !is_stale(p) && (self.is_continued() || p.jumped.is_some()));
@@ -211,14 +194,15 @@ impl TrackStateMachine {
 /// Whether the body could have moved from the pending pose to this one in the time between.
 fn agree(pending: &Pending, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> bool {
     let dt = timestamp.seconds_since(pending.timestamp);
-    if !(0.0..=MAX_GAP_S).contains(&dt) {
+    if !(0.0..=TUNING.max_confirming_gap_s).contains(&dt) {
         return false;
     }
     let distance = nearest_m(&pending.pose, pose);
     // Uses the camera's centre: rotation on the spot is no shift.
     let shift = (pose.translation - pending.pose.translation).norm();
     let turn = pose.angle_to(&pending.pose);
-    shift < (SLACK_SHIFT + FASTEST_SHIFT_PER_S * dt) * distance && turn < SLACK_TURN + FASTEST_TURN_PER_S * dt
+    shift < (TUNING.confirming_shift_tolerance + TUNING.max_confirming_shift_per_s * dt) * distance
+        && turn < TUNING.confirming_rotation_tolerance + TUNING.max_confirming_rotation_per_s * dt
 }
 
 /// Whether a body can have moved between two poses within `dt_s` seconds, given the speeds possible
@@ -226,8 +210,8 @@ fn agree(pending: &Pending, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> 
 /// picture, tilted.
 fn is_reachable(from: &Pose<Body, Camera>, to: &Pose<Body, Camera>, dt_s: f64, velocities: Option<[Vector3<f64>; 2]>) -> bool {
     let (distance, dt_s) = (nearest_m(from, to), dt_s.max(0.0));
-    let slack = SLACK_SHIFT * distance;
-    let reach = slack + (FASTEST_SHIFT_PER_S * distance).max(FASTEST_M_PER_S) * dt_s;
+    let slack = TUNING.confirming_shift_tolerance * distance;
+    let reach = slack + (TUNING.max_confirming_shift_per_s * distance).max(TUNING.max_body_speed_m_per_s) * dt_s;
     let of_way = slack + 0.5 * MAX_ACCELERATION * dt_s * dt_s;
     // A camera rotating on the spot stays in place relative to the body; a prop rotating on the
     // spot stays in place relative to the camera. Either suffices.
@@ -244,7 +228,7 @@ fn ways(from: &Pose<Body, Camera>, to: &Pose<Body, Camera>) -> [Vector3<f64>; 2]
 
 fn velocities(from: &Pending, to: &Pending) -> Option<[Vector3<f64>; 2]> {
     let dt_s = to.timestamp.seconds_since(from.timestamp);
-    (dt_s > 0.0 && dt_s <= MAX_GAP_S).then(|| ways(&from.pose, &to.pose).map(|way| way / dt_s))
+    (dt_s > 0.0 && dt_s <= TUNING.max_confirming_gap_s).then(|| ways(&from.pose, &to.pose).map(|way| way / dt_s))
 }
 
 fn nearest_m(a: &Pose<Body, Camera>, b: &Pose<Body, Camera>) -> f64 {

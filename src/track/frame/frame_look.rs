@@ -1,6 +1,7 @@
 //! Judges how a frame looks as a picture, whatever it shows: dark, white, plain or blurred. Used
 //! only for frames without a pose, to say why.
 
+use crate::track::frame::tuning::TUNING;
 use image::GrayImage;
 
 /// What may be wrong with a frame as a picture.
@@ -38,40 +39,25 @@ impl Default for FrameLook {
     }
 }
 
-/// Sampling stride across and down, pixels of the half-size frame. Raised, a look costs less and
-/// misses thin detail.
-const STRIDE: usize = 4;
-/// Distance of the wider step, pixels of the half-size frame. Raised, more blur is needed for a
-/// frame to count as blurred; `BLURRED` depends on it.
-const WIDE: usize = 4;
-/// Grey levels: bright end of a dark frame, middle of a white one, range of a plain one. `DARK` or
-/// `PLAIN` raised, or `WHITE` lowered, more frames count as such.
-const DARK: u8 = 45;
-const WHITE: u8 = 240;
-const PLAIN: u8 = 20;
-/// Sharpness below which a frame is blurred, see [`FrameLook::sharpness`]. Raised, soft lenses
-/// count as blurred.
-const BLURRED: f32 = 0.095;
-
 impl FrameLook {
     /// Measures the half-size copy of a frame.
     pub fn at(half: &GrayImage) -> Self {
         let (width, height) = (half.width() as usize, half.height() as usize);
-        if width <= WIDE || height <= WIDE {
+        if width <= TUNING.wide_step_px || height <= TUNING.wide_step_px {
             return Self::default();
         }
         let raw = half.as_raw();
         let mut levels = [0_u32; 256];
         // Near and wide steps, across and down.
         let mut steps = [[0_u64; 2]; 2];
-        for y in (0..height - WIDE).step_by(STRIDE) {
-            for x in (0..width - WIDE).step_by(STRIDE) {
+        for y in (0..height - TUNING.wide_step_px).step_by(TUNING.look_stride_px) {
+            for x in (0..width - TUNING.wide_step_px).step_by(TUNING.look_stride_px) {
                 let at = y * width + x;
                 let level = raw[at];
                 levels[usize::from(level)] += 1;
                 for (step, stride) in steps.iter_mut().zip([1, width]) {
                     step[0] += u64::from(level.abs_diff(raw[at + stride])).pow(2);
-                    step[1] += u64::from(level.abs_diff(raw[at + WIDE * stride])).pow(2);
+                    step[1] += u64::from(level.abs_diff(raw[at + TUNING.wide_step_px * stride])).pow(2);
                 }
             }
         }
@@ -91,14 +77,14 @@ impl FrameLook {
 
     /// Returns what is wrong with the frame as a picture, worst first; `None` if nothing is.
     pub fn fault(&self) -> Option<PictureFault> {
-        if self.bright < DARK {
+        if self.bright < TUNING.max_dark_grey {
             Some(PictureFault::TooDark)
-        } else if self.middle > WHITE {
+        } else if self.middle > TUNING.min_white_grey {
             Some(PictureFault::TooBright)
-        } else if self.brightest - self.darkest < PLAIN {
+        } else if self.brightest - self.darkest < TUNING.max_plain_range {
             Some(PictureFault::Blank)
         } else {
-            (self.sharpness < BLURRED).then_some(PictureFault::TooBlurred)
+            (self.sharpness < TUNING.min_sharpness).then_some(PictureFault::TooBlurred)
         }
     }
 }

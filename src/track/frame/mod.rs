@@ -12,3 +12,4 @@ pub mod frame_levels;
 pub mod frame_look;
 pub mod rays;
 pub mod tile_grid;
+pub mod tuning;

@@ -1,15 +1,12 @@
 //! The ray of every pixel, computed once per level of the frame by the exact inverse of the lens
 //! model, so that no picture is ever undistorted.
 
+use crate::track::frame::tuning::TUNING;
 use image::GrayImage;
 use nalgebra::Vector2;
 
 use super::frame_levels::LEVELS;
 use crate::camera::{CameraModel, Pixel};
-
-/// Side of the squares of pixels that share the derivatives of their rays. Raised, footprints near
-/// the edge of a wide lens are off; lowered, the table grows (squared) and leaves the cache.
-const SQUARE: usize = 8;
 
 /// The rays of a camera at all levels, shared by all bodies.
 #[derive(Debug)]
@@ -73,9 +70,10 @@ impl RayTable {
         let (width, height) = (camera.width() as usize >> l, camera.height() as usize >> l);
         let ray = |u: f64, v: f64| camera.unproject(Pixel(frame_pixel(l, u, v))).map_or([f32::NAN; 2], |n| [n.0.x as f32, n.0.y as f32]);
         let rays: Vec<[f32; 2]> = (0..width * height).map(|k| ray((k % width) as f64, (k / width) as f64)).collect();
-        let squares_across = width.div_ceil(SQUARE);
+        let squares_across = width.div_ceil(TUNING.ray_square_px);
         let slope = |k: usize| {
-            let middle = |n: usize, size: usize| ((n * SQUARE + SQUARE / 2).min(size.saturating_sub(2)).max(1)) as f64;
+            let middle =
+                |n: usize, size: usize| ((n * TUNING.ray_square_px + TUNING.ray_square_px / 2).min(size.saturating_sub(2)).max(1)) as f64;
             let (u, v) = (middle(k % squares_across, width), middle(k / squares_across, height));
             let [left, right, above, below] = [ray(u - 1.0, v), ray(u + 1.0, v), ray(u, v - 1.0), ray(u, v + 1.0)];
             RaySlope {
@@ -85,7 +83,7 @@ impl RayTable {
                 y_down: 0.5 * (below[1] - above[1]),
             }
         };
-        let slopes = (0..squares_across * height.div_ceil(SQUARE)).map(slope).collect();
+        let slopes = (0..squares_across * height.div_ceil(TUNING.ray_square_px)).map(slope).collect();
         let mut table = Self { width, height, rays, slopes, squares_across, closed: vec![0; (width * height).div_ceil(64)] };
         for k in 0..width * height {
             let (u, v) = (k % width, k / width);
@@ -101,7 +99,7 @@ impl RayTable {
 
     /// Returns the derivatives at a pixel.
     pub fn slope(&self, u: usize, v: usize) -> RaySlope {
-        self.slopes[v / SQUARE * self.squares_across + u / SQUARE]
+        self.slopes[v / TUNING.ray_square_px * self.squares_across + u / TUNING.ray_square_px]
     }
 }
 

@@ -1,6 +1,8 @@
 //! Tiles, into which a level's pixels are grouped, and the nodes of the light grid between them.
 //! The pixels of a tile vote together on a pose.
 
+use crate::track::frame::tuning::TUNING;
+
 /// A pixel selected for alignment.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Chosen {
@@ -9,13 +11,6 @@ pub struct Chosen {
     /// Column and row of the level.
     pub place: [u16; 2],
 }
-
-/// Maximum tiles across and down the part of the frame that the body covers. Raised, tiles have too
-/// few pixels and the system grows; lowered, an occluder costs larger tiles.
-pub const MAX_TILES: [usize; 2] = [16, 10];
-/// Minimum side of a tile, pixels of the level. Raised, small pictures have too few tiles to be
-/// trusted; lowered, tiles have too few pixels for a correlation.
-const MIN_TILE_PX: usize = 6;
 
 /// The tiles of a body: a grid over the part of the frame that its selected pixels cover.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -39,7 +34,7 @@ impl TileGrid {
             }
         }
         let size = [0, 1].map(|k| (usize::from(high[k]) + 1).saturating_sub(usize::from(low[k])).max(1));
-        let count = [0, 1].map(|k| (size[k] / MIN_TILE_PX).clamp(2, MAX_TILES[k]));
+        let count = [0, 1].map(|k| (size[k] / TUNING.min_tile_px).clamp(2, TUNING.max_tiles[k]));
         Self { count, origin: low.map(|v| if v == u16::MAX { 0 } else { usize::from(v) }), size }
     }
 
@@ -98,7 +93,7 @@ mod tests {
     fn a_small_picture_has_as_many_tiles_as_fit() {
         assert_eq!(covering(21, 33).count, [3, 5]);
         assert_eq!(covering(5, 5).count, [2, 2]);
-        assert_eq!(covering(900, 700).count, MAX_TILES);
+        assert_eq!(covering(900, 700).count, TUNING.max_tiles);
     }
 
     #[test]

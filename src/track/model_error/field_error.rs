@@ -10,6 +10,7 @@
 //! This is the error of a pose that rests on its own frame alone. If few tiles are visible, a pose
 //! rests on earlier frames instead and has their error: [`blended`] says how much of each.
 
+use crate::track::model_error::tuning::TUNING;
 use nalgebra::{Matrix2, Matrix2x6, Matrix6, Vector2, Vector6};
 
 use super::smooth_field::SmoothField;
@@ -17,35 +18,6 @@ use super::tile_residuals::{TileResidual, TileResiduals};
 use crate::geometry::covariance::covariance_of_inverse;
 use crate::geometry::{Body, Camera, Pose};
 use crate::simd::multiversion;
-
-/// Correlation length of the field, as a fraction of the width of the picture or object. Lowered,
-/// covariances miss what the pose absorbed; raised, noise adds more to them.
-const CORRELATION_LENGTH: f64 = 0.4;
-/// Maximum variance of independent tile errors that counts as noise, in variances of pixel noise.
-/// Raised, folds as narrow as tiles pass for noise; lowered, noise passes for a field.
-const MAX_NOISE: f64 = 4.0;
-/// Factor on the variance of the field that explains residuals beyond [`MAX_NOISE`], whose
-/// correlation length is unknown. Raised, poses of stages that do not fit are withheld needlessly.
-const UNKNOWN_LENGTH: f64 = 2.0;
-/// Minimum number of measurements beyond the pose's six from which the field is estimated. Raised,
-/// small stages claim to fit.
-const MIN_FREEDOM: f64 = 12.0;
-
-/// Exponent of the pair weights: a pair's weight is its correlation to this power (length 0.08 of
-/// the width). Lowered, short folds pass for noise; raised, there are too few pairs.
-const PAIR_POWER: i32 = 25;
-/// Minimum distance of a pair, as a fraction of the width: touching tiles share compression,
-/// sharpening and light. Raised, there are too few pairs; at 0, noise passes for a field.
-const TOUCHING: f64 = 0.055;
-/// Minimum weight of a pair. Lowered, frames that do not fit cost more.
-const MIN_PAIR: f64 = 0.05;
-
-/// Frames over which the field's variance is averaged. Raised, a small change of the stage enters
-/// the covariance later.
-const MEMORY_FRAMES: f64 = 60.0;
-/// Standard errors subtracted from that mean, because only its positive chance values would widen
-/// the covariance. Raised, small model errors are in no covariance.
-const STANDARD_ERRORS: f64 = 1.0;
 
 /// The part of the tiles' displacements that neither the pose nor the noise explains.
 #[derive(Debug, Clone, Copy)]
@@ -93,10 +65,10 @@ impl FieldSize {
     /// Adds a frame and returns the covariance that the field causes in its pose: [δp, δθ] of
     /// `T_body_camera`, body axes.
     pub fn take(&mut self, error: &ModelError) -> Matrix6<f64> {
-        self.frames = (self.frames + 1.0).min(MEMORY_FRAMES);
+        self.frames = (self.frames + 1.0).min(TUNING.field_memory_frames);
         self.by_pairs_px2 += (error.by_pairs_px2 - self.by_pairs_px2) / self.frames;
         self.by_pairs_squared += (error.by_pairs_px2.powi(2) - self.by_pairs_squared) / self.frames;
-        error.covariance_of(self.by_pairs_px2 - STANDARD_ERRORS * self.standard_error())
+        error.covariance_of(self.by_pairs_px2 - TUNING.field_standard_errors * self.standard_error())
     }
 
     /// Returns the standard error of the mean; 0 after a single frame.
@@ -139,11 +111,11 @@ pub fn model_error(
     let factor = residuals.normal().cholesky()?;
     let change = factor.solve(&residuals.right_side());
     let squared: f64 = residuals.tiles().iter().map(|t| t.squared_left_by_pose(&change)).sum();
-    if freedom < MIN_FREEDOM || squared <= freedom {
+    if freedom < TUNING.min_field_freedom || squared <= freedom {
         return None;
     }
     let normal_inverse = factor.inverse();
-    field.work_out(residuals.tiles(), &factor, CORRELATION_LENGTH * width_px);
+    field.work_out(residuals.tiles(), &factor, TUNING.field_correlation_length * width_px);
     paired.clear();
     paired.extend(residuals.tiles().iter().map(|tile| PairedTile::alone(tile, &change)));
     add_neighbours(paired, width_px);
@@ -155,7 +127,7 @@ pub fn model_error(
     // By chance as far below 0 as above; cut off at 0, the mean of several frames would be biased.
     let most = of_field_alone.max(0.0);
     let by_pairs_px2 = if determinant > 0.0 { of_both.clamp(-most, most) } else { most };
-    let at_least_px2 = UNKNOWN_LENGTH * (squared - MAX_NOISE * freedom) / left;
+    let at_least_px2 = TUNING.unknown_length_variance_factor * (squared - TUNING.max_independent_variance * freedom) / left;
     let noise = ((squared - left * by_pairs_px2.max(at_least_px2).max(0.0)) / freedom).max(1.0);
     let by_field = covariance_of_inverse(pose, field.of_pose());
     let error = ModelError { by_field, by_pairs_px2, at_least_px2, at_most_px2: of_field_alone, noise };
@@ -242,9 +214,9 @@ multiversion! {
 
 #[inline(always)]
 fn add_neighbours_plain(paired: &mut [PairedTile], width_px: f64) {
-    let per_squared_length = -0.5 / (CORRELATION_LENGTH * width_px).powi(2);
-    let farthest = MIN_PAIR.ln() / (per_squared_length * f64::from(PAIR_POWER));
-    let beside_px2 = (TOUCHING * width_px).powi(2)..farthest;
+    let per_squared_length = -0.5 / (TUNING.field_correlation_length * width_px).powi(2);
+    let farthest = TUNING.min_pair_weight.ln() / (per_squared_length * f64::from(TUNING.pair_weight_power));
+    let beside_px2 = (TUNING.min_pair_distance * width_px).powi(2)..farthest;
     for k in 1..paired.len() {
         let (before, rest) = paired.split_at_mut(k);
         let tile = &mut rest[0];
@@ -252,7 +224,7 @@ fn add_neighbours_plain(paired: &mut [PairedTile], width_px: f64) {
             let squared_length = (other.place_px - tile.place_px).norm_squared();
             if beside_px2.contains(&squared_length) {
                 let alike = (squared_length * per_squared_length).exp();
-                let weight = alike.powi(PAIR_POWER);
+                let weight = alike.powi(TUNING.pair_weight_power);
                 tile.beside.add(&other.own, weight, alike);
                 other.beside.add(&tile.own, weight, alike);
             }
@@ -376,7 +348,7 @@ mod tests {
 
     #[test]
     fn a_smooth_error_of_the_model_is_in_the_covariance() {
-        let wide = found(0.5, CORRELATION_LENGTH * f64::from(WIDTH), 1.0);
+        let wide = found(0.5, TUNING.field_correlation_length * f64::from(WIDTH), 1.0);
         assert!((0.5..2.5).contains(&wide.nees) && wide.off == RUNS, "{}, {} of {RUNS}", wide.nees, wide.off);
         // Folds are shorter than the assumed field: their covariance is wider than their error.
         let folds = found(0.5, 0.1 * f64::from(WIDTH), 1.0);
@@ -403,7 +375,7 @@ mod tests {
         assert_eq!(take(1.0, 4.0), 4.0);
         // It follows a lasting value within ten times its memory: the standard error takes twice as
         // long as the mean.
-        let last = (0..10 * MEMORY_FRAMES as usize).map(|_| take(2.0, -1.0)).last();
+        let last = (0..10 * TUNING.field_memory_frames as usize).map(|_| take(2.0, -1.0)).last();
         assert!(last.is_some_and(|last| (last - 2.0).abs() < 0.01), "{last:?}");
     }
 
@@ -415,7 +387,7 @@ mod tests {
 
     #[test]
     fn underestimated_noise_is_not_taken_for_a_model_error() {
-        let field = found(2.0 * NOISE_PX, CORRELATION_LENGTH * f64::from(WIDTH), 1.0);
+        let field = found(2.0 * NOISE_PX, TUNING.field_correlation_length * f64::from(WIDTH), 1.0);
         let noise = found(0.0, 100.0, 1.7);
         assert!((2.3..3.5).contains(&noise.noise) && (0.6..1.4).contains(&noise.nees), "{} {}", noise.noise, noise.nees);
         assert!(field.noise < 2.0 && field.turn > 2.0 * noise.turn, "{}, {} and {}", field.noise, field.turn, noise.turn);

@@ -9,72 +9,16 @@
 //! explains counts. This takes time, so it runs only if the focal length explains much by itself
 //! ([`is_suspect`]).
 
+use crate::track::model_error::tuning::TUNING;
 use nalgebra::{DMatrix, DVector, Dyn, Matrix2xX, Matrix6, Vector6};
 
-use super::model_unknowns::{CORNERS, fill_corners, fill_place};
+use super::model_unknowns::{CORNER_UNKNOWNS, fill_corners, fill_place};
 use super::tile_residuals::{TileResidual, TileResiduals};
 use crate::camera::{CameraModel, Shutter};
 use crate::geometry::{Body, Camera, Pose};
 use crate::track::patches::fitted_anchor::FittedAnchor;
 use crate::track::patches::row_motion::RowMotion;
 use crate::track::scene::reference::PreparedBody;
-
-/// Prior sigmas: radial coefficient, ratio, skew (below), place (m), direction (rad), motion (m/s,
-/// rad/s). Raised, fewer views reveal a zoom; lowered, bad measures pass for one.
-const RADIAL_SIGMA: f64 = 0.05;
-const RATIO_SIGMA: f64 = 0.01;
-/// Prior sigma of shear and keystone if the corners are not in doubt. Raised, small zooms head-on
-/// are not withheld; lowered, skewed pictures convict a correct lens.
-const ASKEW_SIGMA: f64 = 0.003;
-pub const PLACE_SIGMA_M: f64 = 0.01;
-pub const DIRECTION_SIGMA: f64 = 0.01;
-const MOTION_SIGMA: [f64; 2] = [1.0, 1.0];
-/// Readout time assumed if none is configured, seconds. Raised, fast pans pass less for a zoom.
-const USUAL_READOUT_S: f64 = 0.02;
-/// Relative sigma up to which a readout time counts as described. Raised, rows displaced by the
-/// readout pass for a lens error; lowered, a learnt readout time is of less use.
-const SURE_SHARE: f64 = 0.1;
-/// Minimum sigma of the motion during readout, m/s and rad/s; keeps the equations regular at rest.
-/// Raised, it acts like a raised [`MOTION_SIGMA`].
-const MIN_MOTION: f64 = 1e-4;
-/// Minimum relative change of the focal length that counts. Raised, poses with larger errors pass;
-/// lowered, lenses that breathe with focus are refused.
-const MIN_CHANGE: f64 = 0.005;
-/// Minimum change in sigmas of the frame's estimate and of the calibration's uncertainty. Raised, a
-/// zoom is noticed later; lowered, patterns of other causes pass for one.
-const MIN_SIGMAS: f64 = 8.0;
-const DOUBT_SIGMAS: f64 = 4.0;
-/// And minimum fraction of the residual (after all other unknowns) that it must explain. Raised, a
-/// zoom of a stage that does not fit goes unnoticed; lowered, other patterns pass for a zoom.
-const MIN_SHARE: f64 = 0.5;
-/// Residual after motion over residual after the focal length, below which motion is the
-/// explanation. Raised, zooms pass for motion; lowered, shaken rolling-shutter cameras are refused.
-const RIVAL_SHARE: f64 = 0.93;
-/// Deviation from earlier frames, in sigmas, that enters the covariance as a possible zoom. Raised,
-/// zooms get too small a covariance; lowered, a draught makes poses less certain.
-const STRAYED_SIGMAS: f64 = 3.0;
-/// The same, beyond which the deviation is clear. Raised, a zoom of a stage that does not fit is
-/// noticed later; lowered, a draught passes for one.
-const CHANGED_SIGMAS: f64 = 4.0;
-/// Maximum sigma of the log focal length at which a frame can show a change. Raised, coloured light
-/// passes for a zoom; lowered, fewer views reveal a zoom of a stage that does not fit.
-const MAX_CHANGED_SIGMA: f64 = 0.02;
-/// Maximum sigma of the log focal length at which a frame can show that it is the usual one again.
-/// Raised, views from ahead bring poses back.
-const MAX_SIGMA: f64 = 0.01;
-/// Sigmas within which a focal length is the usual one, and margin in sigmas by which a frame must
-/// show the calibrated one. Raised, poses are withheld for longer after a zoom.
-pub const RIGHT_SIGMAS: f64 = 3.0;
-
-/// Squared sigmas by which the focal length must beat a skewed picture. Raised, small zooms head-on
-/// are not withheld; lowered, skewed pictures convict a correct lens.
-const CONVICTING_GAIN: f64 = 4.0;
-/// Maximum change of the log focal length that a linear step can report; larger ones only widen the
-/// covariance. Raised, wrong corners pass for a zoom; lowered, large zooms are not withheld.
-pub const MAX_CHANGE: f64 = 0.26;
-/// Prior sigma of unknowns that are held fixed; keeps the equations regular. Raised, they are less
-/// fixed.
-pub const FIXED_SIGMA: f64 = 1e-6;
 
 /// What one frame says about the focal length.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -93,19 +37,22 @@ impl FocalClue {
     /// Whether another focal length explains the frame clearly better. `doubt`: sigma of the
     /// logarithm of the calibrated one.
     pub fn is_off(&self, doubt: f64) -> bool {
-        self.change.abs() < MAX_CHANGE && !self.is_contested && self.explains(doubt)
+        self.change.abs() < TUNING.max_focal_change && !self.is_contested && self.explains(doubt)
     }
 
     /// Returns the possible error of the log focal length if it explains the frame but is no
     /// evidence: a skewed picture explains it as well, or the change is larger than a linear step
     /// can report. `doubt`: as for [`is_off`](Self::is_off).
     pub fn possible_change(&self, doubt: f64) -> Option<f64> {
-        (!self.is_off(doubt) && self.explains(doubt)).then_some(self.change.abs().min(MAX_CHANGE))
+        (!self.is_off(doubt) && self.explains(doubt)).then_some(self.change.abs().min(TUNING.max_focal_change))
     }
 
     fn explains(&self, doubt: f64) -> bool {
         let size = self.change.abs();
-        size > MIN_CHANGE && size > MIN_SIGMAS * self.sigma && size > DOUBT_SIGMAS * doubt && self.share > MIN_SHARE
+        size > TUNING.min_focal_change
+            && size > TUNING.min_focal_change_sigmas * self.sigma
+            && size > TUNING.min_focal_change_calibration_sigmas * doubt
+            && self.share > TUNING.min_focal_explained_ratio
     }
 
     /// Returns the deviation of the log focal length from earlier frames if it is clear. `usual`,
@@ -114,7 +61,8 @@ impl FocalClue {
     pub fn strays(&self, usual: f64, usual_sigma: f64) -> Option<f64> {
         let by = self.change - usual;
         // A share of 0 means that motion during readout explains the frame as well.
-        let is_clear = by.abs() > MIN_CHANGE && by.abs() > STRAYED_SIGMAS * self.sigma.hypot(usual_sigma) && self.share > 0.0;
+        let is_clear =
+            by.abs() > TUNING.min_focal_change && by.abs() > TUNING.deviation_sigmas * self.sigma.hypot(usual_sigma) && self.share > 0.0;
         is_clear.then_some(by)
     }
 
@@ -122,22 +70,28 @@ impl FocalClue {
     /// [`is_off`](Self::is_off). `is_rough`: whether frames contradicted the calibration from the
     /// first.
     pub fn has_changed(&self, usual: f64, usual_sigma: f64, doubt: f64, is_rough: bool) -> bool {
-        let least = if is_rough { MIN_SIGMAS } else { CHANGED_SIGMAS };
+        let least = if is_rough { TUNING.min_focal_change_sigmas } else { TUNING.clear_deviation_sigmas };
         let sigma = self.sigma.hypot(usual_sigma);
-        let is_far =
-            |by: f64| sigma < MAX_CHANGED_SIGMA && by.abs() < MAX_CHANGE && by.abs() > least * sigma && by.abs() > DOUBT_SIGMAS * doubt;
+        let is_far = |by: f64| {
+            sigma < TUNING.max_changed_focal_sigma
+                && by.abs() < TUNING.max_focal_change
+                && by.abs() > least * sigma
+                && by.abs() > TUNING.min_focal_change_calibration_sigmas * doubt
+        };
         self.strays(usual, usual_sigma).is_some_and(is_far)
     }
 
     /// Whether the frame agrees with those from before the lens was changed.
     pub fn is_usual(&self, usual: f64, usual_sigma: f64) -> bool {
         let sigma = self.sigma.hypot(usual_sigma);
-        (self.change - usual).abs() < MIN_CHANGE.max(RIGHT_SIGMAS * sigma) && sigma < MAX_SIGMA
+        (self.change - usual).abs() < TUNING.min_focal_change.max(TUNING.restored_focal_sigmas * sigma)
+            && sigma < TUNING.max_restored_focal_sigma
     }
 
     /// Whether the frame was clearly taken with the calibrated focal length.
     pub fn is_right(&self, doubt: f64) -> bool {
-        self.change.abs() + RIGHT_SIGMAS * self.sigma < MIN_CHANGE + DOUBT_SIGMAS * doubt
+        self.change.abs() + TUNING.restored_focal_sigmas * self.sigma
+            < TUNING.min_focal_change + TUNING.min_focal_change_calibration_sigmas * doubt
     }
 }
 
@@ -185,15 +139,17 @@ impl RowDisplacement {
     /// read rows in sequence all the same: then the rows may contain any fraction of the body's
     /// motion, and of each component its change.
     pub fn new(camera: &CameraModel, rows: &RowMotion, pose: &Pose<Camera, Body>) -> Self {
-        let is_described = rows.shutter.readout_s != 0.0 && rows.readout_sigma_s <= SURE_SHARE * rows.shutter.readout_s.abs();
-        let [moving, turning] = MOTION_SIGMA.map(|sigma| sigma.powi(2));
+        let is_described =
+            rows.shutter.readout_s != 0.0 && rows.readout_sigma_s <= TUNING.max_described_readout_sigma * rows.shutter.readout_s.abs();
+        let [moving, turning] = TUNING.clue_motion_sigma.map(|sigma| sigma.powi(2));
         let usual = Matrix6::from_diagonal(&Vector6::new(moving, moving, moving, turning, turning, turning));
         let moved = rows.twist_and_change(pose).filter(|_| !is_described);
         let covariance = moved.map_or(usual, |(twist, change)| {
-            twist * twist.transpose() + Matrix6::from_diagonal(&change.component_mul(&change).add_scalar(MIN_MOTION.powi(2)))
+            twist * twist.transpose()
+                + Matrix6::from_diagonal(&change.component_mul(&change).add_scalar(TUNING.min_clue_motion_sigma.powi(2)))
         });
         let motion_information = covariance.cholesky().map_or(still(), |factor| factor.inverse());
-        let readout_s = if is_described { rows.shutter.readout_s } else { USUAL_READOUT_S };
+        let readout_s = if is_described { rows.shutter.readout_s } else { TUNING.assumed_readout_s };
         Self { shutter: Shutter { readout_s, ..rows.shutter }, height: camera.height(), motion_information, is_described }
     }
 
@@ -220,7 +176,7 @@ impl RowDisplacement {
 
 /// Returns the inverse covariance of a motion held at zero.
 fn still() -> Matrix6<f64> {
-    Matrix6::identity() * MIN_MOTION.powi(-2)
+    Matrix6::identity() * TUNING.min_clue_motion_sigma.powi(-2)
 }
 
 /// Estimates the focal length from one frame, with all other model errors free within their priors.
@@ -242,9 +198,10 @@ pub fn focal_clue(
     let clue = fit.clue()?;
     let by_focal = fit.left - fit.explained();
     let moving = if rows.is_described { f64::INFINITY } else { Fit::new(&frame, rows, 0.0)?.left };
-    let clue = FocalClue { share: if moving < RIVAL_SHARE * by_focal { 0.0 } else { clue.share }, ..clue };
+    let clue = FocalClue { share: if moving < TUNING.max_motion_rival_ratio * by_focal { 0.0 } else { clue.share }, ..clue };
     // A focal length that explains nothing has no rival.
-    let is_contested = clue.explains(0.0) && Fit::new(&frame, &known, ASKEW_SIGMA)?.left < by_focal + CONVICTING_GAIN;
+    let is_contested =
+        clue.explains(0.0) && Fit::new(&frame, &known, TUNING.clue_skew_sigma)?.left < by_focal + TUNING.min_focal_over_skew_gain;
     Some(FocalClue { is_contested, ..clue })
 }
 
@@ -333,7 +290,7 @@ impl Unknowns {
     fn begins(&self) -> [usize; 3] {
         let motion = 7;
         let corners = motion + 6;
-        [motion, corners, corners + CORNERS * self.surfaces.len()]
+        [motion, corners, corners + CORNER_UNKNOWNS * self.surfaces.len()]
     }
 
     fn count(&self) -> usize {
@@ -343,15 +300,15 @@ impl Unknowns {
     /// Returns the prior information matrix of the unknowns.
     fn prior(&self, body: &PreparedBody, askew: f64) -> DMatrix<f64> {
         let [motion, corners, places] = self.begins();
-        let in_doubt = |k: usize| body.surfaces[self.surfaces[(k - corners) / CORNERS] as usize].spec.doubt.corners_share();
+        let in_doubt = |k: usize| body.surfaces[self.surfaces[(k - corners) / CORNER_UNKNOWNS] as usize].spec.doubt.corners_share();
         let sigmas = DVector::from_fn(self.count(), |k, _| match k {
             0..6 => f64::INFINITY,
-            6 => RADIAL_SIGMA,
+            6 => TUNING.clue_radial_sigma,
             k if k < corners => 1.0,
-            k if k < places && (k - corners) % CORNERS == 0 => RATIO_SIGMA.max(in_doubt(k)),
-            k if k < places => askew.max(in_doubt(k)).max(FIXED_SIGMA),
-            k if (k - places) % 6 < 3 => PLACE_SIGMA_M,
-            _ => DIRECTION_SIGMA,
+            k if k < places && (k - corners) % CORNER_UNKNOWNS == 0 => TUNING.clue_ratio_sigma.max(in_doubt(k)),
+            k if k < places => askew.max(in_doubt(k)).max(TUNING.fixed_sigma),
+            k if (k - places) % 6 < 3 => TUNING.clue_place_sigma_m,
+            _ => TUNING.clue_direction_sigma,
         });
         let mut prior = DMatrix::from_diagonal(&sigmas.map(|sigma: f64| sigma.powi(-2)));
         prior.fixed_view_mut::<6, 6>(motion, motion).copy_from(&self.rows.motion_information);
@@ -370,7 +327,7 @@ impl Unknowns {
         let to_camera = pose.rotation_matrix();
         let by_point = t.by_pose.fixed_columns::<3>(0).into_owned();
         let by_surface = by_point * (to_camera * spec.pose.rotation_matrix());
-        fill_corners(row, corners + CORNERS * k, &by_surface, spec.size_m, spec.to_metres(anchor.artwork));
+        fill_corners(row, corners + CORNER_UNKNOWNS * k, &by_surface, spec.size_m, spec.to_metres(anchor.artwork));
         if k > 0 {
             let from_centre = to_camera * (anchor.observation.point.coords - spec.pose.translation);
             fill_place(row, places + 6 * (k - 1), &by_point, &from_centre);
@@ -444,7 +401,7 @@ mod tests {
         for change in [1.8, -7.0, -1.3, 0.3] {
             let clue = FocalClue { change, sigma: 0.001, share: 0.9, is_contested: false };
             assert!(!clue.is_off(0.0) && !clue.has_changed(0.0, 0.001, 0.0, false), "{change}");
-            assert_eq!(clue.possible_change(0.0), Some(MAX_CHANGE), "{change}");
+            assert_eq!(clue.possible_change(0.0), Some(TUNING.max_focal_change), "{change}");
         }
         let zoom = FocalClue { change: 0.15, sigma: 0.005, share: 0.9, is_contested: false };
         assert!(zoom.is_off(0.0) && zoom.possible_change(0.0).is_none());
@@ -454,7 +411,7 @@ mod tests {
 
     /// Estimates the focal length from a picture with this shear and these keystones, seen through
     /// the configured lens.
-    fn askew(by: [f64; CORNERS], start: &Pose<Camera, Body>) -> FocalClue {
+    fn askew(by: [f64; CORNER_UNKNOWNS], start: &Pose<Camera, Body>) -> FocalClue {
         let configured = prepared(vec![cloth(1)]);
         let mut anchors = seen_anchors(&configured, start, &lens(640, 480), 10, &mut |_, _| Vector2::zeros());
         for a in &mut anchors {

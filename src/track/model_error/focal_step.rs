@@ -9,18 +9,8 @@ use super::tile_residuals::TileResiduals;
 use crate::geometry::resection::{Twist, perturbed};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::MAX_ACCELERATION;
+use crate::track::model_error::tuning::TUNING;
 use crate::track::patches::row_motion::RowMotion;
-
-/// Minimum step of the log focal length, and minimum jump in usual prediction errors. Raised, small
-/// zooms head-on go unnoticed; lowered, jolts put the lens in doubt.
-const MIN_STEP: f64 = 0.01;
-const USUAL_TIMES: f64 = 5.0;
-/// Minimum fraction of the jump that the step must explain; a jolt rotates the camera too. Raised,
-/// zooms while the camera rotates go unnoticed; lowered, jolts put the lens in doubt.
-const MIN_SHARE: f64 = 0.9;
-/// Weight that the usual prediction error keeps per frame. Raised, a camera that has come to rest
-/// counts as shaken for longer.
-const REMEMBERED: f64 = 0.9;
 
 /// Remembers how well poses are predicted.
 #[derive(Debug, Default)]
@@ -46,8 +36,11 @@ impl Jump {
         let share = (step * by_focal.norm() / size.max(f64::MIN_POSITIVE)).abs();
         // A camera that starts or stops deviates from its prediction by at most this.
         let reach_m = 0.5 * MAX_ACCELERATION * dt_s * dt_s;
-        let is_step = step.abs() > MIN_STEP && step.abs() * distance_m > reach_m && size > USUAL_TIMES * usual && share > MIN_SHARE;
-        self.usual = REMEMBERED * usual + (1.0 - REMEMBERED) * if is_step { usual } else { size };
+        let is_step = step.abs() > TUNING.min_focal_step
+            && step.abs() * distance_m > reach_m
+            && size > TUNING.min_focal_jump_ratio * usual
+            && share > TUNING.min_focal_step_explained_ratio;
+        self.usual = TUNING.prediction_error_memory * usual + (1.0 - TUNING.prediction_error_memory) * if is_step { usual } else { size };
         is_step.then_some(step)
     }
 }

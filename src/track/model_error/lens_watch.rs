@@ -12,9 +12,10 @@
 //! uncalibrated lens gives another estimate in each view and contradicts its calibration from the
 //! first frame: then a deviation must be clearer still.
 
+use crate::track::model_error::tuning::TUNING;
 use tracing::{info, warn};
 
-use super::focal_clue::{FocalClue, MAX_CHANGE, RIGHT_SIGMAS};
+use super::focal_clue::FocalClue;
 
 /// What feature matches say about the focal length.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,31 +31,6 @@ pub enum MatchedFocal {
     Unclear,
 }
 
-/// Consecutive contradicting frames before the lens counts as changed. Raised, a zoom is reported
-/// later; frames until then are withheld anyway.
-const FRAMES_TO_MOVE: u32 = 2;
-/// Consecutive frames with the calibrated focal length before the lens counts as restored. Raised,
-/// poses are reported later.
-const FRAMES_TO_RETURN: u32 = 3;
-
-/// Weight that the usual estimate keeps per frame. Raised, a path around folds passes for a zoom;
-/// lowered, a slow zoom passes for the usual estimate.
-const REMEMBERED: f64 = 0.93;
-/// Weight of a deviating frame in the usual estimate. Raised, a slow zoom passes for the usual
-/// estimate; lowered, a path around a stage that does not fit passes for a zoom for longer.
-const STRAYED_WEIGHT: f64 = 0.1;
-/// Sigmas of a single frame at which the usual estimate contradicts the calibration. Raised, a
-/// guessed lens passes for a changed one; lowered, a zoom before cloth is noticed later.
-const ROUGH_SIGMAS: f64 = 5.0;
-/// Minimum number of frames before there is a usual estimate. Raised, a zoom soon after the start
-/// is noticed later; lowered, a single frame makes one.
-const MIN_FRAMES: u32 = 5;
-/// Sigma of the log focal length of a frame with nothing but noise, which counts as calibrated.
-/// Raised, the first frames of a misfit weigh more; lowered, a stage that fitted must stay so.
-const FITTING_SIGMA: f64 = 0.01;
-/// Minimum sigma of a frame, so that none outweighs all others. Raised, frames count more equally.
-const MIN_SIGMA: f64 = 1e-4;
-
 /// The usual estimate of the log ratio of the focal length to the calibrated one: a mean that
 /// forgets.
 #[derive(Debug, Default, Clone, Copy)]
@@ -69,21 +45,21 @@ struct Habit {
 impl Habit {
     /// Adds a frame. `share`: its weight, 0 to 1.
     fn add(&mut self, change: f64, sigma: f64, share: f64) {
-        let weight = share * sigma.max(MIN_SIGMA).powi(-2);
-        self.weights = REMEMBERED * self.weights + weight;
-        self.sum = REMEMBERED * self.sum + weight * change;
-        self.count = REMEMBERED * self.count + share;
+        let weight = share * sigma.max(TUNING.min_frame_focal_sigma).powi(-2);
+        self.weights = TUNING.focal_mean_memory * self.weights + weight;
+        self.sum = TUNING.focal_mean_memory * self.sum + weight * change;
+        self.count = TUNING.focal_mean_memory * self.count + share;
         self.frames += 1;
     }
 
     /// Whether it contradicts the calibration.
     fn is_rough(&self) -> bool {
-        self.usual().is_some_and(|(usual, sigma)| usual.abs() > ROUGH_SIGMAS * sigma * self.count.sqrt())
+        self.usual().is_some_and(|(usual, sigma)| usual.abs() > TUNING.uncalibrated_sigmas * sigma * self.count.sqrt())
     }
 
     /// Returns the value and its sigma, once there are enough frames.
     fn usual(&self) -> Option<(f64, f64)> {
-        (self.frames >= MIN_FRAMES).then(|| (self.sum / self.weights, self.weights.powf(-0.5)))
+        (self.frames >= TUNING.min_focal_mean_frames).then(|| (self.sum / self.weights, self.weights.powf(-0.5)))
     }
 }
 
@@ -199,14 +175,14 @@ impl LensWatch {
             // ends.
             if is_seen {
                 self.against = 0;
-                self.habit.add(0.0, FITTING_SIGMA, 1.0);
+                self.habit.add(0.0, TUNING.fitting_frame_focal_sigma, 1.0);
             }
             return self.state(false);
         };
         let usual = self.habit.usual();
         let strayed = usual.and_then(|(usual, sigma)| clue.strays(usual, sigma));
         let likely = strayed.map(f64::abs).or(clue.possible_change(doubt)).unwrap_or(0.0);
-        self.strayed = Some(likely.min(MAX_CHANGE).max(doubted)).filter(|size| *size > 0.0);
+        self.strayed = Some(likely.min(TUNING.max_focal_change).max(doubted)).filter(|size| *size > 0.0);
         self.is_rough |= self.habit.is_rough();
         let is_rough = self.is_rough;
         let has_changed = usual.is_some_and(|(usual, sigma)| clue.has_changed(usual, sigma, doubt, is_rough));
@@ -214,10 +190,10 @@ impl LensWatch {
         let is_against = if self.is_moved { clue.is_right(doubt) || is_usual } else { clue.is_off(doubt) || has_changed };
         // While the lens counts as changed, the usual estimate stays as it was before.
         if !self.is_moved && !is_against && doubted == 0.0 {
-            self.habit.add(clue.change, clue.sigma, if strayed.is_some() { STRAYED_WEIGHT } else { 1.0 });
+            self.habit.add(clue.change, clue.sigma, if strayed.is_some() { TUNING.deviating_frame_weight } else { 1.0 });
         }
         self.against = if is_against { self.against + 1 } else { 0 };
-        let needed = if self.is_moved { FRAMES_TO_RETURN } else { FRAMES_TO_MOVE };
+        let needed = if self.is_moved { TUNING.frames_to_restored_lens } else { TUNING.frames_to_changed_lens };
         if self.against >= needed {
             (self.is_moved, self.against) = (!self.is_moved, 0);
             self.is_by_habit = self.is_moved && has_changed && !clue.is_off(doubt);
@@ -252,7 +228,7 @@ impl LensWatch {
     /// Whether a frame's estimate is closer to no step than to one of this size.
     fn contradicts(&self, clue: &FocalClue, size: f64) -> bool {
         let usual = self.habit.usual().map_or(0.0, |(usual, _)| usual);
-        (clue.change - usual).abs() + RIGHT_SIGMAS * clue.sigma < 0.5 * size
+        (clue.change - usual).abs() + TUNING.restored_focal_sigmas * clue.sigma < 0.5 * size
     }
 
     fn state(&self, is_against: bool) -> LensState {

@@ -1,6 +1,7 @@
 //! Describes a part of the model that does not fit the frames: which one, by how much, and what it
 //! costs. Also writes the messages about it.
 
+use crate::track::model_error::tuning::TUNING;
 use crate::track::scene::reference::PreparedBody;
 
 /// A part of the model that differs from the config, and by how much.
@@ -105,11 +106,6 @@ pub struct ModelReport {
     pub views: usize,
 }
 
-/// Errors of focal length and ratio, percent, above which whole pictures must decide. Raised, the
-/// linear answer is used where it is a few percent of itself off.
-const SMALL_FOCAL_PERCENT: f64 = 5.0;
-const SMALL_RATIO_PERCENT: f64 = 2.5;
-
 /// Formats a value with three significant digits.
 fn figures(value: f64) -> String {
     let digits = if value == 0.0 { 0 } else { (2 - value.abs().log10().floor() as i32).clamp(0, 4) as usize };
@@ -138,8 +134,8 @@ impl Part {
     /// Whether the error is small enough for a linear model.
     pub fn is_small(&self) -> bool {
         match self {
-            Self::Lens { focal_percent, .. } => focal_percent.abs() < SMALL_FOCAL_PERCENT,
-            Self::Ratio { wider_percent, .. } => wider_percent.abs() < SMALL_RATIO_PERCENT,
+            Self::Lens { focal_percent, .. } => focal_percent.abs() < TUNING.small_focal_error_percent,
+            Self::Ratio { wider_percent, .. } => wider_percent.abs() < TUNING.small_ratio_error_percent,
             Self::Place { .. } | Self::Shape { .. } | Self::Corners { .. } => true,
         }
     }

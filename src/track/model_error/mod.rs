@@ -27,3 +27,4 @@ pub mod shape_doubt;
 pub mod smooth_field;
 pub mod surface_doubt;
 pub mod tile_residuals;
+pub mod tuning;

@@ -12,6 +12,7 @@
 //! its residual plus a penalty for its number of unknowns. If much remains, the next part is added
 //! to it.
 
+use crate::track::model_error::tuning::TUNING;
 use std::ops::Range;
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix2xX, OMatrix, SMatrix, SVector, U12, Vector2};
@@ -19,7 +20,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix2xX, OMatrix, SMatrix, SVe
 use super::focal_clue::RowDisplacement;
 use super::misfit::{Misfit, Part};
 use super::model_unknowns::{ModelUnknowns, moved_by_corners};
-use super::tile_residuals::{MIN_MISFIT, TileResidual, TileResiduals};
+use super::tile_residuals::{MEDIAN_LENGTH, TileResidual, TileResiduals};
 use crate::camera::CameraModel;
 use crate::geometry::robust_kernel::tukey_weight;
 use crate::geometry::{Body, Camera, Pose};
@@ -29,31 +30,6 @@ use crate::track::scene::surface::SurfaceSpec;
 
 /// Nuisance unknowns of a frame: its pose, and its motion during readout.
 const NUISANCES: usize = 12;
-/// Tukey scale of the weights, in robust sigmas of the tile's own surface, so that a moved one is
-/// no outlier. Raised, people and shadows count; lowered, the ends of a pattern do not.
-const SPREAD: f64 = 2.0;
-/// Median length of a plane vector with unit normal noise: sqrt(2 ln 2).
-const MEDIAN_LENGTH: f64 = 1.177_410_022_515_474_6;
-/// Frames up to which the effective number of tiles grows, with their square root. Raised, finer
-/// folds are accepted from a camera at rest; lowered, folds that a walk shows are not.
-const FRAMES_THAT_DIFFER: f64 = 16.0;
-/// Minimum fall of the criterion and (as a fraction, first and later) of the residual for a part to
-/// be named. Raised, fewer are named; lowered, look-alikes of the true one are.
-const MIN_GAIN: f64 = 30.0;
-const MIN_SHARE: [f64; 2] = [0.4, 0.1];
-/// Each later part must reduce the residual to this fraction. Raised, parts are named that only
-/// resemble the remainder of the first one.
-const LATER_LEAVES: f64 = 0.5;
-/// The first surface, which defines the stage's frame, is named as moved only if that leaves less
-/// than this fraction of the best alternative. Raised, it is blamed more often.
-const FIRST_LEAVES: f64 = 0.8;
-/// Maximum number of named parts. Raised, users get more faults than they can fix one by one.
-const MAX_PARTS: usize = 3;
-/// Minimum pose error (or displacement of a surface) of a named part, as a fraction of the
-/// distance. Raised, faults go unnamed; lowered, accurate stages are sent to a survey.
-pub const MIN_COST: f64 = 0.0005;
-/// Points along each side at which a shape's heights are sampled. Raised, reports cost more time.
-const ASKED: u32 = 24;
 
 /// One frame of a study.
 #[derive(Clone, Copy)]
@@ -191,17 +167,17 @@ impl ModelStudy {
     }
 
     /// Returns the Tukey scale of a surface's tiles, sigmas of noise, including the factor
-    /// [`SPREAD`].
+    /// `study_tukey_sigmas`.
     fn scale_of(&mut self, surface: usize, residuals: &TileResiduals, anchors: &[FittedAnchor]) -> f64 {
         self.squares.clear();
         let own = residuals.tiles().iter().filter(|t| anchors[t.anchor].surface as usize == surface);
         self.squares.extend(own.map(|t| residuals.squared_left(t)));
         if self.squares.is_empty() {
-            return SPREAD;
+            return TUNING.study_tukey_sigmas;
         }
         let middle = self.squares.len() / 2;
         let median = *self.squares.select_nth_unstable_by(middle, f64::total_cmp).1;
-        SPREAD * (median.sqrt() / MEDIAN_LENGTH).max(1.0)
+        TUNING.study_tukey_sigmas * (median.sqrt() / MEDIAN_LENGTH).max(1.0)
     }
 
     /// Returns the root mean square residual of the tiles after poses and motions during readout,
@@ -240,17 +216,17 @@ impl ModelStudy {
     /// or if two parts explain the frames equally well.
     pub fn misfits(&self, body: &PreparedBody, camera: &CameraModel) -> Vec<Misfit> {
         let mut named: Vec<(Candidate, Solved)> = Vec::new();
-        if self.frames < 1.0 || self.misfit() < MIN_MISFIT {
+        if self.frames < 1.0 || self.misfit() < TUNING.min_model_misfit {
             return Vec::new();
         }
         let mut before = Solved { columns: Vec::new(), numbers: DVector::zeros(0), left: self.squared, freedom: 0.0 };
         let all = self.candidates(body);
-        while named.len() < MAX_PARTS {
+        while named.len() < TUNING.max_parts {
             let rest = all.iter().filter(|c| named.iter().all(|(n, _)| !n.is_alike(c)));
             let Some((candidate, solved)) = self.likeliest(rest, &before) else { break };
             let rivals = all.iter().filter(|c| named.is_empty() && !c.is_alike(&candidate));
             if let Some((_, rival)) = self.likeliest(rivals, &before)
-                && self.criterion(&rival) - self.criterion(&solved) < MIN_GAIN
+                && self.criterion(&rival) - self.criterion(&solved) < TUNING.min_part_gain
             {
                 break;
             }
@@ -258,8 +234,8 @@ impl ModelStudy {
             let share = (before.left - solved.left) / self.squared;
             let is_later = usize::from(!named.is_empty());
             tracing::debug!(?candidate, gain, share, left = solved.left / self.squared, "likeliest");
-            let leaves = if named.is_empty() { 1.0 } else { LATER_LEAVES };
-            if gain < MIN_GAIN || share < MIN_SHARE[is_later] || solved.left > leaves * before.left {
+            let leaves = if named.is_empty() { 1.0 } else { TUNING.max_later_residual_ratio };
+            if gain < TUNING.min_part_gain || share < TUNING.min_part_gain_ratio[is_later] || solved.left > leaves * before.left {
                 break;
             }
             before = Solved { columns: solved.columns.clone(), numbers: solved.numbers.clone(), ..solved };
@@ -276,7 +252,7 @@ impl ModelStudy {
             let part = candidate.part(numbers, &self.unknowns, body, camera);
             let cost = self.cost(&last.columns[range], numbers);
             tracing::debug!(?part, share, cost, "does not fit");
-            let is_worth_a_word = cost.max(part.size_m(body) / self.distance_m()) >= MIN_COST;
+            let is_worth_a_word = cost.max(part.size_m(body) / self.distance_m()) >= TUNING.min_part_pose_error;
             is_worth_a_word.then(|| Misfit { part, share, cost_mm: 1e3 * cost * self.distance_m() })
         };
         named.iter().filter_map(misfit).collect()
@@ -302,7 +278,7 @@ impl ModelStudy {
             let columns = before.columns.iter().copied().chain(c.columns.clone()).collect();
             let mut solved = self.solved(columns)?;
             if c.kind == Kind::Place(0) {
-                solved.left /= FIRST_LEAVES;
+                solved.left /= TUNING.max_first_surface_residual_ratio;
             }
             Some((c.clone(), solved))
         });
@@ -312,7 +288,7 @@ impl ModelStudy {
     /// Returns Schwarz's criterion (BIC). Tiles of many frames count no more than those of a few,
     /// because the next frame shows much the same.
     fn criterion(&self, solved: &Solved) -> f64 {
-        let count = self.numbers / self.frames * self.frames.clamp(1.0, FRAMES_THAT_DIFFER).sqrt();
+        let count = self.numbers / self.frames * self.frames.clamp(1.0, TUNING.max_differing_frames).sqrt();
         count * (solved.left / self.squared).max(f64::MIN_POSITIVE).ln() + solved.freedom * count.max(1.0).ln()
     }
 
@@ -396,12 +372,17 @@ impl Candidate {
             }
             Kind::Shape(surface) => {
                 let spec = &body.surfaces[surface].spec;
-                let along = |k: u32, side: f64| ((f64::from(k) + 0.5) / f64::from(ASKED) - 0.5) * side;
-                let places =
-                    (0..ASKED).flat_map(|i| (0..ASKED).map(move |j| Vector2::new(along(i, spec.size_m[0]), along(j, spec.size_m[1]))));
+                let along = |k: u32, side: f64| ((f64::from(k) + 0.5) / f64::from(TUNING.shape_points_per_side) - 0.5) * side;
+                let places = (0..TUNING.shape_points_per_side).flat_map(|i| {
+                    (0..TUNING.shape_points_per_side).map(move |j| Vector2::new(along(i, spec.size_m[0]), along(j, spec.size_m[1])))
+                });
                 let heights = places.map(|at| unknowns.height_m(spec, numbers, at));
                 let (squared, most) = heights.fold((0.0, 0.0_f64), |(sum, most), h| (sum + h * h, most.max(h.abs())));
-                Part::Shape { surface, rms_mm: 1e3 * (squared / f64::from(ASKED * ASKED)).sqrt(), most_mm: 1e3 * most }
+                Part::Shape {
+                    surface,
+                    rms_mm: 1e3 * (squared / f64::from(TUNING.shape_points_per_side * TUNING.shape_points_per_side)).sqrt(),
+                    most_mm: 1e3 * most,
+                }
             }
         }
     }

@@ -4,6 +4,7 @@
 //! Heights are a sum of cosines over the picture, from the lowest frequency up: few unknowns, and
 //! smooth. Planes are left out, because a tilt of the surface is part of its place.
 
+use crate::track::model_error::tuning::TUNING;
 use std::f64::consts::PI;
 use std::ops::Range;
 
@@ -16,32 +17,20 @@ use crate::track::scene::reference::PreparedBody;
 use crate::track::scene::surface::SurfaceSpec;
 
 /// Unknowns of the lens: logarithm of the focal length, centre in pixels, first radial coefficient.
-pub const LENS: usize = 4;
+pub const LENS_UNKNOWNS: usize = 4;
 /// Unknowns of a surface: the logarithm of its side ratio, then its shear and two keystones
-/// (`PLACE`: position and direction).
-const RATIO: usize = 1;
-const ASKEW: usize = 3;
+/// (`PLACE_UNKNOWNS`: position and direction).
+const RATIO_UNKNOWNS: usize = 1;
+const SKEW_UNKNOWNS: usize = 3;
 /// Unknowns of a surface's corners: ratio, shear and keystones.
-pub const CORNERS: usize = RATIO + ASKEW;
-const PLACE: usize = 6;
+pub const CORNER_UNKNOWNS: usize = RATIO_UNKNOWNS + SKEW_UNKNOWNS;
+const PLACE_UNKNOWNS: usize = 6;
 /// Maximum and minimum number of half waves of the heights (across plus up), and maximum number of
 /// heights of all surfaces together. Raised, finer folds are told from other causes, in more time.
 pub const MAX_WAVES: usize = 14;
-const MIN_WAVES: usize = 3;
-const MAX_HEIGHTS: usize = 240;
 /// Half waves of the shapes that are tried in turn. Few unknowns, if they suffice, are the likelier
 /// cause.
 const COARSE_TO_FINE: [usize; 3] = [4, 8, MAX_WAVES];
-/// Prior sigmas: log focal length, centre (px), radial coefficient, log ratio, skew, place (m),
-/// direction (rad), height (m, per half wave). Lowered, large faults are missed.
-const FOCAL_SIGMA: f64 = 0.2;
-const CENTRE_SIGMA_PX: f64 = 60.0;
-const RADIAL_SIGMA: f64 = 0.5;
-const RATIO_SIGMA: f64 = 0.1;
-const ASKEW_SIGMA: f64 = 0.05;
-const PLACE_SIGMA_M: f64 = 0.3;
-const DIRECTION_SIGMA: f64 = 0.2;
-const HEIGHT_SIGMA_M: f64 = 0.1;
 
 /// The unknowns of a body in the order of their columns: the lens, then per surface its ratio,
 /// shear, keystones, place and heights.
@@ -54,51 +43,53 @@ pub struct ModelUnknowns {
 
 impl ModelUnknowns {
     /// Creates the unknowns of a body with this many surfaces. `most_waves`: maximum half waves of
-    /// its heights; fewer are used if [`MAX_HEIGHTS`] would be exceeded.
+    /// its heights; fewer are used if `max_shape_heights` would be exceeded.
     pub fn new(surfaces: usize, most_waves: usize) -> Self {
         let waves_up_to =
             |most: usize| -> Vec<[usize; 2]> { (2..=most).flat_map(|sum| (0..=sum).map(move |across| [across, sum - across])).collect() };
-        let most = (MIN_WAVES..=most_waves.max(MIN_WAVES)).rev().find(|most| waves_up_to(*most).len() * surfaces <= MAX_HEIGHTS);
-        Self { surfaces, waves: waves_up_to(most.unwrap_or(MIN_WAVES)) }
+        let most = (TUNING.min_shape_waves..=most_waves.max(TUNING.min_shape_waves))
+            .rev()
+            .find(|most| waves_up_to(*most).len() * surfaces <= TUNING.max_shape_heights);
+        Self { surfaces, waves: waves_up_to(most.unwrap_or(TUNING.min_shape_waves)) }
     }
 
     /// Returns the number of unknowns of one surface.
     fn of_surface(&self) -> usize {
-        CORNERS + PLACE + self.waves.len()
+        CORNER_UNKNOWNS + PLACE_UNKNOWNS + self.waves.len()
     }
 
     /// Returns the number of all unknowns.
     pub fn count(&self) -> usize {
-        LENS + self.surfaces * self.of_surface()
+        LENS_UNKNOWNS + self.surfaces * self.of_surface()
     }
 
     /// Returns the columns of the lens.
     pub fn lens(&self) -> Range<usize> {
-        0..LENS
+        0..LENS_UNKNOWNS
     }
 
     /// Returns the columns of a surface.
     pub fn surface(&self, k: usize) -> Range<usize> {
-        let first = LENS + k * self.of_surface();
+        let first = LENS_UNKNOWNS + k * self.of_surface();
         first..first + self.of_surface()
     }
 
     /// Returns the column of a surface's ratio.
     pub fn ratio(&self, k: usize) -> Range<usize> {
         let first = self.surface(k).start;
-        first..first + RATIO
+        first..first + RATIO_UNKNOWNS
     }
 
     /// Returns the columns of a surface's corners: ratio, shear, and a keystone along each side.
     pub fn corners(&self, k: usize) -> Range<usize> {
         let first = self.surface(k).start;
-        first..first + CORNERS
+        first..first + CORNER_UNKNOWNS
     }
 
     /// Returns the columns of a surface's place.
     pub fn place(&self, k: usize) -> Range<usize> {
         let first = self.corners(k).end;
-        first..first + PLACE
+        first..first + PLACE_UNKNOWNS
     }
 
     /// Returns the columns of a surface's heights: ranges from the lowest frequencies up to ever
@@ -111,15 +102,18 @@ impl ModelUnknowns {
 
     /// Returns the prior sigma of a column.
     pub fn sigma(&self, column: usize) -> f64 {
-        let Some(k) = column.checked_sub(LENS) else { return [FOCAL_SIGMA, CENTRE_SIGMA_PX, CENTRE_SIGMA_PX, RADIAL_SIGMA][column] };
+        let Some(k) = column.checked_sub(LENS_UNKNOWNS) else {
+            return [TUNING.study_focal_sigma, TUNING.study_centre_sigma_px, TUNING.study_centre_sigma_px, TUNING.study_radial_sigma]
+                [column];
+        };
         match k % self.of_surface() {
-            0 => RATIO_SIGMA,
-            k if k < CORNERS => ASKEW_SIGMA,
-            k if k < CORNERS + 3 => PLACE_SIGMA_M,
-            k if k < CORNERS + PLACE => DIRECTION_SIGMA,
+            0 => TUNING.study_ratio_sigma,
+            k if k < CORNER_UNKNOWNS => TUNING.study_skew_sigma,
+            k if k < CORNER_UNKNOWNS + 3 => TUNING.study_place_sigma_m,
+            k if k < CORNER_UNKNOWNS + PLACE_UNKNOWNS => TUNING.study_direction_sigma,
             k => {
-                let [across, up] = self.waves[k - CORNERS - PLACE];
-                HEIGHT_SIGMA_M / (across + up) as f64
+                let [across, up] = self.waves[k - CORNER_UNKNOWNS - PLACE_UNKNOWNS];
+                TUNING.study_height_sigma_m / (across + up) as f64
             }
         }
     }
@@ -146,19 +140,19 @@ impl ModelUnknowns {
         row.set_column(1, &Vector2::x());
         row.set_column(2, &Vector2::y());
         row.set_column(3, &t.by_radial);
-        fill_corners(row, LENS, &by_surface, spec.size_m, at);
+        fill_corners(row, LENS_UNKNOWNS, &by_surface, spec.size_m, at);
         let from_centre = anchor.observation.point.coords - spec.pose.translation;
         let by_place = by_point * to_camera;
-        fill_place(row, LENS + CORNERS, &by_place, &from_centre);
+        fill_place(row, LENS_UNKNOWNS + CORNER_UNKNOWNS, &by_place, &from_centre);
         let by_height = by_surface.column(2).into_owned();
         for (k, wave) in self.heights_at(spec, at).enumerate() {
-            row.set_column(LENS + CORNERS + PLACE + k, &(by_height * wave));
+            row.set_column(LENS_UNKNOWNS + CORNER_UNKNOWNS + PLACE_UNKNOWNS + k, &(by_height * wave));
         }
     }
 
     /// Creates a row of zeros with the columns that [`fill`](Self::fill) writes.
     pub fn row(&self) -> Matrix2xX<f64> {
-        Matrix2xX::zeros(LENS + self.of_surface())
+        Matrix2xX::zeros(LENS_UNKNOWNS + self.of_surface())
     }
 
     /// Returns the columns of the full system to which a surface's row belongs.
@@ -186,6 +180,6 @@ pub fn fill_place(row: &mut Matrix2xX<f64>, first: usize, by_point: &Matrix2x3<f
 /// Returns how each unknown of a surface's corners moves a point of its picture, metres per unit:
 /// ratio and shear linearly, a keystone quadratically. A keystone of 1 enlarges one half of the
 /// picture and shrinks the other, in proportion to the distance from the middle in half sides.
-pub fn moved_by_corners([width, height]: [f64; 2], at: Vector2<f64>) -> [Vector2<f64>; CORNERS] {
+pub fn moved_by_corners([width, height]: [f64; 2], at: Vector2<f64>) -> [Vector2<f64>; CORNER_UNKNOWNS] {
     [Vector2::new(at.x, 0.0), Vector2::new(at.y, 0.0), at * (2.0 * at.x / width), at * (2.0 * at.y / height)]
 }

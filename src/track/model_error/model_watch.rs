@@ -6,37 +6,15 @@
 //! contradicts them is reported once. If everything fits within the noise, nothing is studied and
 //! no time is spent.
 
+use crate::track::model_error::tuning::TUNING;
 use nalgebra::Vector3;
 
 use super::misfit::{Misfit, ModelReport};
 use super::model_study::{ModelStudy, StudiedFrame};
 use super::model_unknowns::MAX_WAVES;
-use super::tile_residuals::MIN_MISFIT;
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Camera, Pose};
 use crate::track::scene::reference::PreparedBody;
-
-/// One frame in this many is studied; those between show much the same. Raised, a fault is reported
-/// later; lowered, frames cost more.
-const EVERY_FRAMES: u32 = 8;
-/// Number of studied frames before the parts are compared, and the weight that these frames then
-/// keep. Raised, a fault is reported later; lowered, from views that differ less.
-const ASKED_AFTER: u32 = 8;
-const KEPT: f64 = 0.6;
-/// Consecutive comparisons that must find a part before it is reported. Raised, a fault is reported
-/// later.
-const TIMES: u32 = 3;
-/// Fraction of the squared displacements at which a part is reported at once. Raised, a moved flat
-/// is reported later; lowered, a part that only resembles the true one is.
-const DECISIVE: f64 = 0.9;
-/// Maximum half waves of the shapes that are tried during tracking. Raised, finer folds are told
-/// from other parts, in more time.
-const WAVES: usize = 8;
-
-/// Minimum distance between views, as a fraction of the distance, and their maximum count. Raised,
-/// only long walks count as evidence that no part explains the misfit.
-const VIEWS_DIFFER: f64 = 0.09;
-const MAX_VIEWS: usize = 16;
 
 /// Identifies a part whatever its numbers: its word and its surface.
 type Key = (&'static str, Option<usize>);
@@ -64,7 +42,7 @@ pub struct ModelWatch {
 impl ModelWatch {
     /// Creates a watch during tracking for a body with this many surfaces.
     pub fn new(surfaces: usize) -> Self {
-        Self::of(ModelStudy::new(surfaces, WAVES), false)
+        Self::of(ModelStudy::new(surfaces, TUNING.max_tracking_waves), false)
     }
 
     /// Creates a watch over a whole clip for a body with this many surfaces.
@@ -85,7 +63,7 @@ impl ModelWatch {
     /// [`TrackedBody::is_study_due`](crate::track::body::tracked_body::TrackedBody::is_study_due).
     pub fn is_due(&mut self, is_lens_right: bool) -> bool {
         self.passed += 1;
-        let is_due = is_lens_right && (self.is_thorough || self.passed >= EVERY_FRAMES);
+        let is_due = is_lens_right && (self.is_thorough || self.passed >= TUNING.study_interval_frames);
         if is_due {
             self.passed = 0;
         }
@@ -106,24 +84,26 @@ impl ModelWatch {
         let doubt_m = doubt_m2.sqrt();
         self.doubts.push([doubt_m / distance_m, doubt_m]);
         let place = t_body_camera.translation;
-        if self.views.len() < MAX_VIEWS && self.views.iter().all(|view| (view - place).norm() > VIEWS_DIFFER * distance_m) {
+        if self.views.len() < TUNING.max_views
+            && self.views.iter().all(|view| (view - place).norm() > TUNING.min_view_distance * distance_m)
+        {
             self.views.push(place);
         }
     }
 
     /// Returns a part that has contradicted the frames for a while and was not reported yet.
     pub fn news(&mut self, body: &PreparedBody, camera: &CameraModel) -> Option<Misfit> {
-        if self.is_thorough || self.studied < ASKED_AFTER {
+        if self.is_thorough || self.studied < TUNING.frames_per_comparison {
             return None;
         }
         self.studied = 0;
         let misfit = self.study.misfits(body, camera).into_iter().find(|m| !self.told.contains(&key(m)));
-        self.study.forget(KEPT);
+        self.study.forget(TUNING.studied_frame_weight_kept);
         let key = misfit.as_ref().map(key);
         let times = self.found.filter(|(last, _)| Some(*last) == key).map_or(1, |(_, times)| times + 1);
         self.found = key.map(|key| (key, times));
-        let is_decisive = misfit.as_ref().is_some_and(|misfit| misfit.share >= DECISIVE);
-        if times < TIMES && !is_decisive {
+        let is_decisive = misfit.as_ref().is_some_and(|misfit| misfit.share >= TUNING.decisive_ratio);
+        if times < TUNING.comparisons_to_report && !is_decisive {
             return None;
         }
         self.told.extend(key);
@@ -137,7 +117,7 @@ impl ModelWatch {
 
     /// Returns the other figures of the report; its parts are empty.
     pub fn report(&self) -> ModelReport {
-        let is_misfit = self.study.misfit() >= MIN_MISFIT;
+        let is_misfit = self.study.misfit() >= TUNING.min_model_misfit;
         let share = if is_misfit { self.study.share_left().sqrt() } else { 0.0 };
         // The median, because a person who passes by is no error of the stage.
         let mut sorted = self.doubts.clone();

@@ -19,7 +19,7 @@ use crate::track::scene::shape::{ShapeWay, SurfaceShape};
 
 /// Ways that are processed at a time. Raised, surfaces with few ways cost more; lowered, the points
 /// are visited more often.
-const WAYS: usize = 24;
+const WAYS_AT_A_TIME: usize = 24;
 
 /// The ways in which the surfaces of a body may be off.
 #[derive(Debug, Default)]
@@ -39,13 +39,13 @@ struct WayTable {
     grid: ShapeWay,
     /// For each coefficient its value in every way (0 in ways with other grids): height, and
     /// stretch along x and y.
-    heights: Vec<[f64; WAYS]>,
-    stretches: [Vec<[f64; WAYS]>; 2],
+    heights: Vec<[f64; WAYS_AT_A_TIME]>,
+    stretches: [Vec<[f64; WAYS_AT_A_TIME]>; 2],
 }
 
 impl WayTable {
     fn new(first: usize, grid: &ShapeWay) -> Self {
-        let rows = |coefficients: usize| vec![[0.0; WAYS]; coefficients];
+        let rows = |coefficients: usize| vec![[0.0; WAYS_AT_A_TIME]; coefficients];
         let stretches = [0, 1].map(|_| rows(grid.stretch.coefficients().len()));
         Self { first, grid: grid.clone(), heights: rows(grid.height.coefficients().len()), stretches }
     }
@@ -63,7 +63,7 @@ impl WayTable {
     }
 
     /// Adds how each way moves a point of the picture, along x, y and the normal.
-    fn add_shifts(&self, point: [f64; 2], [x, y, z]: &mut [[f64; WAYS]; 3]) {
+    fn add_shifts(&self, point: [f64; 2], [x, y, z]: &mut [[f64; WAYS_AT_A_TIME]; 3]) {
         let [height, stretch] = [self.grid.height.support(point), self.grid.stretch.support(point)].map(|support| support.weights());
         add_rows(&self.heights, &height, z);
         add_rows(&self.stretches[0], &stretch, x);
@@ -73,11 +73,11 @@ impl WayTable {
 
 multiversion! {
     /// Adds rows, each times its weight.
-    fn add_rows(rows: &[[f64; WAYS]], weights: &[(usize, f64)], sums: &mut [f64; WAYS]); ["avx2"] => add_rows_plain, else add_rows_plain
+    fn add_rows(rows: &[[f64; WAYS_AT_A_TIME]], weights: &[(usize, f64)], sums: &mut [f64; WAYS_AT_A_TIME]); ["avx2"] => add_rows_plain, else add_rows_plain
 }
 
 #[inline(always)]
-fn add_rows_plain(rows: &[[f64; WAYS]], weights: &[(usize, f64)], sums: &mut [f64; WAYS]) {
+fn add_rows_plain(rows: &[[f64; WAYS_AT_A_TIME]], weights: &[(usize, f64)], sums: &mut [f64; WAYS_AT_A_TIME]) {
     // A local copy stays in registers.
     let mut own = *sums;
     for (k, weight) in weights {
@@ -95,7 +95,7 @@ impl ShapeDoubt {
             if let SurfaceShape::Bent(shape) = &surface.spec.shape {
                 doubt.ways = doubt.ways.max(shape.ways.len());
                 for (k, way) in shape.ways.iter().enumerate() {
-                    let first = k - k % WAYS;
+                    let first = k - k % WAYS_AT_A_TIME;
                     let own = tables.iter().position(|table| table.is_for(first, way)).unwrap_or_else(|| {
                         tables.push(WayTable::new(first, way));
                         tables.len() - 1
@@ -121,9 +121,9 @@ impl ShapeDoubt {
         let still = MovingCamera::still(camera);
         let rotation = pose.rotation_matrix();
         let mut covariance = None;
-        for first in (0..self.ways).step_by(WAYS) {
+        for first in (0..self.ways).step_by(WAYS_AT_A_TIME) {
             let mut normal = Matrix6::zeros();
-            let mut right = [[0.0; WAYS]; 6];
+            let mut right = [[0.0; WAYS_AT_A_TIME]; 6];
             for anchor in anchors {
                 let o = &anchor.observation;
                 let Some((_, j)) = residual_and_jacobian(&pose, &still, o) else { continue };
@@ -131,7 +131,7 @@ impl ShapeDoubt {
                 normal += weighted * j;
                 let spec = &surfaces[anchor.surface as usize].spec;
                 let on_picture: [f64; 2] = spec.to_metres(anchor.artwork).into();
-                let mut shifts = [[0.0; WAYS]; 3];
+                let mut shifts = [[0.0; WAYS_AT_A_TIME]; 3];
                 let tables = self.tables[anchor.surface as usize].iter().filter(|table| table.first == first);
                 tables.for_each(|table| table.add_shifts(on_picture, &mut shifts));
                 // A moved point appears where a camera that moved with it would see it: the first
@@ -142,7 +142,7 @@ impl ShapeDoubt {
                     add_rows(&shifts, &[0, 1, 2].map(|axis| (axis, by_shift[(row, axis)])), sums);
                 }
             }
-            let right = SMatrix::<f64, 6, WAYS>::from_fn(|row, way| right[row][way]);
+            let right = SMatrix::<f64, 6, WAYS_AT_A_TIME>::from_fn(|row, way| right[row][way]);
             let by_way = normal.cholesky()?.solve(&right);
             *covariance.get_or_insert_with(Matrix6::zeros) += covariance_of_inverse(&pose, &(by_way * by_way.transpose()));
         }

@@ -12,16 +12,12 @@
 //! (the fast Gauss transform, Greengard and Strain 1991). Sums over all pairs become sums over all
 //! tiles.
 
+use crate::track::model_error::tuning::TUNING;
 use nalgebra::{Cholesky, Const, Matrix6, Matrix6x2, Vector2};
 
 use super::tile_residuals::TileResidual;
 use crate::simd::multiversion;
 
-/// Maximum error of a correlation from the omitted powers; only differences of correlations show in
-/// the residuals. Lowered, frames cost more.
-const MAX_ERROR: f64 = 1e-10;
-/// Minimum number of powers, for nearby tiles too. Lowered, small stages seem to fit.
-const MIN_ORDER: usize = 8;
 /// Maximum number of powers. Raised, buffers grow.
 const MAX_ORDER: usize = 32;
 
@@ -94,7 +90,7 @@ impl Expansion {
         let reach = places().map(|p| (p - centre_px).norm_squared()).fold(0.0, f64::max) / length_px.powi(2);
         // The power n adds at most exp(-reach) reachⁿ / n! to a correlation.
         let (mut order, mut left_out) = (0, (-reach).exp());
-        while order < MIN_ORDER || (left_out > MAX_ERROR && order < MAX_ORDER) {
+        while order < TUNING.min_correlation_powers || (left_out > TUNING.max_correlation_error && order < MAX_ORDER) {
             order += 1;
             left_out *= reach / order as f64;
         }

@@ -14,7 +14,7 @@ use crate::track::patches::fitted_anchor::FittedAnchor;
 use crate::track::scene::reference::PreparedSurface;
 
 /// Ways in which a surface may be off: two numbers of each corner, its position, and its direction.
-const WAYS: usize = 8 + 3 + 3;
+const SURFACE_WAYS: usize = 8 + 3 + 3;
 
 /// Returns the covariance of [δp, δθ] of `T_body_camera`, body axes, from uncertain corners and
 /// places of the surfaces; `None` if nothing is uncertain.
@@ -31,7 +31,7 @@ pub fn covariance_by_surfaces(
     let still = MovingCamera::still(camera);
     let rotation = pose.rotation_matrix();
     let mut normal = Matrix6::zeros();
-    let mut right = vec![SMatrix::<f64, 6, WAYS>::zeros(); surfaces.len()];
+    let mut right = vec![SMatrix::<f64, 6, SURFACE_WAYS>::zeros(); surfaces.len()];
     for anchor in anchors {
         let o = &anchor.observation;
         let Some((_, j)) = residual_and_jacobian(&pose, &still, o) else { continue };

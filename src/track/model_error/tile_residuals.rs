@@ -11,6 +11,7 @@
 //! weighted by Tukey's biweight of their residuals with x and δ both free, so that a wrong lens
 //! does not turn tiles into outliers.
 
+use crate::track::model_error::tuning::TUNING;
 use nalgebra::{Matrix2, Matrix6, SMatrix, SVector, Vector2, Vector6};
 
 use crate::camera::{CameraModel, Normalized};
@@ -19,26 +20,8 @@ use crate::geometry::robust_kernel::tukey_weight;
 use crate::geometry::{Body, Camera, Pose};
 use crate::track::patches::fitted_anchor::FittedAnchor;
 
-/// Minimum sum of tile weights. Raised, small stages are not checked; lowered, single tiles pass
-/// for a pattern.
-const MIN_TILES: f64 = 12.0;
-/// Reweighted solutions, the first with equal weights. Raised, frames cost more; at 1, outliers
-/// count fully.
-const ROUNDS: usize = 3;
-/// Minimum mean square residual, in variances of noise, that counts as a model misfit. Raised,
-/// small faults go unreported; lowered, time is spent on studying noise.
-pub const MIN_MISFIT: f64 = 3.0;
-/// Cap on a tile's squared residual, in variances of noise. Raised, a single tile passes for a
-/// misfit; lowered, a small flat that was moved does not.
-const LARGEST: f64 = 400.0;
 /// Median length of a plane vector with unit normal noise: sqrt(2 ln 2).
-const MEDIAN_LENGTH: f64 = 1.177_410_022_515_474_6;
-/// Minimum residual scale, in sigmas of noise, so that exact data get weights too. At 0, they get
-/// none.
-const MIN_SCALE: f64 = 1e-6;
-/// Relative increase of the focal length's information that keeps the equations regular: head-on,
-/// focal length and distance cannot be told apart. Raised, the focal length counts as known.
-const RIDGE: f64 = 1e-9;
+pub const MEDIAN_LENGTH: f64 = 1.177_410_022_515_474_6;
 
 /// The residual of one tile.
 #[derive(Debug, Clone, Copy)]
@@ -134,7 +117,7 @@ impl TileResiduals {
         self.tiles.clear();
         self.tiles.extend(anchors.iter().enumerate().filter_map(tile));
         let mut change = self.solved()?;
-        for _ in 1..ROUNDS {
+        for _ in 1..TUNING.reweighting_rounds {
             self.weigh(&change)?;
             change = self.solved()?;
         }
@@ -172,10 +155,11 @@ impl TileResiduals {
         tile.squared_left(&self.change)
     }
 
-    /// Whether the residuals clearly exceed the noise, each tile capped at [`LARGEST`].
+    /// Whether the residuals clearly exceed the noise, each tile capped at
+    /// `max_squared_tile_residual`.
     pub fn is_misfit(&self) -> bool {
-        let left: f64 = self.tiles.iter().map(|t| self.squared_left(t).min(LARGEST)).sum();
-        left > MIN_MISFIT * 2.0 * self.tiles.len() as f64
+        let left: f64 = self.tiles.iter().map(|t| self.squared_left(t).min(TUNING.max_squared_tile_residual)).sum();
+        left > TUNING.min_model_misfit * 2.0 * self.tiles.len() as f64
     }
 
     /// Returns the root mean square shift, weighted by information, pixels.
@@ -208,7 +192,7 @@ impl TileResiduals {
             return None;
         }
         let median = *squares.select_nth_unstable_by(middle, f64::total_cmp).1;
-        let scale = (median.sqrt() / MEDIAN_LENGTH).max(MIN_SCALE);
+        let scale = (median.sqrt() / MEDIAN_LENGTH).max(TUNING.min_residual_scale);
         for tile in tiles {
             tile.weight = tukey_weight(tile.squared_left(change), scale);
             tile.information = tile.noise_information * tile.weight;
@@ -220,7 +204,7 @@ impl TileResiduals {
     /// few tiles have weight.
     fn solved(&mut self) -> Option<SVector<f64, 7>> {
         self.weight = self.tiles.iter().map(|t| t.weight).sum();
-        if self.weight < MIN_TILES {
+        if self.weight < TUNING.min_tile_weight_sum {
             return None;
         }
         let mut normal = SMatrix::<f64, 7, 7>::zeros();
@@ -232,7 +216,7 @@ impl TileResiduals {
             right += weighted * tile.shift_px;
         }
         self.normal = normal.fixed_view::<6, 6>(0, 0).into_owned();
-        normal[(6, 6)] *= 1.0 + RIDGE;
+        normal[(6, 6)] *= 1.0 + TUNING.focal_ridge;
         normal.cholesky().map(|factor| factor.solve(&right))
     }
 }

@@ -14,4 +14,5 @@ pub mod fitted_anchor;
 pub mod planar_ambiguity;
 pub mod registration;
 pub mod row_motion;
+pub mod tuning;
 pub mod verify;

@@ -6,6 +6,7 @@
 //! for a tracked pose: a track that passes through the head-on view, where both poses coincide, may
 //! leave it on the wrong branch.
 
+use crate::track::patches::tuning::TUNING;
 use nalgebra::UnitQuaternion;
 
 use super::fitted_anchor::FittedAnchor;
@@ -13,19 +14,6 @@ use crate::camera::CameraModel;
 use crate::geometry::resection::{MovingCamera, Observation, SquaredResiduals, resect_within, residual_scale, squared_residual};
 use crate::geometry::{Body, Camera, Pose, SurfaceFrame};
 use crate::track::scene::reference::PreparedBody;
-
-/// Minimum excess chi-squared of a reported pose's twin; a tracked pose is dropped if its twin is
-/// better by this. Raised, small or head-on views are refused; lowered, wrong twins pass.
-pub const MIN_MARGIN: f64 = 25.0;
-/// Angle below which two poses count as one, radians. Raised, twins of a nearly frontal view are
-/// not told apart; lowered, the same minimum counts as a rival.
-const SAME_TURN: f64 = 0.0087;
-/// Cap on the squared residual of an observation, squared scales. Raised, outliers that are no part
-/// of the surface decide.
-const MAX_SQUARED: f64 = 22.0;
-/// Maximum iterations of the twin's refinement. Lowered, a twin that has not converged looks worse
-/// than it is.
-const ITERATIONS: usize = 15;
 
 /// Returns the excess robust chi-squared of the best pose near the tilted twin over that of `pose`
 /// (`T_camera_body`); infinite if there is no such pose. `surface`: index of the surface that is
@@ -39,15 +27,15 @@ pub fn ambiguity_margin(
     squared: &mut SquaredResiduals,
 ) -> f64 {
     let twin = flipped(pose, body, surface);
-    let Some(other) = resect_within(&twin, camera, observations, ITERATIONS, squared) else { return f64::INFINITY };
-    if other.pose.angle_to(pose) < SAME_TURN {
+    let Some(other) = resect_within(&twin, camera, observations, TUNING.max_twin_iterations, squared) else { return f64::INFINITY };
+    if other.pose.angle_to(pose) < TUNING.same_pose_angle {
         // It converged to the same minimum.
         return f64::INFINITY;
     }
     let Some(scale) = residual_scale(pose, camera, observations, squared) else { return f64::INFINITY };
     let cost = |pose: &Pose<Camera, Body>| -> f64 {
         let sigmas = |o: &Observation| squared_residual(pose, camera, o).unwrap_or(f64::INFINITY) / scale.powi(2);
-        observations.iter().map(|o| sigmas(o).min(MAX_SQUARED)).sum()
+        observations.iter().map(|o| sigmas(o).min(TUNING.max_squared_observation_residual)).sum()
     };
     cost(&other.pose) - cost(pose)
 }
@@ -105,7 +93,7 @@ mod tests {
             let truth = facing(tilt, 0.1, Vector3::new(0.0, 0.0, distance));
             let observations = seen(&body, &truth, &camera);
             let Some(wrong) = resect(&flipped(&truth, &body, 0), &still, &observations, 15).map(|r| r.pose) else { continue };
-            if wrong.angle_to(&truth) < SAME_TURN {
+            if wrong.angle_to(&truth) < TUNING.same_pose_angle {
                 continue;
             }
             found += 1;

@@ -7,6 +7,7 @@
 //! patch). Each patch has its own covariance, from its gradients and from how well it fits. A pose
 //! is verified by the number of patches that fit.
 
+use crate::track::patches::tuning::TUNING;
 use image::GrayImage;
 use nalgebra::{Matrix2, Matrix4, Point3, Vector2, Vector3, Vector4};
 
@@ -19,31 +20,16 @@ use crate::track::scene::bilinear::look_at;
 use crate::track::scene::rectangle::SeenPoint;
 use crate::track::scene::reference::{Octave, PreparedBody, PreparedSurface};
 
-/// Minimum cosine of a surface's tilt at which it is registered (88.9 degrees). Raised, starts at a
-/// steep view are refused; lowered, artwork by pixels becomes singular.
-const MIN_COSINE: f64 = 0.02;
 /// Half side of a patch, pixels of the searched picture; the side and area follow. Raised, patches
 /// cost more (squared) and overlap borders and people; lowered, they fit in wrong places.
-const HALF: i32 = 6;
-const SIDE: usize = 2 * HALF as usize + 1;
-const AREA: usize = SIDE * SIDE;
+const PATCH_RADIUS: i32 = 6;
+const PATCH_SIDE: usize = 2 * PATCH_RADIUS as usize + 1;
+const PATCH_AREA: usize = PATCH_SIDE * PATCH_SIDE;
 /// Side with a border of one pixel, which gradients need.
-const WIDE: usize = SIDE + 2;
+const BORDERED_SIDE: usize = PATCH_SIDE + 2;
 /// Columns processed together, two registers of eight: a row of a patch, padded with columns that
 /// count for nothing. Raised, more of them are padding.
-const LANES: usize = 16;
-/// Minimum standard deviation of a drawn patch, grey levels. Raised, faint artwork has too few
-/// anchors; lowered, noise decides where plain patches fit.
-const MIN_CONTRAST: f32 = 4.0;
-/// Minimum correlation of a fitting patch. Raised, noisy or blurred frames have too few anchors;
-/// lowered, more patches fit in wrong places.
-const MIN_CORRELATION: f32 = 0.75;
-/// Sigma of a patch's model error, pixels of the searched picture, which more light does not
-/// reduce. Raised, covariances grow and patches count equally; lowered, strong ones are overrated.
-const MODEL_ERROR_PX: f64 = 0.04;
-/// Minimum grey noise that is assumed, grey levels. Raised, covariances grow; lowered, patches that
-/// fit well by chance outweigh the others.
-const MIN_NOISE: f32 = 1.5;
+const PATCH_LANES: usize = 16;
 
 /// The result of searching one anchor.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -134,7 +120,9 @@ fn thin(targets: &mut Vec<Target>, count: usize) {
 /// the visible points of the surface.
 fn best_octave(surface: &PreparedSurface, t_body_camera: &Pose<Body, Camera>, camera: &CameraModel, scale: f64) -> Option<usize> {
     let size = [f64::from(camera.width()), f64::from(camera.height())];
-    let log2 = surface.rectangle.texels_log2(size, |point| surface.rectangle.see(t_body_camera, camera, point, MIN_COSINE))? + scale.log2();
+    let log2 =
+        surface.rectangle.texels_log2(size, |point| surface.rectangle.see(t_body_camera, camera, point, TUNING.min_registration_cosine))?
+            + scale.log2();
     Some((log2.round().max(0.0) as usize).min(surface.octaves.len() - 1))
 }
 
@@ -146,8 +134,9 @@ fn project_anchor(
     picture: &SearchPicture,
 ) -> Option<Target> {
     let metres = surface.spec.to_metres(artwork);
-    let SeenPoint { pixel: predicted, by_metres } = surface.rectangle.see(t_body_camera, camera, [metres.x, metres.y], MIN_COSINE)?;
-    let margin = (f64::from(HALF) + 4.0) * picture.scale;
+    let SeenPoint { pixel: predicted, by_metres } =
+        surface.rectangle.see(t_body_camera, camera, [metres.x, metres.y], TUNING.min_registration_cosine)?;
+    let margin = (f64::from(PATCH_RADIUS) + 4.0) * picture.scale;
     let (w, h) = (f64::from(camera.width()), f64::from(camera.height()));
     if predicted.x < margin || predicted.y < margin || predicted.x > w - 1.0 - margin || predicted.y > h - 1.0 - margin {
         return None;
@@ -186,9 +175,9 @@ pub fn register(
 /// The drawn patch, and the terms of its linear fit.
 struct Template {
     /// Grey levels minus their mean, row by row; padded with 0, like the gradients.
-    value: [[f32; LANES]; SIDE],
-    gx: [[f32; LANES]; SIDE],
-    gy: [[f32; LANES]; SIDE],
+    value: [[f32; PATCH_LANES]; PATCH_SIDE],
+    gx: [[f32; PATCH_LANES]; PATCH_SIDE],
+    gy: [[f32; PATCH_LANES]; PATCH_SIDE],
     inverse: Matrix4<f64>,
     /// Information of the position per unit of grey variance, with gain and bias eliminated.
     structure: Matrix2<f64>,
@@ -196,7 +185,7 @@ struct Template {
 
 /// Draws the patch as the camera should see it: each pixel is the mean of 2x2 samples from the
 /// octave whose pixels are half as wide.
-fn draw(target: &Target, octaves: &[Octave], scale: f64) -> Option<[f32; WIDE * WIDE]> {
+fn draw(target: &Target, octaves: &[Octave], scale: f64) -> Option<[f32; BORDERED_SIDE * BORDERED_SIDE]> {
     let m = target.artwork_by_frame * scale;
     let footprint = m.determinant().abs().sqrt();
     let octave = ((0.5 * footprint).log2().round().max(0.0) as usize).min(octaves.len() - 1);
@@ -205,50 +194,50 @@ fn draw(target: &Target, octaves: &[Octave], scale: f64) -> Option<[f32; WIDE * 
     let s = 1.0 / f64::from(1u32 << octave);
     let centre = (target.artwork + Vector2::new(0.5, 0.5)) * s - Vector2::new(0.5, 0.5);
     let m = m * s;
-    let reach = f64::from(HALF) + 1.5;
+    let reach = f64::from(PATCH_RADIUS) + 1.5;
     let (rx, ry) = (reach * (m[(0, 0)].abs() + m[(0, 1)].abs()), reach * (m[(1, 0)].abs() + m[(1, 1)].abs()));
     if centre.x - rx < -0.5 || centre.y - ry < -0.5 || centre.x + rx > w as f64 - 0.5 || centre.y + ry > h as f64 - 0.5 {
         return None;
     }
     let m = m.cast::<f32>();
     let (cx, cy) = (centre.x as f32, centre.y as f32);
-    let mut out = [0.0; WIDE * WIDE];
-    for (v, row) in out.chunks_exact_mut(WIDE).enumerate() {
+    let mut out = [0.0; BORDERED_SIDE * BORDERED_SIDE];
+    for (v, row) in out.chunks_exact_mut(BORDERED_SIDE).enumerate() {
         // All first samples of the row, then all second ones, and so on.
-        let (mut xs, mut ys) = ([0.0; LOOKS.len() * WIDE], [0.0; LOOKS.len() * WIDE]);
-        for (look, [ox, oy]) in LOOKS.into_iter().enumerate() {
-            let py = v as f32 - (HALF + 1) as f32 + oy;
-            for u in 0..WIDE {
-                let px = u as f32 - (HALF + 1) as f32 + ox;
-                xs[look * WIDE + u] = cx + m[(0, 0)] * px + m[(0, 1)] * py;
-                ys[look * WIDE + u] = cy + m[(1, 0)] * px + m[(1, 1)] * py;
+        let (mut xs, mut ys) = ([0.0; SUBPIXEL_OFFSETS.len() * BORDERED_SIDE], [0.0; SUBPIXEL_OFFSETS.len() * BORDERED_SIDE]);
+        for (look, [ox, oy]) in SUBPIXEL_OFFSETS.into_iter().enumerate() {
+            let py = v as f32 - (PATCH_RADIUS + 1) as f32 + oy;
+            for u in 0..BORDERED_SIDE {
+                let px = u as f32 - (PATCH_RADIUS + 1) as f32 + ox;
+                xs[look * BORDERED_SIDE + u] = cx + m[(0, 0)] * px + m[(0, 1)] * py;
+                ys[look * BORDERED_SIDE + u] = cy + m[(1, 0)] * px + m[(1, 1)] * py;
             }
         }
         let seen = look_at(image.as_raw(), [w, h], &xs, &ys);
         for (u, value) in row.iter_mut().enumerate() {
-            *value = 0.25 * (0..LOOKS.len()).map(|look| seen[look * WIDE + u]).sum::<f32>();
+            *value = 0.25 * (0..SUBPIXEL_OFFSETS.len()).map(|look| seen[look * BORDERED_SIDE + u]).sum::<f32>();
         }
     }
     Some(out)
 }
 
 /// Sample positions within a pixel, relative to its centre, pixels.
-const LOOKS: [[f32; 2]; 4] = [[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]];
+const SUBPIXEL_OFFSETS: [[f32; 2]; 4] = [[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]];
 
-fn template(wide: &[f32; WIDE * WIDE]) -> Option<Template> {
-    let none = [[0.0; LANES]; SIDE];
+fn template(wide: &[f32; BORDERED_SIDE * BORDERED_SIDE]) -> Option<Template> {
+    let none = [[0.0; PATCH_LANES]; PATCH_SIDE];
     let mut t = Template { value: none, gx: none, gy: none, inverse: Matrix4::zeros(), structure: Matrix2::zeros() };
-    for (v, u) in (0..SIDE).flat_map(|v| (0..SIDE).map(move |u| (v, u))) {
-        let at = (v + 1) * WIDE + u + 1;
+    for (v, u) in (0..PATCH_SIDE).flat_map(|v| (0..PATCH_SIDE).map(move |u| (v, u))) {
+        let at = (v + 1) * BORDERED_SIDE + u + 1;
         t.value[v][u] = wide[at];
         t.gx[v][u] = 0.5 * (wide[at + 1] - wide[at - 1]);
-        t.gy[v][u] = 0.5 * (wide[at + WIDE] - wide[at - WIDE]);
+        t.gy[v][u] = 0.5 * (wide[at + BORDERED_SIDE] - wide[at - BORDERED_SIDE]);
     }
     // With the mean removed, gain and bias are better decoupled.
-    let mean = t.value.iter().flatten().sum::<f32>() / AREA as f32;
-    t.value.iter_mut().for_each(|row| row[..SIDE].iter_mut().for_each(|v| *v -= mean));
+    let mean = t.value.iter().flatten().sum::<f32>() / PATCH_AREA as f32;
+    t.value.iter_mut().for_each(|row| row[..PATCH_SIDE].iter_mut().for_each(|v| *v -= mean));
     let mut normal = [0.0f32; 10];
-    for (v, u) in (0..SIDE).flat_map(|v| (0..SIDE).map(move |u| (v, u))) {
+    for (v, u) in (0..PATCH_SIDE).flat_map(|v| (0..PATCH_SIDE).map(move |u| (v, u))) {
         let row = [t.value[v][u], t.gx[v][u], t.gy[v][u], 1.0];
         let mut n = 0;
         for i in 0..4 {
@@ -260,7 +249,7 @@ fn template(wide: &[f32; WIDE * WIDE]) -> Option<Template> {
     }
     let n = normal.map(f64::from);
     let full = Matrix4::new(n[0], n[1], n[2], n[3], n[1], n[4], n[5], n[6], n[2], n[5], n[7], n[8], n[3], n[6], n[8], n[9]);
-    if (n[0] / AREA as f64).sqrt() < f64::from(MIN_CONTRAST) {
+    if (n[0] / PATCH_AREA as f64).sqrt() < f64::from(TUNING.min_patch_contrast) {
         return None;
     }
     t.inverse = full.try_inverse()?;
@@ -279,17 +268,17 @@ multiversion! {
 #[inline(always)]
 fn template_products_plain(t: &Template, frame: &[u8], width: usize, weights: &[f32; 4]) -> [f32; 5] {
     let [w00, w10, w01, w11] = *weights;
-    let mut sums = [[0.0f32; LANES]; 5];
-    for v in 0..SIDE {
+    let mut sums = [[0.0f32; PATCH_LANES]; 5];
+    for v in 0..PATCH_SIDE {
         // Padded with zeros after the row and its right neighbour.
         let [top, bottom] = [v, v + 1].map(|v| {
-            let mut padded = [0; LANES + 1];
-            padded[..=SIDE].copy_from_slice(&frame[v * width..][..=SIDE]);
+            let mut padded = [0; PATCH_LANES + 1];
+            padded[..=PATCH_SIDE].copy_from_slice(&frame[v * width..][..=PATCH_SIDE]);
             padded
         });
-        for u in 0..LANES {
+        for u in 0..PATCH_LANES {
             let f = w00 * f32::from(top[u]) + w10 * f32::from(top[u + 1]) + w01 * f32::from(bottom[u]) + w11 * f32::from(bottom[u + 1]);
-            let f = if u < SIDE { f } else { 0.0 };
+            let f = if u < PATCH_SIDE { f } else { 0.0 };
             sums[0][u] += f;
             sums[1][u] += f * f;
             sums[2][u] += f * t.value[v][u];
@@ -305,14 +294,14 @@ fn template_products_plain(t: &Template, frame: &[u8], width: usize, weights: &[
 fn fit(t: &Template, image: &GrayImage, x: f64, y: f64) -> (Vector4<f64>, f32, f32) {
     let (w, h) = (image.width() as usize, image.height() as usize);
     let raw = image.as_raw();
-    let (i, j) = (x.floor() as i32 - HALF, y.floor() as i32 - HALF);
+    let (i, j) = (x.floor() as i32 - PATCH_RADIUS, y.floor() as i32 - PATCH_RADIUS);
     let (a, b) = ((x - x.floor()) as f32, (y - y.floor()) as f32);
-    let (i, j) = (i.clamp(0, w as i32 - SIDE as i32 - 1) as usize, j.clamp(0, h as i32 - SIDE as i32 - 1) as usize);
+    let (i, j) = (i.clamp(0, w as i32 - PATCH_SIDE as i32 - 1) as usize, j.clamp(0, h as i32 - PATCH_SIDE as i32 - 1) as usize);
     let weights = [(1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b];
     let [s, ss, st, sx, sy] = template_products(t, &raw[j * w + i..], w, &weights);
     let right = Vector4::new(f64::from(st), f64::from(sx), f64::from(sy), f64::from(s));
     let solution = t.inverse * right;
-    let n = AREA as f64;
+    let n = PATCH_AREA as f64;
     let (s, ss) = (f64::from(s), f64::from(ss));
     let explained = solution.dot(&right);
     let total = (ss - s * s / n).max(1e-6);
@@ -340,7 +329,7 @@ fn search(target: &Target, octaves: &[Octave], picture: &SearchPicture) -> Optio
         let e = Vector2::new(solution[1], solution[2]) / gain;
         let e = e * (1.5 / e.norm()).min(1.0);
         at -= e;
-        let margin = f64::from(HALF) + 1.0;
+        let margin = f64::from(PATCH_RADIUS) + 1.0;
         if (at - start).norm() > 5.0 || at.x < margin || at.y < margin || at.x > w - margin - 2.0 || at.y > h - margin - 2.0 {
             break;
         }
@@ -349,11 +338,11 @@ fn search(target: &Target, octaves: &[Octave], picture: &SearchPicture) -> Optio
             break;
         }
     }
-    let fits = converged && correlation > MIN_CORRELATION && gain > 0.02;
+    let fits = converged && correlation > TUNING.min_patch_correlation && gain > 0.02;
     let observation = fits.then(|| {
-        let noise = f64::from(variance.max(MIN_NOISE * MIN_NOISE));
-        let covariance =
-            t.structure.try_inverse().unwrap_or_default() * (noise / (gain * gain)) + Matrix2::identity() * MODEL_ERROR_PX.powi(2);
+        let noise = f64::from(variance.max(TUNING.min_grey_noise * TUNING.min_grey_noise));
+        let covariance = t.structure.try_inverse().unwrap_or_default() * (noise / (gain * gain))
+            + Matrix2::identity() * TUNING.patch_model_error_px.powi(2);
         let information = covariance.try_inverse().unwrap_or_default() / (scale * scale);
         let pixel = (at + Vector2::new(0.5, 0.5)) * scale - Vector2::new(0.5, 0.5);
         Observation { point: target.point, pixel, information, delay_s: 0.0, group: 0 }

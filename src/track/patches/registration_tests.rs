@@ -129,8 +129,9 @@ fn a_drawn_patch_equals_per_pixel_lookups() {
         let octave = ((0.5 * footprint).log2().round().max(0.0) as usize).min(octaves.len() - 1);
         let by_octave = 1.0 / f64::from(1u32 << octave);
         for (k, value) in drawn.iter().enumerate() {
-            let middle = Vector2::new((k % WIDE) as f64, (k / WIDE) as f64) - Vector2::repeat(f64::from(HALF + 1));
-            let looks = LOOKS.map(|[x, y]| {
+            let middle =
+                Vector2::new((k % BORDERED_SIDE) as f64, (k / BORDERED_SIDE) as f64) - Vector2::repeat(f64::from(PATCH_RADIUS + 1));
+            let looks = SUBPIXEL_OFFSETS.map(|[x, y]| {
                 let artwork = target.artwork + target.artwork_by_frame * (middle + Vector2::new(f64::from(x), f64::from(y)));
                 let place = (artwork + Vector2::repeat(0.5)) * by_octave - Vector2::repeat(0.5);
                 bilinear(&octaves[octave].image, place.x as f32, place.y as f32)
@@ -143,15 +144,15 @@ fn a_drawn_patch_equals_per_pixel_lookups() {
 
 #[test]
 fn products_with_a_template_are_sums_over_its_pixels() {
-    let (drawn, frame) = (texture(WIDE as u32, WIDE as u32, 4), texture(40, 30, 5));
-    let wide: [f32; WIDE * WIDE] = std::array::from_fn(|k| f32::from(drawn.as_raw()[k]));
+    let (drawn, frame) = (texture(BORDERED_SIDE as u32, BORDERED_SIDE as u32, 4), texture(40, 30, 5));
+    let wide: [f32; BORDERED_SIDE * BORDERED_SIDE] = std::array::from_fn(|k| f32::from(drawn.as_raw()[k]));
     let t = template(&wide).expect("texture enough");
     let (width, weights) = (frame.width() as usize, [0.3, 0.2, 0.35, 0.15]);
     // In the middle, and in the last rows and columns.
-    for [i, j] in [[7, 5], [width - SIDE - 1, frame.height() as usize - SIDE - 1]] {
+    for [i, j] in [[7, 5], [width - PATCH_SIDE - 1, frame.height() as usize - PATCH_SIDE - 1]] {
         let found = template_products(&t, &frame.as_raw()[j * width + i..], width, &weights);
         let mut sums = [0.0; 5];
-        for (v, u) in (0..SIDE).flat_map(|v| (0..SIDE).map(move |u| (v, u))) {
+        for (v, u) in (0..PATCH_SIDE).flat_map(|v| (0..PATCH_SIDE).map(move |u| (v, u))) {
             let at = |du: usize, dv: usize| f64::from(frame.get_pixel((i + u + du) as u32, (j + v + dv) as u32)[0]);
             let f = weights.iter().zip([at(0, 0), at(1, 0), at(0, 1), at(1, 1)]).map(|(w, grey)| f64::from(*w) * grey).sum::<f64>();
             let factors = [1.0, f, f64::from(t.value[v][u]), f64::from(t.gx[v][u]), f64::from(t.gy[v][u])];

@@ -5,10 +5,11 @@
 //! over the frame; a small enough covariance; and a clear margin over the pose with the surface
 //! tilted the other way.
 
+use crate::track::patches::tuning::TUNING;
 use nalgebra::Matrix6;
 
 use super::fitted_anchor::FittedAnchor;
-use super::planar_ambiguity::{MIN_MARGIN, ambiguity_margin, most_frequent_surface};
+use super::planar_ambiguity::{ambiguity_margin, most_frequent_surface};
 use super::registration::{Registered, SearchPicture, Target, register, visible_targets};
 use super::row_motion::RowMotion;
 use crate::camera::CameraModel;
@@ -21,40 +22,6 @@ use crate::geometry::resection::{
 use crate::geometry::robust_kernel::tukey_weight;
 use crate::geometry::{Body, Camera, Pose};
 use crate::track::scene::reference::PreparedBody;
-
-/// Tiles across and down the frame: errors within one count as common, and a pose must rest on
-/// several. Raised, neighbours count as independent and covariances shrink.
-const TILES: [u32; 2] = [8, 6];
-/// Maximum number of anchors searched in the half-size and in the full frame. Raised, verification
-/// costs more in proportion; lowered, poses are less certain and small parts of a stage are missed.
-const COARSE_ANCHORS: usize = 120;
-const FINE_ANCHORS: usize = 300;
-/// Minimum number of anchors from which a pose is computed. Raised, small stages are rejected
-/// before they are judged.
-const MIN_RESECTED: usize = 8;
-/// Minimum number of anchors at half size for that pose to replace the start. Raised, rough starts
-/// go to full size, out of reach; lowered, a few wrong anchors spoil a good start.
-const MIN_COARSE_FITTING: usize = 24;
-/// Minimum number of fitting anchors. Raised, small or occluded stages are refused; lowered, chance
-/// passes more easily.
-const MIN_FITTING: usize = 16;
-/// Minimum number of tiles that they must lie in, of 48. Raised, stages that appear small are
-/// refused; lowered, a patch of repeated detail can carry a wrong pose.
-const MIN_TILES: usize = 4;
-/// Minimum fraction of the searched anchors that must fit, for a new pose and for a continued
-/// track. Raised, partly occluded stages are refused; lowered, wrong poses pass more easily.
-const MIN_SHARE_NEW: f64 = 0.35;
-const MIN_SHARE_CONTINUED: f64 = 0.2;
-/// Maximum number of anchors found away from their prediction, per fitting one. Raised, torn frames
-/// and wrong poses pass; lowered, repeated detail refuses right ones.
-const MAX_CONTRADICTION: f64 = 0.5;
-/// Maximum residual of a fitting anchor, pixels of a frame 1280 pixels wide. Raised, poses beside
-/// the right one pass; lowered, guessed lenses are never verified.
-const MAX_RESIDUAL_PX: f64 = 1.5;
-/// Maximum sigma of a reported pose: direction (rad), position (fraction of the distance). Raised,
-/// poses that say little are reported; lowered, distant or small stages are refused.
-const MAX_TURN: f64 = 0.5 * std::f64::consts::PI / 180.0;
-const MAX_SHIFT: f64 = 0.012;
 
 /// A pose that passed.
 #[derive(Debug, Clone, Copy)]
@@ -141,13 +108,6 @@ pub struct VerifyBuffers {
     per_surface: Vec<[usize; 2]>,
 }
 
-/// Fraction of the usual alignment rate below which a surface is silent. Raised, surfaces with
-/// little detail are searched in vain; lowered, slightly moved flats are missed.
-const SILENT_SHARE: f64 = 0.6;
-/// Minimum number of anchors in view of a surface that is searched for. Raised, small flats are
-/// never searched for; lowered, specks are.
-const MIN_MISSED: usize = 10;
-
 /// Searches for the anchors of silent surfaces (in view, but hardly aligned) around their predicted
 /// places; the result is in `buffers.searched`. `aligned`: the anchors that alignment shows.
 pub fn search_silent(body: &PreparedBody, pose: &Pose<Camera, Body>, view: &View, aligned: &[FittedAnchor], buffers: &mut VerifyBuffers) {
@@ -156,13 +116,15 @@ pub fn search_silent(body: &PreparedBody, pose: &Pose<Camera, Body>, view: &View
     if body.surfaces.len() < 2 {
         return;
     }
-    visible_targets(body, pose, view.camera, &view.full, FINE_ANCHORS, targets);
+    visible_targets(body, pose, view.camera, &view.full, TUNING.max_fine_anchors, targets);
     per_surface.clear();
     per_surface.resize(body.surfaces.len(), [0, 0]);
     targets.iter().for_each(|t| per_surface[t.surface as usize][0] += 1);
     aligned.iter().for_each(|a| per_surface[a.surface as usize][1] += 1);
     let usual = aligned.len() as f64 / targets.len().max(1) as f64;
-    let is_silent = |[wanted, shown]: [usize; 2]| wanted >= MIN_MISSED && (shown as f64) < SILENT_SHARE * usual * wanted as f64;
+    let is_silent = |[wanted, shown]: [usize; 2]| {
+        wanted >= TUNING.min_silent_anchors && (shown as f64) < TUNING.silent_surface_ratio * usual * wanted as f64
+    };
     targets.retain(|t| is_silent(per_surface[t.surface as usize]));
     if targets.is_empty() {
         return;
@@ -188,11 +150,11 @@ pub fn verify(
     buffers: &mut VerifyBuffers,
 ) -> Result<Verified, Refusal> {
     // A small stage shows too few anchors at half size: then the start is used directly.
-    let coarse = registered_pose(body, start, view, &view.half, COARSE_ANCHORS, buffers)
+    let coarse = registered_pose(body, start, view, &view.half, TUNING.max_coarse_anchors, buffers)
         .ok()
-        .filter(|_| buffers.observations.len() >= MIN_COARSE_FITTING);
+        .filter(|_| buffers.observations.len() >= TUNING.min_coarse_fitting_anchors);
     let start = coarse.map_or(*start, |c| c.pose);
-    let fine = registered_pose(body, &start, view, &view.full, FINE_ANCHORS, buffers)?;
+    let fine = registered_pose(body, &start, view, &view.full, TUNING.max_fine_anchors, buffers)?;
     judge(body, &fine, view, continued, buffers)
 }
 
@@ -214,7 +176,7 @@ fn registered_pose(
         buffers.observations.push(Observation { group: tile(camera, &o), delay_s: shutter.delay_s(o.pixel.y + 0.5, camera.height()), ..o });
     }
     let n = buffers.observations.len();
-    if n < MIN_RESECTED {
+    if n < TUNING.min_resection_anchors {
         return Err(Refusal::TooFew(n));
     }
     let mut found = resect(start, &MovingCamera { lens: camera, twist: row_motion.twist(start) }, &buffers.observations, 15);
@@ -230,7 +192,8 @@ fn registered_pose(
 
 fn tile(camera: &CameraModel, o: &Observation) -> u32 {
     let index = |v: f64, size: u32, n: u32| ((v / f64::from(size) * f64::from(n)) as u32).min(n - 1);
-    index(o.pixel.y, camera.height(), TILES[1]) * TILES[0] + index(o.pixel.x, camera.width(), TILES[0])
+    index(o.pixel.y, camera.height(), TUNING.verification_tiles[1]) * TUNING.verification_tiles[0]
+        + index(o.pixel.x, camera.width(), TUNING.verification_tiles[0])
 }
 
 fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, buffers: &mut VerifyBuffers) -> Result<Verified, Refusal> {
@@ -238,28 +201,28 @@ fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, bu
     let asked = buffers.registered.iter().flatten().count();
     collect_anchors(fine, &moving, buffers);
     let anchors = &buffers.anchors;
-    if anchors.len() < MIN_FITTING {
+    if anchors.len() < TUNING.min_fitting_anchors {
         return Err(Refusal::TooFew(anchors.len()));
     }
     let mut tiles: Vec<u32> = anchors.iter().map(|a| a.observation.group).collect();
     tiles.sort_unstable();
     tiles.dedup();
-    if tiles.len() < MIN_TILES {
+    if tiles.len() < TUNING.min_occupied_tiles {
         return Err(Refusal::Clustered(tiles.len()));
     }
     let share = anchors.len() as f64 / asked.max(1) as f64;
-    if share < if continued { MIN_SHARE_CONTINUED } else { MIN_SHARE_NEW } {
+    if share < if continued { TUNING.min_continued_fitting_ratio } else { TUNING.min_new_fitting_ratio } {
         return Err(Refusal::Share(share));
     }
     let contradicting = contradicting_anchors(fine, &moving, &buffers.observations);
     tracing::trace!(fitting = anchors.len(), contradicting, asked);
-    if contradicting as f64 > MAX_CONTRADICTION * anchors.len() as f64 {
+    if contradicting as f64 > TUNING.max_contradiction * anchors.len() as f64 {
         return Err(Refusal::Contradicted(contradicting));
     }
     let covariance = judged_covariance(body, fine, &moving, view, &buffers.observations)?;
     let surface = most_frequent_surface(anchors, body.surfaces.len());
     let margin = ambiguity_margin(body, surface, &fine.pose, &moving, &buffers.observations, &mut buffers.squared);
-    if margin < MIN_MARGIN {
+    if margin < TUNING.min_twin_margin {
         return Err(Refusal::Ambiguous(margin));
     }
     let squared_px = |a: &FittedAnchor| {
@@ -305,9 +268,9 @@ fn contradicting_anchors(fine: &Resection, moving: &MovingCamera<CameraModel>, o
     observations.iter().filter(is_far).count()
 }
 
-/// Returns [`MAX_RESIDUAL_PX`] scaled to the size of this camera's frames, at least half of it.
+/// Returns `max_residual_px` scaled to the size of this camera's frames, at least half of it.
 fn residual_limit_px(lens: &CameraModel) -> f64 {
-    MAX_RESIDUAL_PX * (f64::from(lens.width().max(lens.height())) / 1280.0).max(0.5)
+    TUNING.max_residual_px * (f64::from(lens.width().max(lens.height())) / 1280.0).max(0.5)
 }
 
 /// Returns the covariance; refuses the pose if noise alone makes it too uncertain. The uncertainty
@@ -334,7 +297,7 @@ fn judged_covariance(
 /// the pose in either direction; `distance_m`: distance to the nearest surface.
 pub fn judged_noise(covariance: &Matrix6<f64>, distance_m: f64) -> Result<(), Refusal> {
     let sigma = |first: usize| covariance.fixed_view::<3, 3>(first, first).trace().sqrt();
-    let is_known = sigma(0) <= MAX_SHIFT * distance_m && sigma(3) <= MAX_TURN;
+    let is_known = sigma(0) <= TUNING.max_position_sigma * distance_m && sigma(3) <= TUNING.max_direction_sigma;
     is_known.then_some(()).ok_or(Refusal::Uncertain)
 }
 

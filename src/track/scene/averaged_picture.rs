@@ -6,16 +6,11 @@
 //! parametrics"; here from the next finer octave, and for the exact width). It is averaged again
 //! only when the surface is seen larger or smaller.
 
+use crate::track::scene::tuning::TUNING;
 use image::GrayImage;
 
 use super::reference::Octave;
 use crate::features::resize_buffer;
-
-/// Change of log2 of the texels per pixel after which a copy is made anew. Raised, fine grain
-/// counts as unexplained; lowered, a camera that approaches the stage costs more.
-const KEPT_LOG2: f64 = 0.1;
-/// Maximum side of the square, texels. Raised, the five weights in a row no longer hold it.
-const WIDEST_TEXELS: f64 = 4.5;
 
 /// A picture averaged over a square; keeps its buffers.
 #[derive(Debug, Default)]
@@ -32,9 +27,9 @@ impl AveragedPicture {
     /// Returns the picture averaged over squares of side 2^`texels_log2` texels of the full
     /// picture, at a resolution of at least two texels per side if there is such an octave.
     pub fn over(&mut self, octaves: &[Octave], texels_log2: f64) -> &GrayImage {
-        if self.made_for.is_none_or(|made_for| (made_for - texels_log2).abs() > KEPT_LOG2) {
+        if self.made_for.is_none_or(|made_for| (made_for - texels_log2).abs() > TUNING.copy_reuse_log2) {
             let octave = ((texels_log2.floor() - 1.0).max(0.0) as usize).min(octaves.len() - 1);
-            self.make(&octaves[octave].image, (texels_log2 - octave as f64).exp2().min(WIDEST_TEXELS) as f32);
+            self.make(&octaves[octave].image, (texels_log2 - octave as f64).exp2().min(TUNING.max_square_texels) as f32);
             self.made_for = Some(texels_log2);
         }
         &self.image

@@ -4,6 +4,7 @@
 //! Positions and blends are computed in wide registers; only the texels are loaded one by one.
 
 use crate::simd::multiversion;
+use crate::track::scene::tuning::TUNING;
 
 /// Places on a picture for a row of pixels, and the texels there; keeps its buffers.
 #[derive(Debug, Default)]
@@ -46,15 +47,11 @@ pub fn look_at<const N: usize>(picture: &[u8], size: [usize; 2], xs: &[f32; N], 
     greys
 }
 
-/// Minimum number of places in a cache line (64 texels) if places are up to eight texels apart.
-/// Raised, lines are waited for; lowered, they are requested more than once.
-const PLACES_OF_LINE: usize = 8;
-
 /// Requests all texels of a row at once. A picture last used a frame ago is no longer cached, and
 /// place by place only two or three of its lines would be in flight at a time.
 fn ask_for_lines(picture: &[u8], width: usize, first: &[u32]) {
     let texel = |at: usize| picture.get(at).copied().unwrap_or(0);
-    let some = first.iter().step_by(PLACES_OF_LINE).map(|at| texel(*at as usize) | texel(*at as usize + width));
+    let some = first.iter().step_by(TUNING.min_places_per_cache_line).map(|at| texel(*at as usize) | texel(*at as usize + width));
     std::hint::black_box(some.fold(0, |all, texel| all | texel));
 }
 

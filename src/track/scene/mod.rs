@@ -18,3 +18,4 @@ pub mod reference;
 pub mod repetition;
 pub mod shape;
 pub mod surface;
+pub mod tuning;

@@ -1,6 +1,7 @@
 //! The rectangle of a surface, and how a camera sees it. Used both to select pixels for alignment
 //! and to register anchors.
 
+use crate::track::scene::tuning::TUNING;
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
 use super::shape::{ShapePoint, SurfaceShape};
@@ -39,10 +40,6 @@ impl SeenPoint {
         Self { pixel: (self.pixel + half) / scale - half, by_metres: self.by_metres / scale }
     }
 }
-
-/// Points across and down a rectangle at which its size in the frame is measured. Raised, it costs
-/// more; lowered, a surface of which only a corner is visible shows no point.
-const GRID: u32 = 5;
 
 impl Rectangle {
     /// Creates the rectangle of a surface.
@@ -99,10 +96,10 @@ impl Rectangle {
     /// median over the visible points. `None` if none is visible.
     pub fn texels_log2(&self, frame: [f64; 2], see: impl Fn([f64; 2]) -> Option<SeenPoint>) -> Option<f64> {
         let [across, down] = self.texels_per_m();
-        let mut logs = [0.0; (GRID * GRID) as usize];
+        let mut logs = [0.0; (TUNING.size_grid_points * TUNING.size_grid_points) as usize];
         let mut n = 0;
-        for (i, k) in (0..GRID).flat_map(|i| (0..GRID).map(move |k| (i, k))) {
-            let place = |k: u32, size_m: f64| ((f64::from(k) + 0.5) / f64::from(GRID) - 0.5) * size_m;
+        for (i, k) in (0..TUNING.size_grid_points).flat_map(|i| (0..TUNING.size_grid_points).map(move |k| (i, k))) {
+            let place = |k: u32, size_m: f64| ((f64::from(k) + 0.5) / f64::from(TUNING.size_grid_points) - 0.5) * size_m;
             let Some(SeenPoint { pixel, by_metres }) = see([place(i, self.size_m[0]), place(k, self.size_m[1])]) else { continue };
             if pixel.x > 0.0 && pixel.y > 0.0 && pixel.x < frame[0] && pixel.y < frame[1] {
                 logs[n] = 0.5 * (across * down / by_metres.determinant().abs().max(1e-12)).log2();

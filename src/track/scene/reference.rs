@@ -2,6 +2,7 @@
 //! and anchors on each. Anchors are places with detail in two directions, spread over the picture,
 //! at which frames are registered to a fraction of a pixel.
 
+use crate::track::scene::tuning::TUNING;
 use image::GrayImage;
 use nalgebra::Vector2;
 
@@ -53,18 +54,6 @@ pub struct PreparedBody {
     pub surfaces: Vec<PreparedSurface>,
 }
 
-/// Maximum number of anchors per octave. Raised, the start takes longer; lowered, close views have
-/// few.
-pub const ANCHORS: usize = 500;
-/// Side of an octave below which there are no more, pixels. Raised, surfaces seen small have no
-/// octave of their size; lowered, nothing is gained.
-const MIN_SIDE: u32 = 24;
-/// Maximum number of octaves. Raised, nothing is gained.
-const MAX_OCTAVES: usize = 13;
-/// Border of an octave without anchors, pixels: a patch around one would lie half outside. Raised,
-/// small pictures lose anchors.
-pub const ANCHOR_BORDER: u32 = 5;
-
 impl PreparedBody {
     /// Prepares every surface of a body, without the anchors.
     pub fn new(spec: &BodySpec) -> Self {
@@ -110,15 +99,15 @@ fn octaves(artwork: &GrayImage) -> Vec<Octave> {
 
 /// Returns the number of octaves of a picture of this size, at least one.
 pub fn octave_count((width, height): (u32, u32)) -> usize {
-    (1..MAX_OCTAVES).find(|k| width.min(height) >> k < MIN_SIDE).unwrap_or(MAX_OCTAVES)
+    (1..TUNING.max_octaves).find(|k| width.min(height) >> k < TUNING.min_octave_side_px).unwrap_or(TUNING.max_octaves)
 }
 
 fn anchors_of(image: &GrayImage, octave: usize, buffers: &mut CornerBuffers) -> Vec<Anchor> {
     let options = CornerOptions {
-        count: ANCHORS,
+        count: TUNING.max_octave_anchors,
         threshold: 15,
         least_threshold: 5,
-        border: ANCHOR_BORDER,
+        border: TUNING.anchor_border_px,
         cell_px: (image.width().max(image.height()) / 16).max(8),
     };
     let mut corners = Vec::new();
@@ -150,7 +139,12 @@ mod tests {
         let octaves = octaves(&art);
         assert_eq!(octaves[1].image.dimensions(), (200, 150));
         assert_eq!(octaves.len(), octave_count(art.dimensions()));
-        assert!(octaves.len() >= 4 && octaves.last().is_some_and(|last| (MIN_SIDE..2 * MIN_SIDE).contains(&last.image.height())));
+        assert!(
+            octaves.len() >= 4
+                && octaves
+                    .last()
+                    .is_some_and(|last| (TUNING.min_octave_side_px..2 * TUNING.min_octave_side_px).contains(&last.image.height()))
+        );
         assert_eq!(Anchor::at([7, 9], 3).pixel(3), [7, 9]);
         // A checker's crossings are its anchors, on the octave where the detector sees them.
         let mean: u32 = octaves[1].image.iter().map(|v| u32::from(*v)).sum::<u32>() / 30_000;

@@ -6,42 +6,23 @@
 //! the picture is loaded, and a pose that may be off by a period is compared with its neighbours.
 //! Other pictures have no period, and nothing is compared.
 
+use crate::track::scene::tuning::TUNING;
 use image::GrayImage;
 use nalgebra::Vector2;
-
-/// Maximum number of pixels of the autocorrelated copy. Raised, the start takes longer (squared);
-/// lowered, narrow stripes are missed.
-const MAX_PIXELS: u32 = 12_000;
-/// The local mean is taken over a half width of the picture's side divided by this. Lowered, bright
-/// and dark halves of any picture count as detail; raised, wide periods vanish.
-const MEAN_SHARE: usize = 8;
-/// Minimum autocorrelation of a period. Raised, periods with much in front of them are missed;
-/// lowered, poses on ordinary pictures take longer.
-const MIN_CORRELATION: f32 = 0.75;
-/// Minimum fall of the autocorrelation on the way to a period; along a stripe there is none.
-/// Raised, short periods of soft pictures are missed; lowered, ramps have periods.
-const MIN_DIP: f32 = 0.2;
-/// Minimum period, pixels of the copy. Lowered, neighbours correlate in any picture.
-const MIN_PERIOD_PX: i64 = 3;
-/// Minimum sine of the angle between independent periods. Lowered, a period and its double count as
-/// two.
-const INDEPENDENT: f64 = 0.17;
-/// Maximum number of periods of a picture: one each way. Raised, a comparison takes longer.
-const MOST: usize = 2;
 
 /// Returns the shortest independent shifts by which a picture is nearly the same, artwork pixels;
 /// none for most pictures. `octaves`: the picture, and copies that are each half the size of the
 /// one before.
 pub fn periods<'a>(octaves: impl Iterator<Item = &'a GrayImage>) -> Vec<Vector2<f64>> {
-    let is_small = |image: &GrayImage| image.width() * image.height() <= MAX_PIXELS;
+    let is_small = |image: &GrayImage| image.width() * image.height() <= TUNING.max_autocorrelated_px;
     let Some((k, octave)) = octaves.enumerate().find(|(_, image)| is_small(image)) else { return Vec::new() };
     let detail = Detail::of(octave);
     let mut found = detail.maxima();
     found.sort_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()));
     let mut kept: Vec<Vector2<f64>> = Vec::new();
     for shift in found {
-        let is_new = |other: &Vector2<f64>| shift.perp(other).abs() > INDEPENDENT * shift.norm() * other.norm();
-        if kept.len() < MOST && kept.iter().all(is_new) {
+        let is_new = |other: &Vector2<f64>| shift.perp(other).abs() > TUNING.min_independent_sine * shift.norm() * other.norm();
+        if kept.len() < TUNING.max_periods && kept.iter().all(is_new) {
             kept.push(shift);
         }
     }
@@ -62,7 +43,7 @@ impl Detail {
         let (width, height) = (image.width() as usize, image.height() as usize);
         let plain: Vec<f32> = image.iter().map(|v| f32::from(*v)).collect();
         let sums = corner_sums(width, &plain);
-        let [reach_x, reach_y] = [width, height].map(|side| side / MEAN_SHARE);
+        let [reach_x, reach_y] = [width, height].map(|side| side / TUNING.local_mean_divisor);
         let mean = |x: usize, y: usize| {
             let (left, right) = (x.saturating_sub(reach_x), (x + reach_x + 1).min(width));
             let (top, bottom) = (y.saturating_sub(reach_y), (y + reach_y + 1).min(height));
@@ -121,13 +102,13 @@ impl Detail {
             for dx in -most_x..=most_x {
                 let here = at(dx, dy);
                 let is_one = dy > 0 || dx > 0;
-                if !is_one || here < MIN_CORRELATION || dx * dx + dy * dy < MIN_PERIOD_PX.pow(2) {
+                if !is_one || here < TUNING.min_period_correlation || dx * dx + dy * dy < TUNING.min_period_px.pow(2) {
                     continue;
                 }
                 let around = (-2..=2).flat_map(|v| (-2..=2).map(move |u| (u, v))).filter(|offset| *offset != (0, 0));
                 let steps = dx.abs().max(dy);
                 let on_the_way = (1..steps).map(|k| at((dx * k) / steps, (dy * k) / steps));
-                let has_dip = on_the_way.fold(here, f32::min) < here - MIN_DIP;
+                let has_dip = on_the_way.fold(here, f32::min) < here - TUNING.min_dip;
                 if has_dip && around.into_iter().all(|(u, v)| at(dx + u, dy + v) <= here) {
                     let peak = |before: f32, after: f32| f64::from(peak_of(before, here, after));
                     let x = dx as f64 + peak(at(dx - 1, dy), at(dx + 1, dy));

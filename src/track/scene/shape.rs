@@ -6,15 +6,12 @@
 //! where a point is ([`SurfaceShape::at`]) and where a ray meets the surface
 //! ([`SurfaceShape::meet`]).
 
+use crate::track::scene::tuning::TUNING;
 use std::sync::Arc;
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
 use crate::geometry::bspline::BicubicSpline;
-
-/// Newton steps for the meeting point of a ray. Raised, nothing is gained; at 1, steep views of
-/// deep folds are off by a fraction of a millimetre.
-const MEETING_STEPS: usize = 3;
 
 /// Where the points of a picture are, in the frame of its surface.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -96,7 +93,7 @@ impl SurfaceShape {
         let on_plane = (from - direction * (from.z / direction.z)).xy();
         let mut point = [on_plane.x, on_plane.y];
         if !self.is_flat() {
-            for _ in 0..MEETING_STEPS {
+            for _ in 0..TUNING.intersection_steps {
                 point = self.at(point).meet(point, from, direction)?;
             }
         }

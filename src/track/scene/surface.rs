@@ -5,6 +5,7 @@
 //! the part between its four corners is undistorted and rectified, so that all code after this file
 //! sees one kind of picture.
 
+use crate::track::scene::tuning::TUNING;
 use image::GrayImage;
 use nalgebra::{Matrix3, Point3, Vector2};
 use thiserror::Error;
@@ -153,22 +154,6 @@ pub enum SurfaceError {
     },
 }
 
-/// Minimum side of a picture, pixels. Raised, small props are refused; lowered, pictures are
-/// accepted that are never found.
-const MIN_SIDE_PX: u32 = 64;
-/// Minimum number of recognisable corners over all octaves. Raised, plain artwork is refused that
-/// may do; lowered, it is accepted and not found.
-const MIN_CORNERS: usize = 40;
-/// Minimum strength of such a corner (smaller eigenvalue of the structure tensor), (grey/px)².
-/// Raised, faint artwork counts as plain; lowered, the grain of a photograph counts as corners.
-const MIN_STRENGTH: f32 = 12.0;
-/// Maximum side of a rectified photograph, pixels. Raised, large photographs take more memory and a
-/// longer start; lowered, they lose detail.
-const MAX_FLAT_SIDE_PX: f64 = 4096.0;
-/// Sigma of a corner read off a photograph, pixels along each axis. Raised, poses from photographs
-/// are less certain; lowered, corners as people read them pass for another lens.
-const CORNER_SIGMA_PX: f64 = 1.0;
-
 impl SurfaceSpec {
     /// Creates a surface from its flat artwork. Errors: a bad size, too few pixels, or too little
     /// texture.
@@ -231,7 +216,7 @@ impl SurfaceSpec {
         }
         let length = |a: usize, b: usize| (seen[a] - seen[b]).norm();
         let sides = [length(0, 1).max(length(3, 2)), length(0, 3).max(length(1, 2))];
-        let shrink = (MAX_FLAT_SIDE_PX / sides[0].max(sides[1])).min(1.0);
+        let shrink = (TUNING.max_rectified_side_px / sides[0].max(sides[1])).min(1.0);
         let [w, h] = sides.map(|s| ((s * shrink).round() as u32).max(1));
         let (wf, hf) = (f64::from(w), f64::from(h));
         let outer = [(-0.5, -0.5), (wf - 0.5, -0.5), (wf - 0.5, hf - 0.5), (-0.5, hf - 0.5)].map(|(x, y)| Vector2::new(x, y));
@@ -246,21 +231,21 @@ impl SurfaceSpec {
         check_sides(&artwork)?;
         let kind = ReferenceKind::Photograph { h_photo_artwork: h_photo_artwork.0, camera: Box::new(camera), pose: seen_from.renamed() };
         let shorter_px = length(0, 1).min(length(1, 2)).min(length(2, 3)).min(length(3, 0));
-        let doubt = SurfaceDoubt::of_corners(CORNER_SIGMA_PX, shorter_px);
+        let doubt = SurfaceDoubt::of_corners(TUNING.corner_sigma_px, shorter_px);
         Ok(Self { name, artwork, size_m, pose, kind, shape: SurfaceShape::Flat, doubt })
     }
 
     /// Refuses a picture that no camera could find again.
     pub fn check_texture(&self) -> Result<(), SurfaceError> {
         let found = corners_to_find(&self.artwork);
-        if found < MIN_CORNERS { Err(SurfaceError::Textureless { found, least: MIN_CORNERS }) } else { Ok(()) }
+        if found < TUNING.min_corners { Err(SurfaceError::Textureless { found, least: TUNING.min_corners }) } else { Ok(()) }
     }
 
     /// Checks that there is a picture, and a size to place it with.
     pub(crate) fn check(&self) -> Result<(), SurfaceError> {
         let (width, height) = self.artwork.dimensions();
         if width == 0 || height == 0 {
-            return Err(SurfaceError::TooSmall { width, height, least: MIN_SIDE_PX });
+            return Err(SurfaceError::TooSmall { width, height, least: TUNING.min_picture_side_px });
         }
         check_size(self.size_m)
     }
@@ -315,21 +300,21 @@ fn check_size(size_m: [f64; 2]) -> Result<(), SurfaceError> {
 
 fn check_sides(picture: &GrayImage) -> Result<(), SurfaceError> {
     let (width, height) = picture.dimensions();
-    let is_small = width < MIN_SIDE_PX || height < MIN_SIDE_PX;
-    if is_small { Err(SurfaceError::TooSmall { width, height, least: MIN_SIDE_PX }) } else { Ok(()) }
+    let is_small = width < TUNING.min_picture_side_px || height < TUNING.min_picture_side_px;
+    if is_small { Err(SurfaceError::TooSmall { width, height, least: TUNING.min_picture_side_px }) } else { Ok(()) }
 }
 
 /// Returns the number of corners of a picture that a camera could find again, in all octaves,
 /// because detail may have any size.
 fn corners_to_find(picture: &GrayImage) -> usize {
     let cell_px = (picture.width().max(picture.height()) / 8).max(8);
-    let options = CornerOptions { count: 4 * MIN_CORNERS, threshold: 15, least_threshold: 8, border: 5, cell_px };
+    let options = CornerOptions { count: 4 * TUNING.min_corners, threshold: 15, least_threshold: 8, border: 5, cell_px };
     let mut corners = Vec::new();
     let mut found = 0;
     let mut octave = picture.clone();
-    while octave.width() >= MIN_SIDE_PX / 2 && octave.height() >= MIN_SIDE_PX / 2 {
+    while octave.width() >= TUNING.min_picture_side_px / 2 && octave.height() >= TUNING.min_picture_side_px / 2 {
         detect_corners(&octave, &options, &mut CornerBuffers::default(), &mut corners);
-        found += corners.iter().filter(|c| c.strength >= MIN_STRENGTH).count();
+        found += corners.iter().filter(|c| c.strength >= TUNING.min_corner_strength).count();
         octave = crate::features::halved(&octave);
     }
     found

@@ -8,28 +8,9 @@ use super::super::hypotheses::velocity_by_blur::{KnownBlur, VelocityByBlur, velo
 use super::super::picture::surface::nearest_centre;
 use super::super::pixels::level_spec::LevelSpec;
 use super::super::solve::level_problem::Expected;
-use super::{Buffers, CLOSE_SCALE, FrameProblem, LevelFit, PSF_VARIANCE_SIGMA};
+use super::{Buffers, FrameProblem, LevelFit};
+use crate::track::align::tuning::TUNING;
 use crate::track::frame::frame_levels::{FINEST, LEVELS};
-
-/// Pixels whose blur is estimated. Raised, the frame that finds a body takes longer; lowered, the
-/// velocity is less certain.
-const BLUR_PIXELS: usize = 1500;
-/// Minimum ratio of a blurred body's residuals to the level above's, where blur is half as long.
-/// Raised, blurred bodies are refused where they are found; lowered, wrong poses cost more.
-const BLURRED: f64 = 1.5;
-/// Ratio of tiles that take part at the level above, from which `BLURRED_WHERE_IT_FITS` replaces
-/// `BLURRED`. Raised and lowered as `BLURRED`.
-const FITS_ABOVE: f64 = 0.67;
-/// Minimum ratio of a blurred body's residuals to those of the level above, where most tiles fit
-/// there. Raised and lowered as `BLURRED`.
-const BLURRED_WHERE_IT_FITS: f64 = 0.75;
-/// Minimum ratio of tiles that take part in a pose whose blur is estimated; half always do. Raised,
-/// strongly blurred bodies are not tried; lowered, wrong poses cost more.
-const HOPEFUL_SHARE: f64 = 0.55;
-
-/// Minimum residuals (sigmas) of an occluded body's fitting tiles for blur to be estimated. Raised,
-/// fast bodies are found later as they reappear; lowered, bodies at rest cost more.
-const COVERED_BLUR_SCALE: f64 = 1.4;
 
 impl FrameProblem<'_> {
     /// Whether the velocity by blur may be estimated in this frame: for a body that was just found,
@@ -46,7 +27,7 @@ impl FrameProblem<'_> {
         let is_global = self.slow.shutter.is_global();
         let scale = self.buffers.fine.solution()?.found.scale;
         let is_blurred = self.is_clearly_blurred(scale);
-        if self.buffers.has_kept || (self.buffers.fine.open_share() < HOPEFUL_SHARE && !is_blurred) {
+        if self.buffers.has_kept || (self.buffers.fine.open_share() < TUNING.min_blur_inlier_ratio && !is_blurred) {
             return Some(false);
         }
         // With a global shutter the pose does not depend on the velocity. A picture that is large
@@ -60,7 +41,7 @@ impl FrameProblem<'_> {
     /// Does the same for a partly occluded body, once it is known which tiles fit. `scale`: its
     /// residuals, sigmas.
     pub fn solve_covered_with_blur(&mut self, scale: f64) -> Option<bool> {
-        let may_be_blurred = self.is_found_again() && self.slow.shutter.is_global() && scale > COVERED_BLUR_SCALE;
+        let may_be_blurred = self.is_found_again() && self.slow.shutter.is_global() && scale > TUNING.min_occluded_blur_sigma;
         if !may_be_blurred || self.has_pixels(LEVELS - 1) {
             return Some(false);
         }
@@ -93,7 +74,7 @@ impl FrameProblem<'_> {
         let spec = self.spec(FINEST, &found.motion);
         let estimate = self.buffers.fine.solution()?.estimate();
         let middle = nearest_centre(self.surfaces, &found.motion.pose);
-        let spec = LevelSpec { count: BLUR_PIXELS, ..spec };
+        let spec = LevelSpec { count: TUNING.blur_pixels, ..spec };
         // The coarse levels are finished, so their buffers are free.
         let Buffers { coarse: aside, selector, light, .. } = &mut *self.buffers;
         if !aside.lay_out(&spec, self.levels, &found.motion, selector, light) {
@@ -102,7 +83,7 @@ impl FrameProblem<'_> {
         let known = KnownBlur {
             exposure_sigma: self.slow.exposure_sigma(),
             psf_variance: self.slow.psf_variance,
-            psf_variance_sigma: PSF_VARIANCE_SIGMA,
+            psf_variance_sigma: TUNING.psf_variance_sigma,
         };
         velocity_by_blur(aside, &spec, &estimate, middle, known)
     }
@@ -111,8 +92,12 @@ impl FrameProblem<'_> {
 /// Whether residuals of the finest level (`scale`, sigmas) come from blur, judged by the fit of the
 /// level above.
 fn shows_blur(scale: f64, above: &LevelFit) -> bool {
-    let ratio = if above.open_share > FITS_ABOVE { BLURRED_WHERE_IT_FITS } else { BLURRED };
-    scale > CLOSE_SCALE.max(ratio * above.scale)
+    let ratio = if above.open_share > TUNING.min_coarse_inlier_ratio {
+        TUNING.min_blur_residual_ratio_of_coarse_fit
+    } else {
+        TUNING.min_blur_residual_ratio
+    };
+    scale > TUNING.clear_fit_sigma.max(ratio * above.scale)
 }
 
 #[cfg(test)]

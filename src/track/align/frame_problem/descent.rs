@@ -7,16 +7,10 @@
 //! any starting level.
 
 use super::super::solve::level_problem::Corrected;
-use super::{CLOSE_SCALE, CLOSE_SHARE, FrameProblem, HOPELESS_SCALE, LevelFit, level_for};
+use super::{FrameProblem, LevelFit, level_for};
 use crate::motion::Motion;
+use crate::track::align::tuning::TUNING;
 use crate::track::frame::frame_levels::FINEST;
-
-/// The first descent's search radius, as a multiple of the decaying maximum of the start error.
-/// Raised, levels are solved that the start does not need; lowered, more frames are solved twice.
-const START_ERRORS: f64 = 2.0;
-/// Two descents have met if their motions at a level differ by less, pixels of the level. Raised, a
-/// better minimum is missed; lowered, frames of occluded bodies are solved twice.
-const MEETING_PX: f64 = 0.5;
 
 /// Result of a descent through the levels.
 #[derive(Default)]
@@ -34,14 +28,14 @@ impl FrameProblem<'_> {
     /// right, aligns again from the level that holds the whole uncertainty.
     pub(super) fn coarse_to_fine(&mut self) -> Option<Corrected> {
         let far = level_for(self.uncertain_px()).max(FINEST + 1);
-        let near = level_for(START_ERRORS * self.slow.start_error_px).min(far);
+        let near = level_for(TUNING.search_radius_ratio * self.slow.start_error_px).min(far);
         let Descent { mut found, coarsest, .. } = self.descend(near, None);
         let mut is_close = found.is_some_and(|f| self.is_close(&f));
-        // Residuals beyond `HOPELESS_SCALE` mean blur, not occlusion.
-        let may_fit = !is_close && found.is_some_and(|f| f.scale < HOPELESS_SCALE);
+        // Residuals beyond `hopeless_sigma` mean blur, not occlusion.
+        let may_fit = !is_close && found.is_some_and(|f| f.scale < TUNING.hopeless_sigma);
         if may_fit && self.is_trusted && !self.known.is_sure && self.buffers.fine.may_be_covered() {
             found = self.settle_by_what_fits();
-            is_close = found.is_some_and(|f| f.scale < CLOSE_SCALE);
+            is_close = found.is_some_and(|f| f.scale < TUNING.clear_fit_sigma);
         }
         if !is_close && !self.begins_nearby && !self.wanders && self.begins_above(near, far) {
             found = self.descend_from_far(far, found, coarsest);
@@ -68,7 +62,7 @@ impl FrameProblem<'_> {
 
     /// Whether a solution from nearby is clearly right.
     fn is_close(&self, found: &Corrected) -> bool {
-        found.scale < CLOSE_SCALE && self.buffers.fine.open_share() > CLOSE_SHARE * self.slow.open_share
+        found.scale < TUNING.clear_fit_sigma && self.buffers.fine.open_share() > TUNING.clear_fit_inlier_ratio * self.slow.open_share
     }
 
     /// Descends from the level that holds the whole uncertainty. Where this descent meets the first
@@ -112,7 +106,8 @@ impl FrameProblem<'_> {
             self.above = solved.converged.map_or(LevelFit::NONE, fit);
             (motion, is_first) = (solved.motion, false);
             descent.coarsest.get_or_insert((level, motion));
-            let meets = |(at, met): (usize, Motion)| at == level && self.buffers.coarse.moved_px(&spec, &met, &motion) < MEETING_PX;
+            let meets =
+                |(at, met): (usize, Motion)| at == level && self.buffers.coarse.moved_px(&spec, &met, &motion) < TUNING.same_minimum_px;
             if other.is_some_and(meets) {
                 descent.has_met = true;
                 break;
@@ -129,7 +124,7 @@ mod tests {
 
     use super::super::super::learned::slow_estimates::SlowEstimates;
     use super::super::super::{AlignSurface, CameraRays};
-    use super::super::{Buffers, FINE_STEP_PX, MAX_LAST_STEP_PX};
+    use super::super::Buffers;
     use super::*;
     use crate::camera::Shutter;
     use crate::geometry::resection::perturbed;
@@ -181,7 +176,11 @@ mod tests {
         with_problem(480, 0.14, |problem| {
             let nearby = problem.descend(FINEST + 1, None);
             let found = problem.descend_from_far(FINEST + 3, nearby.found, nearby.coarsest).expect("reached");
-            assert!(found.scale < CLOSE_SCALE && nearby.found.is_none_or(|found| found.scale > CLOSE_SCALE), "{}", found.scale);
+            assert!(
+                found.scale < TUNING.clear_fit_sigma && nearby.found.is_none_or(|found| found.scale > TUNING.clear_fit_sigma),
+                "{}",
+                found.scale
+            );
         });
     }
 
@@ -200,7 +199,11 @@ mod tests {
         problem.follows(false, true);
         let found = problem.descend(FINEST + 1, None).found.expect("the picture agrees");
         let LevelFit { scale, open_share } = problem.above;
-        assert!(scale < CLOSE_SCALE && open_share > 0.9 && found.scale < CLOSE_SCALE, "{scale} {open_share} {}", found.scale);
+        assert!(
+            scale < TUNING.clear_fit_sigma && open_share > 0.9 && found.scale < TUNING.clear_fit_sigma,
+            "{scale} {open_share} {}",
+            found.scale
+        );
     }
 
     #[test]
@@ -210,9 +213,12 @@ mod tests {
                 problem.follows(false, true);
                 let found = problem.coarse_to_fine().expect("the picture agrees in a third");
                 let left_px = problem.last_moved_px;
-                assert!(found.scale < CLOSE_SCALE && (FINE_STEP_PX..MAX_LAST_STEP_PX).contains(&left_px), "{left_px} px");
+                assert!(
+                    found.scale < TUNING.clear_fit_sigma && (TUNING.fine_converged_px..TUNING.max_last_step_px).contains(&left_px),
+                    "{left_px} px"
+                );
                 assert_eq!(problem.settle_uncovered(), Some(true));
-                assert!(problem.last_moved_px < FINE_STEP_PX, "{} px", problem.last_moved_px);
+                assert!(problem.last_moved_px < TUNING.fine_converged_px, "{} px", problem.last_moved_px);
                 assert_eq!(problem.settle_uncovered(), Some(false));
             });
         }

@@ -12,6 +12,7 @@ mod blurred_body;
 mod descent;
 mod still_camera;
 
+use crate::track::align::tuning::TUNING;
 use nalgebra::{Vector2, Vector6};
 
 use super::hypotheses::velocity_jump::{by_bend, by_start, is_unexpected, jumped};
@@ -22,7 +23,6 @@ use super::learned::light::RememberedLight;
 use super::learned::slow_estimates::{Lessons, SlowEstimates};
 use super::picture::surface::{AlignSurface, distance_m};
 use super::pixels::level_spec::LevelSpec;
-use super::pixels::level_spec::SHARP_FRAME_PX;
 use super::pixels::selection::Selector;
 use super::solve::jump_instant::{Expectation, RowBands};
 use super::solve::level_problem::solution::Conclusion;
@@ -33,65 +33,6 @@ use super::solve::verdict::{Alignment, squared_mahalanobis};
 use crate::motion::{Continuation, Motion, MotionEstimate, MotionMatrix, UniformMotion};
 use crate::track::frame::frame_levels::{FINEST, FrameLevels, LEVELS};
 use crate::track::frame::rays::CameraRays;
-
-/// Sigma about the slow estimate of the point spread's variance (kernel's unit), sharp and blurred.
-/// First lowered, refocusing is followed late; second raised, motion passes for point spread.
-const PSF_VARIANCE_SIGMA: f64 = 0.5;
-const BLURRED_PSF_VARIANCE_SIGMA: f64 = 0.05;
-/// Maximum linearisations at a coarse level, and at the finest. Raised, frames that do not converge
-/// cost more; lowered, distant starts are given up.
-const COARSE_ROUNDS: usize = 8;
-const FINE_ROUNDS: usize = 10;
-/// A coarse level, and the finest, has converged when a step moves no tile by more, pixels of the
-/// level. Raised, more of the last step is missing from the pose; lowered, frames take more rounds.
-const COARSE_STEP_PX: f64 = 0.1;
-const FINE_STEP_PX: f64 = 0.045;
-/// Maximum last step of a reported pose, pixels of the level. Raised, solutions that creep along
-/// outside their basin are reported; lowered, good ones that converge slowly are not.
-const MAX_LAST_STEP_PX: f64 = 0.15;
-/// Maximum step after `SETTLING_ROUNDS`, pixels of the level; with a longer one the level is given
-/// up. Raised, starts that lead nowhere cost more; lowered, slow convergence is given up.
-const MAX_SETTLED_STEP_PX: f64 = 1.0;
-/// The same limit for residuals beyond `WANDERING_SCALE` (sigmas), or a barely fitting new body.
-/// Raised, hopeless starts cost 2 to 3 followed frames; lowered, slow convergence is given up.
-const WANDERING_STEP_PX: f64 = 0.3;
-const WANDERING_SCALE: f64 = 10.0;
-/// Rounds, residuals (sigmas) and ratio of tiles by which the finest level is given up. Raised,
-/// hopeless starts cost several frames; the scale lowered, half-occluded bodies are lost.
-const HOPELESS_ROUNDS: usize = 2;
-const HOPELESS_SCALE: f64 = 6.0;
-const HOPELESS_SHARE: f64 = 0.6;
-/// First rounds of a level, in which long steps are allowed; counted anew when its blur turns out
-/// to be longer. Raised and lowered as `MAX_SETTLED_STEP_PX`.
-const SETTLING_ROUNDS: usize = 4;
-/// Maximum rounds at the finest level for a newly found body when barely half its tiles fit, and
-/// those poorly. Raised, frames of occluded bodies cost more; lowered, they are found later.
-const POOR_ROUNDS: usize = 6;
-/// Sigma of what is still missing from the pose, as a fraction of the frame's last step. Raised,
-/// covariances are wider than the errors; lowered, they are too narrow for a moving camera.
-const MISSING_SHARE: f64 = 0.2;
-/// Start error from which a level converges, pixels of the level. Raised, starts are solved twice
-/// or lost; lowered, levels are solved that the start does not need.
-const BASIN_PX: f64 = 2.5;
-/// Pose change, pixels of the level, after which the finest level's pixels are selected anew.
-/// Raised, they lie beside their edges and pull the pose; lowered, selection costs more.
-const CHOSEN_PX: f64 = 0.25;
-/// Residuals (sigmas), and ratio of tiles against the last frame's, of a clearly right pose. Scale
-/// lowered or share raised, more frames are solved twice; else local minima are taken for the pose.
-const CLOSE_SCALE: f64 = 2.0;
-const CLOSE_SHARE: f64 = 0.8;
-/// The other enlargement is adopted if it leaves less than this fraction of the misfit. Raised to
-/// 1, it changes by chance; lowered, a wrong one is kept where pictures have little fine detail.
-const BETTER: f64 = 0.97;
-/// Pixels in a trial of either enlargement. Raised, the frame of a trial takes longer; lowered, the
-/// choice changes by chance.
-const TRIAL_PIXELS: usize = 3000;
-/// Maximum steps of a frame whose velocity jumped or is found by blur. Raised, only frames that do
-/// not converge cost more; lowered, the pose may stay short of the solution.
-const SETTLING_STEPS: usize = 8;
-/// Prior probability that a camera that left its line was shaken (jerk), rather than started or
-/// stopped. Raised, starts and stops are more often explained by jerk, whose prior is wider.
-const JERK_LIKELIHOOD: f64 = 0.01;
 
 /// Buffers of the hot path, kept from frame to frame.
 #[derive(Debug, Default)]
@@ -193,7 +134,7 @@ impl<'a> FrameProblem<'a> {
     ) -> Self {
         buffers.light.clone_from(&slow.light);
         let (motion, psf_variance) = (&expected.motion, slow.psf_variance);
-        let known = Expected { motion, information, psf_variance, psf_variance_sigma: PSF_VARIANCE_SIGMA, is_sure: false };
+        let known = Expected { motion, information, psf_variance, psf_variance_sigma: TUNING.psf_variance_sigma, is_sure: false };
         let (bands, lessons) = (RowBands::new(slow.shutter), Lessons::none(slow));
         let mut frame = Self {
             surfaces,
@@ -215,8 +156,8 @@ impl<'a> FrameProblem<'a> {
             lessons,
         };
         let spec = frame.spec(FINEST, motion);
-        if spec.frame_px() * spec.blur_px > SHARP_FRAME_PX {
-            frame.known.psf_variance_sigma = BLURRED_PSF_VARIANCE_SIGMA;
+        if spec.frame_px() * spec.blur_px > TUNING.max_sharp_blur_px {
+            frame.known.psf_variance_sigma = TUNING.blurred_psf_variance_sigma;
         }
         frame
     }
@@ -254,7 +195,7 @@ impl<'a> FrameProblem<'a> {
     /// Returns the step below which the finest level has converged, pixels of the level. It is
     /// larger where the blur is estimated next, as the pose settles after that.
     fn fine_step_px(&self) -> f64 {
-        if self.may_ask_blur() { MAX_LAST_STEP_PX } else { FINE_STEP_PX }
+        if self.may_ask_blur() { TUNING.max_last_step_px } else { TUNING.fine_converged_px }
     }
 
     /// Predicts and solves a level's pixels until a step is small. At the finest level it selects
@@ -262,24 +203,25 @@ impl<'a> FrameProblem<'a> {
     /// singular, or the level is given up.
     fn iterate(&mut self, spec: &LevelSpec, start: Motion, is_first: bool) -> Option<Iterated> {
         let is_finest = spec.level == FINEST;
-        let (rounds, small_px) = if is_finest { (FINE_ROUNDS, self.fine_step_px()) } else { (COARSE_ROUNDS, COARSE_STEP_PX) };
+        let (rounds, small_px) =
+            if is_finest { (TUNING.max_fine_rounds, self.fine_step_px()) } else { (TUNING.max_coarse_rounds, TUNING.coarse_converged_px) };
         let (mut motion, mut chosen_at) = (start, start);
         let mut converged = None;
         // Whether these pixels were predicted before.
         let mut is_same = false;
         let mut changes = ChangeSums::default();
-        let (mut blurred, mut settles_from) = (*spec, SETTLING_ROUNDS);
+        let (mut blurred, mut settles_from) = (*spec, TUNING.settling_rounds);
         for round in 0..rounds {
             let is_first = is_first && round == 0;
             // With a rolling shutter, rows show the motion of a body that was just found. Its
             // prediction starts without blur and takes it up as the motion becomes known.
             if !is_finest && self.may_ask_blur() {
                 let longer = blurred.blurred_by(&motion);
-                settles_from = if longer.places > blurred.places { round + SETTLING_ROUNDS } else { settles_from };
+                settles_from = if longer.places > blurred.places { round + TUNING.settling_rounds } else { settles_from };
                 blurred = longer;
             }
             let spec = &blurred;
-            if is_finest && self.buffers.fine.moved_px(spec, &chosen_at, &motion) > CHOSEN_PX {
+            if is_finest && self.buffers.fine.moved_px(spec, &chosen_at, &motion) > TUNING.reselection_px {
                 (chosen_at, is_same) = (motion, false);
                 if !self.lay_out(spec, &motion) {
                     return None;
@@ -301,21 +243,25 @@ impl<'a> FrameProblem<'a> {
             tracing::trace!(level = spec.level, moved, pixels = problem.pixels().len(), scale = solved.scale, open_share);
             (self.last_step, self.last_moved_px) = (motion.pose_error_to(&solved.motion), moved);
             motion = solved.motion;
-            converged = Some(solved).filter(|_| moved < MAX_LAST_STEP_PX);
-            let is_half_open = is_finest && open_share < HOPELESS_SHARE;
+            converged = Some(solved).filter(|_| moved < TUNING.max_last_step_px);
+            let is_half_open = is_finest && open_share < TUNING.hopeless_inlier_ratio;
             // Where barely half the tiles of a new body fit, and those poorly, full convergence is
             // not needed: tiles keep entering and leaving.
-            let is_poor = is_half_open && !self.is_followed && round >= SETTLING_ROUNDS && solved.scale > CLOSE_SCALE;
+            let is_poor = is_half_open && !self.is_followed && round >= TUNING.settling_rounds && solved.scale > TUNING.clear_fit_sigma;
             // An occluded body converges later, once it is known which tiles fit; a blurred one
             // fits once its velocity is known.
-            let is_covered = is_half_open && self.is_found_again() && solved.scale < CLOSE_SCALE;
-            let is_hopeless = is_half_open && round + 1 >= HOPELESS_ROUNDS && solved.scale > HOPELESS_SCALE;
-            let is_blurred = is_hopeless && solved.scale < WANDERING_SCALE && self.is_clearly_blurred(solved.scale);
-            if moved < if is_poor || is_covered || is_blurred { MAX_LAST_STEP_PX } else { small_px } {
+            let is_covered = is_half_open && self.is_found_again() && solved.scale < TUNING.clear_fit_sigma;
+            let is_hopeless = is_half_open && round + 1 >= TUNING.hopeless_rounds && solved.scale > TUNING.hopeless_sigma;
+            let is_blurred = is_hopeless && solved.scale < TUNING.poor_fit_sigma && self.is_clearly_blurred(solved.scale);
+            if moved < if is_poor || is_covered || is_blurred { TUNING.max_last_step_px } else { small_px } {
                 break;
             }
-            let longest_px = if is_poor || solved.scale > WANDERING_SCALE { WANDERING_STEP_PX } else { MAX_SETTLED_STEP_PX };
-            if round >= settles_from && moved > longest_px || is_poor && round + 1 >= POOR_ROUNDS {
+            let longest_px = if is_poor || solved.scale > TUNING.poor_fit_sigma {
+                TUNING.max_settled_step_of_poor_fit_px
+            } else {
+                TUNING.max_settled_step_px
+            };
+            if round >= settles_from && moved > longest_px || is_poor && round + 1 >= TUNING.max_poor_rounds {
                 self.wanders = is_poor;
                 return None;
             }
@@ -343,7 +289,7 @@ impl<'a> FrameProblem<'a> {
         let [misfit, other] = [was, !was].map(|is_enlarged| self.misfit_of_trial(is_enlarged, &found));
         self.lessons.is_enlarged = was;
         tracing::debug!(was, misfit, other, "enlargement");
-        if other >= BETTER * misfit {
+        if other >= TUNING.max_enlargement_misfit_ratio * misfit {
             return Some(found);
         }
         self.buffers.trial_light.clone_from(&self.buffers.light);
@@ -359,7 +305,7 @@ impl<'a> FrameProblem<'a> {
     /// buffers; infinite where it cannot be solved.
     fn misfit_of_trial(&mut self, is_enlarged: bool, found: &Corrected) -> f64 {
         self.lessons.is_enlarged = is_enlarged;
-        let spec = LevelSpec { count: TRIAL_PIXELS, ..self.spec(FINEST, &found.motion) };
+        let spec = LevelSpec { count: TUNING.enlargement_trial_pixels, ..self.spec(FINEST, &found.motion) };
         // The coarse levels are finished, so their buffers are free.
         let Buffers { coarse: aside, selector, light, trial_light, .. } = &mut *self.buffers;
         trial_light.clone_from(light);
@@ -383,7 +329,7 @@ impl<'a> FrameProblem<'a> {
     /// the prediction, their residuals are large and weigh little beside the prior: the pose stays
     /// where it was predicted, and only the residuals show the jump.
     pub fn is_surprising(&self, found: &Corrected) -> bool {
-        found.scale > CLOSE_SCALE || is_unexpected(squared_mahalanobis(self.expected, &found.motion))
+        found.scale > TUNING.clear_fit_sigma || is_unexpected(squared_mahalanobis(self.expected, &found.motion))
     }
 
     /// Solves the finest level once more from the solution, with a prior whose velocity may have
@@ -398,7 +344,7 @@ impl<'a> FrameProblem<'a> {
     /// Solves the finest level's pixels from a motion until a step is small.
     fn settle(&mut self, mut motion: Motion, known: &Expected) -> Option<()> {
         self.buffers.has_kept = false;
-        for _ in 0..SETTLING_STEPS {
+        for _ in 0..TUNING.max_settling_steps {
             let spec = self.spec(FINEST, &motion);
             let (fine, _, light) = self.buffers.at_level(FINEST);
             fine.predict(&spec, &motion);
@@ -406,7 +352,7 @@ impl<'a> FrameProblem<'a> {
             let moved = fine.moved_px(&spec, &motion, &solved);
             (self.last_step, self.last_moved_px) = (motion.pose_error_to(&solved), moved);
             motion = solved;
-            if moved < FINE_STEP_PX {
+            if moved < TUNING.fine_converged_px {
                 break;
             }
         }
@@ -416,7 +362,7 @@ impl<'a> FrameProblem<'a> {
     /// Finishes the iterations that [`Self::solve`] left to [`Self::solve_with_blur`], where that
     /// was not tried or showed no velocity. `None` if no solution remains.
     pub fn settle_rest(&mut self) -> Option<()> {
-        if !self.may_ask_blur() || self.last_moved_px < FINE_STEP_PX {
+        if !self.may_ask_blur() || self.last_moved_px < TUNING.fine_converged_px {
             return Some(());
         }
         self.settle_found()
@@ -435,13 +381,13 @@ impl<'a> FrameProblem<'a> {
     pub fn settle_by_what_fits(&mut self) -> Option<Corrected> {
         self.known.is_sure = true;
         self.settle_found()?;
-        self.buffers.fine.solution().map(|solution| solution.found).filter(|_| self.last_moved_px < MAX_LAST_STEP_PX)
+        self.buffers.fine.solution().map(|solution| solution.found).filter(|_| self.last_moved_px < TUNING.max_last_step_px)
     }
 
     /// Finishes the iterations that [`Self::solve`] skipped because the body looked occluded;
     /// returns whether any ran. `None` if no solution remains.
     pub fn settle_uncovered(&mut self) -> Option<bool> {
-        let is_unsettled = self.is_found_again() && !self.may_ask_blur() && self.last_moved_px >= FINE_STEP_PX;
+        let is_unsettled = self.is_found_again() && !self.may_ask_blur() && self.last_moved_px >= TUNING.fine_converged_px;
         if is_unsettled {
             self.settle_found()?;
         }
@@ -467,7 +413,7 @@ impl<'a> FrameProblem<'a> {
         let found = Alignment {
             estimate,
             pose: motion.pose,
-            covariance: covariance + self.last_step * self.last_step.transpose() * MISSING_SHARE.powi(2),
+            covariance: covariance + self.last_step * self.last_step.transpose() * TUNING.missing_step_ratio.powi(2),
             scale,
             inliers,
             rms_px: (squared_px / inliers.max(1.0)).sqrt() * spec.frame_px(),
@@ -478,11 +424,11 @@ impl<'a> FrameProblem<'a> {
             has_opposite: self.has_opposite,
         };
         let psf_variance = self.buffers.light.psf_variance();
-        if blur_px < SHARP_FRAME_PX {
+        if blur_px < TUNING.max_sharp_blur_px {
             self.lessons.psf_variance = Some(psf_variance);
             self.lessons.noise = found.is_conclusive().then(|| solution.noise_sums());
         }
-        let known = KnownPsfVariance { error: self.slow.psf_variance - psf_variance, sigma: BLURRED_PSF_VARIANCE_SIGMA };
+        let known = KnownPsfVariance { error: self.slow.psf_variance - psf_variance, sigma: TUNING.blurred_psf_variance_sigma };
         let exposure = exposure_clue(&blur, known, blur_px);
         self.lessons.exposure = exposure.map(|clue| (clue, blur_px));
         Some((found, exposure))
@@ -507,7 +453,7 @@ impl<'a> FrameProblem<'a> {
         let with_jerk = Expectation {
             information: *self.known.information,
             error: estimate.motion.error_to(self.known.motion),
-            likelihood: JERK_LIKELIHOOD,
+            likelihood: TUNING.jerk_probability,
             // A frame solved with the wider prior has a covariance that does not belong to this
             // one.
             covariance: (!has_jumped).then_some(estimate.covariance),
@@ -516,7 +462,7 @@ impl<'a> FrameProblem<'a> {
             Some(Expectation {
                 information: expected.covariance.cholesky()?.inverse(),
                 error: estimate.motion.error_to(&expected.motion),
-                likelihood: 1.0 - JERK_LIKELIHOOD,
+                likelihood: 1.0 - TUNING.jerk_probability,
                 covariance: None,
             })
         });
@@ -559,8 +505,8 @@ impl<'a> FrameProblem<'a> {
 /// Returns the finest level whose basin holds a start error of `off_px` frame pixels; the coarsest
 /// if none does.
 fn level_for(off_px: f64) -> usize {
-    if off_px < CHOSEN_PX * f64::from(1u32 << FINEST) {
+    if off_px < TUNING.reselection_px * f64::from(1u32 << FINEST) {
         return FINEST;
     }
-    (FINEST + 1..LEVELS).find(|l| BASIN_PX * f64::from(1u32 << l) > off_px).unwrap_or(LEVELS - 1)
+    (FINEST + 1..LEVELS).find(|l| TUNING.basin_px * f64::from(1u32 << l) > off_px).unwrap_or(LEVELS - 1)
 }

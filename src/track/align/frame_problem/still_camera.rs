@@ -8,20 +8,8 @@
 use super::super::pixels::level_spec::LevelSpec;
 use super::super::solve::level_problem::Corrected;
 use super::{FrameProblem, level_for};
+use crate::track::align::tuning::TUNING;
 use crate::track::frame::frame_levels::{FINEST, LEVELS};
-
-/// Pixels used while nothing moves; their prediction is kept from frame to frame. Raised, only
-/// frames of larger cameras cost more; lowered, poses scatter more.
-const STILL_PIXELS: usize = 130_000;
-/// A prediction is kept while nothing moved by more, pixels of the level (the solution: twice
-/// that). Raised, outdated slopes are used; lowered, pixels are selected anew and poses scatter.
-const KEPT_PX: f64 = 0.05;
-/// Still frames in a row before all steep pixels are selected, which takes as long as several
-/// frames. Raised, still cameras scatter for longer; at 1, every pause costs that time.
-const STILL_FRAMES: u32 = 3;
-/// Still frames in a row after which the prediction is renewed, once. Raised, the first
-/// prediction's error stays longer; lowered, the filter does not know the pose well enough yet.
-const SETTLED_FRAMES: u32 = 12;
 
 impl FrameProblem<'_> {
     /// Tries whether the frame shows what the last one did. Then the prediction still holds, and it
@@ -30,25 +18,25 @@ impl FrameProblem<'_> {
     pub(super) fn same_again(&mut self) -> Option<Corrected> {
         let motion = self.known.motion;
         let noise = self.slow.noise.of_still();
-        let spec = LevelSpec { count: STILL_PIXELS, is_dense: true, noise, ..self.spec(FINEST, motion) };
+        let spec = LevelSpec { count: TUNING.still_pixels, is_dense: true, noise, ..self.spec(FINEST, motion) };
         let is_kept = std::mem::take(&mut self.buffers.has_kept);
         let still_frames = std::mem::take(&mut self.buffers.still_frames);
-        if self.buffers.fine.moved_since(&spec, motion) > KEPT_PX {
+        if self.buffers.fine.moved_since(&spec, motion) > TUNING.max_still_motion_px {
             return None;
         }
         self.buffers.still_frames = still_frames.saturating_add(1);
         if is_kept {
             self.buffers.fine.renew(&spec, self.levels);
-            if self.buffers.still_frames == SETTLED_FRAMES {
+            if self.buffers.still_frames == TUNING.prediction_renewal_frames {
                 self.buffers.fine.predict(&spec, motion);
             }
             // The light of a frame whose pose was not accepted must not be kept.
             self.buffers.fine.recall_light(&self.slow.light);
-        } else if self.buffers.still_frames >= STILL_FRAMES && self.may_stand_still() && self.lay_out(&spec, motion) {
+        } else if self.buffers.still_frames >= TUNING.still_frames && self.may_stand_still() && self.lay_out(&spec, motion) {
             self.buffers.fine.predict(&spec, motion);
             // Restarts the count, so that this prediction is renewed once too, even if the camera
             // was still for longer and has been pushed.
-            self.buffers.still_frames = STILL_FRAMES;
+            self.buffers.still_frames = TUNING.still_frames;
         } else {
             return None;
         }
@@ -64,7 +52,7 @@ impl FrameProblem<'_> {
         let motion = self.known.motion;
         let (fine, _, light) = self.buffers.at_level(FINEST);
         let solved = fine.solve(spec, &self.known, light, false, 2)?;
-        (fine.moved_px(spec, motion, &solved.motion) < 2.0 * KEPT_PX).then_some(solved)
+        (fine.moved_px(spec, motion, &solved.motion) < 2.0 * TUNING.max_still_motion_px).then_some(solved)
     }
 
     /// Whether the camera may be still. Right after a body was found, its zero velocity means

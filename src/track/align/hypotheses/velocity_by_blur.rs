@@ -11,6 +11,7 @@
 //! squared blur, which is linear in the second moments of the velocity; Gauss-Newton steps follow
 //! from there.
 
+use crate::track::align::tuning::TUNING;
 use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Matrix3, Matrix6, SMatrix, SVector, Vector2, Vector3, Vector6};
 
 use crate::camera::Shutter;
@@ -20,46 +21,6 @@ use crate::track::align::kernel::columns::POSE;
 use crate::track::align::pixels::level_spec::LevelSpec;
 use crate::track::align::solve::level_problem::LevelProblem;
 use crate::track::align::solve::level_problem::blur::{KnownVelocity, along_frame};
-
-/// Maximum steps. Raised, what does not converge costs more; lowered, long blur is not reached.
-const ROUNDS: usize = 5;
-/// Change of blur below which a step is the last, and above which the result is rejected, pixels of
-/// the level. Raised, velocities are less exact; lowered, they cost more steps, or are missed.
-const SMALL_PX: f64 = 0.03;
-const MAX_LAST_PX: f64 = 0.3;
-/// Length of the trial blur that measures the missing blur, pixels of the level. Raised, fine
-/// detail is lost where blur is short; lowered, long blur is found too short.
-const FIRST_BLUR_PX: f64 = 1.5;
-/// Sigmas by which the squared blur must exceed zero. Raised, slow bodies are taken to be at rest;
-/// lowered, noise passes for blur.
-const MIN_SIGMAS: f64 = 5.0;
-/// Minimum variance of the missing blur, in multiples of `BLUR_ERROR_PX2`. Raised and lowered as
-/// `MIN_SIGMAS`.
-const MIN_BLUR_ERRORS: f64 = 1.5;
-/// Squared sigmas by which rows must prefer a direction to its opposite. Raised, more frames wait
-/// for a second one; lowered, a velocity is taken for its opposite.
-const SURE_DIRECTION: f64 = 20.0;
-/// Prior information of the length of an image velocity's blur, per squared pixel of the level:
-/// almost none. Raised, slow bodies are taken to be at rest.
-const UNKNOWN_BLUR: f64 = 1.6e-3;
-/// Fraction of the other information that remains when blur is solved alone, which keeps the system
-/// regular. Raised, blur repeats what was known anyway.
-const NEARLY_NOTHING: f64 = 1e-4;
-/// Sigma of a blur's variance from other causes than motion, pixels² of the level. Raised, blur
-/// says less of slow motions; lowered, poses of sharpened pictures are trusted too much.
-const BLUR_ERROR_PX2: f64 = 0.08;
-/// Number of parts of a frame whose blur is wider or narrower independently. Raised, blur is
-/// trusted more.
-const BLUR_PATCHES: f64 = 6.0;
-/// Maximum squared Mahalanobis distance of a velocity from that of rows and prior. Raised,
-/// defocused or sharpened pictures pass for moving ones; lowered, thrown bodies have no velocity.
-const MAX_SQUARED: f64 = 100.0;
-/// Maximum relative sigma of the exposure for using blur under a rolling shutter. Raised, the first
-/// pose may be further off than its covariance says; lowered, first frames wait for a second one.
-const MAX_EXPOSURE_SIGMA: f64 = 0.3;
-/// Minimum depth of a point over its distance, for computing its motion in the picture. Lowered,
-/// the middle of a stage that begins behind the camera moves without bounds.
-const MIN_DEPTH: f64 = 0.2;
 
 /// A velocity estimated by blur.
 pub struct VelocityByBlur {
@@ -135,7 +96,7 @@ impl BlurSearch<'_, '_> {
         let known = motion.twist();
         let asked = [false, false, false, true, true, false];
         let px_per_turn_rate = focal_px(self.spec) * self.spec.shutter.exposure_s;
-        let of_asked = UNKNOWN_BLUR * px_per_turn_rate.powi(2);
+        let of_asked = TUNING.blur_prior_information * px_per_turn_rate.powi(2);
         let information = Matrix6::from_diagonal(&Vector6::from(asked.map(|is_asked| if is_asked { of_asked } else { 1.0 })));
         let with_velocity = |velocity: &Vector6<f64>| motion.with_twist(velocity);
         let turn_by_velocity = turn_by_velocity(&motion.pose.rotation_matrix(), &self.middle)?;
@@ -153,7 +114,7 @@ impl BlurSearch<'_, '_> {
     /// Under a rolling shutter: rows determine most of the velocity, and its direction; blur
     /// determines the rest. Both together determine the exposure.
     fn velocity(&self, problem: &mut LevelProblem) -> Option<VelocityByBlur> {
-        if self.known.exposure_sigma > MAX_EXPOSURE_SIGMA {
+        if self.known.exposure_sigma > TUNING.max_exposure_sigma {
             return None;
         }
         let found = self.found;
@@ -168,7 +129,7 @@ impl BlurSearch<'_, '_> {
         let start = BlurStart { first: known, known, information, asked: [true; POSE], with_velocity: &with_velocity };
         let fit = self.fit(problem, &start)?;
         let by_rows = |velocity: &Vector6<f64>| (velocity - known).dot(&(information * (velocity - known)));
-        let is_sure = by_rows(&-fit.velocity) - by_rows(&fit.velocity) > SURE_DIRECTION;
+        let is_sure = by_rows(&-fit.velocity) - by_rows(&fit.velocity) > TUNING.min_direction_preference;
         is_sure.then(|| VelocityByBlur {
             motion: with_velocity(&fit.velocity),
             information: fit.information,
@@ -180,11 +141,11 @@ impl BlurSearch<'_, '_> {
     /// Steps to the velocity that blur and prior agree on; `None` where the steps do not converge.
     fn fit(&self, problem: &mut LevelProblem, start: &BlurStart<impl Fn(&Vector6<f64>) -> Motion>) -> Option<BlurFit> {
         // For blur alone, almost no prior is left.
-        let nothing = start.information * NEARLY_NOTHING;
+        let nothing = start.information * TUNING.remaining_information_ratio;
         // The exposure's correction is the logarithm of its ratio to the known one.
         let (mut velocity, mut exposure) = (start.first, 0.0);
         let mut fit = None;
-        for _ in 0..ROUNDS {
+        for _ in 0..TUNING.max_blur_steps {
             let motion = (start.with_velocity)(&velocity);
             let shutter = Shutter { exposure_s: self.spec.shutter.exposure_s * f64::exp(exposure), ..*self.spec.shutter };
             let spec = blurred(&LevelSpec { shutter: &shutter, ..*self.spec }, &motion);
@@ -199,8 +160,8 @@ impl BlurSearch<'_, '_> {
             let share = spec.blur_px / moved_px.max(spec.blur_px);
             exposure += longer.dot(&velocity) / velocity.norm_squared().max(f64::MIN_POSITIVE) * share;
             velocity += faster * share;
-            fit = Some(BlurFit { velocity, shown, information }).filter(|_| moved_px < MAX_LAST_PX);
-            if moved_px < SMALL_PX {
+            fit = Some(BlurFit { velocity, shown, information }).filter(|_| moved_px < TUNING.max_last_blur_change_px);
+            if moved_px < TUNING.converged_blur_px {
                 break;
             }
         }
@@ -212,7 +173,7 @@ impl BlurSearch<'_, '_> {
         let off = velocity - self.found.motion.twist();
         let covariance = self.found.covariance.fixed_view::<6, 6>(6, 6).into_owned();
         // False for NaN.
-        covariance.cholesky().is_some_and(|c| off.dot(&c.solve(&off)) < MAX_SQUARED)
+        covariance.cholesky().is_some_and(|c| off.dot(&c.solve(&off)) < TUNING.max_blur_squared_mahalanobis)
     }
 
     /// Returns the step that blur, the prior of the velocity, and the prior of the exposure agree
@@ -245,8 +206,8 @@ impl BlurSearch<'_, '_> {
     /// frame blur is wider or narrower than motion makes it.
     fn believed(&self, by_blur: &Matrix6<f64>, velocity: &Vector6<f64>, blur_px: f64) -> f64 {
         // The variance of a blur grows with the square of the velocity.
-        let sigma = 0.5 * BLUR_ERROR_PX2 / (blur_px * blur_px / 12.0).max(f64::MIN_POSITIVE);
-        1.0 / (1.0 + velocity.dot(&(by_blur * velocity)) * sigma * sigma / BLUR_PATCHES)
+        let sigma = 0.5 * TUNING.blur_error_px2 / (blur_px * blur_px / 12.0).max(f64::MIN_POSITIVE);
+        1.0 / (1.0 + velocity.dot(&(by_blur * velocity)) * sigma * sigma / TUNING.independent_blur_parts)
     }
 
     /// Returns blur's information with the exposure free within its relative sigma: a longer
@@ -261,20 +222,20 @@ impl BlurSearch<'_, '_> {
     /// move the middle of the picture as the known velocity does. `None` where no blur is
     /// significantly missing.
     fn first_change(&self, problem: &mut LevelProblem, known_turn: &Vector2<f64>) -> Option<Vector6<f64>> {
-        let turn_rate = FIRST_BLUR_PX / (focal_px(self.spec) * self.spec.shutter.exposure_s);
-        let spec = LevelSpec { blur_px: FIRST_BLUR_PX, ..*self.spec }.with_places();
+        let turn_rate = TUNING.trial_blur_px / (focal_px(self.spec) * self.spec.shutter.exposure_s);
+        let spec = LevelSpec { blur_px: TUNING.trial_blur_px, ..*self.spec }.with_places();
         let known = self.known_velocity(Matrix6::identity());
         let (squared, covariance) = problem.missing_blur(&spec, &self.found.motion, turn_rate, &known)?;
         let missing = Matrix2::new(squared.x, squared.z, squared.z, squared.y);
         // In units of the trial blur's variance.
-        let systematic = MIN_BLUR_ERRORS * BLUR_ERROR_PX2 / (FIRST_BLUR_PX * FIRST_BLUR_PX / 12.0);
+        let systematic = TUNING.min_blur_errors * TUNING.blur_error_px2 / (TUNING.trial_blur_px * TUNING.trial_blur_px / 12.0);
         // Whether squared blur along its longest axis is significant.
         let telling = |moments: &Matrix2<f64>| {
             let (length, along) = longest_axis(moments);
             let by = Vector3::new(along.x * along.x, along.y * along.y, 2.0 * along.x * along.y);
             let sigma = by.dot(&(covariance * by)).max(0.0).sqrt();
-            tracing::trace!(blur_px = FIRST_BLUR_PX * length.max(0.0).sqrt(), sigmas = length / sigma, along = ?along.as_slice(), "missing blur");
-            length > systematic.max(MIN_SIGMAS * sigma)
+            tracing::trace!(blur_px = TUNING.trial_blur_px * length.max(0.0).sqrt(), sigmas = length / sigma, along = ?along.as_slice(), "missing blur");
+            length > systematic.max(TUNING.min_blur_sigmas * sigma)
         };
         // The prediction already contains the known velocity's blur: the second moments of the
         // whole blur are those of the known one and of the missing one. A body that moves along
@@ -310,7 +271,7 @@ fn longest_axis(moments: &Matrix2<f64>) -> (f64, Vector2<f64>) {
 /// axes, metres. A point far to the side is replaced by one straight ahead.
 fn turn_by_velocity(rotation: &Matrix3<f64>, point: &Vector3<f64>) -> Option<Matrix2x6<f64>> {
     let distance_m = point.norm();
-    let point = if point.z > MIN_DEPTH * distance_m { *point } else { Vector3::z() * distance_m };
+    let point = if point.z > TUNING.min_depth_ratio * distance_m { *point } else { Vector3::z() * distance_m };
     let in_frame = Matrix2x3::new(1.0, 0.0, -point.x / point.z, 0.0, 1.0, -point.y / point.z) / point.z;
     let mut by_velocity = Matrix2x6::zeros();
     by_velocity.fixed_view_mut::<2, 3>(0, 0).copy_from(&(-in_frame * rotation.transpose()));
@@ -326,7 +287,7 @@ fn focal_px(spec: &LevelSpec) -> f64 {
 /// Returns the level with samples along the blur of this motion, and with at least some, so that
 /// blur can be compared with none.
 fn blurred<'a>(spec: &LevelSpec<'a>, motion: &Motion) -> LevelSpec<'a> {
-    let blur_px = spec.blur_of(motion).max(FIRST_BLUR_PX);
+    let blur_px = spec.blur_of(motion).max(TUNING.trial_blur_px);
     LevelSpec { blur_px, ..*spec }.with_places()
 }
 

@@ -7,37 +7,20 @@
 //! tested for when its velocity jumped, and by how much (`solve::jump_instant`). [`by_bend`] and
 //! [`by_start`] return the uncertainty that remains.
 
+use crate::track::align::tuning::TUNING;
 use nalgebra::{Matrix6, Vector6};
 
 use crate::camera::Shutter;
 use crate::motion::{Continuation, MotionEstimate, unseen};
 
-/// Squared Mahalanobis distance from the prediction (6 dimensions) above which a jump is tried.
-/// Raised, the prior pulls poses after jumps; lowered, shaken frames know less of their motion.
-const UNEXPECTED: f64 = 24.0;
-/// Sigma of the acceleration for which rows take a jump, times the usual velocity over a frame's
-/// time. Raised, the acceleration is less certain after jumps; lowered, the bend shifts the pose.
-const BEND: f64 = 2.0;
-/// Sigma of the pose's error, as a fraction of its distance from the prediction. Raised, the
-/// covariance of every surprise is wider; lowered, it is too narrow for starts within the exposure.
-const OFF_SHARE: f64 = 0.22;
-/// The same, as a fraction of the distance from the line that the camera was following. Raised, the
-/// covariance of every start and stop is wider; lowered, errors exceed it.
-const LINE_SHARE: f64 = 0.4;
-/// Sigmas of the largest jump at mid-exposure that such an error is attributed to. Raised, poses
-/// that are far off for other reasons get a wider covariance than any start needs.
-const MAX_JUMP: f64 = 3.0;
-/// Sigma of the pose's error, as a fraction of the velocity's change within a frame times exposure
-/// and readout. Raised, covariances of shaken cameras are wider.
-const BEND_SHARE: f64 = 0.1;
 /// Mean square, over all s, of s (1 - s) / 2: the error, per exposure and unit of speed, of a
 /// camera that starts or stops at the fraction s of the exposure. Not a setting.
-const STARTED_SQUARE: f64 = 1.0 / 120.0;
+const START_STOP_MEAN_SQUARE: f64 = 1.0 / 120.0;
 
 /// Whether a pose is too far from the prediction (squared Mahalanobis distance) for jerk to explain
 /// it.
 pub fn is_unexpected(squared_mahalanobis: f64) -> bool {
-    squared_mahalanobis >= UNEXPECTED
+    squared_mahalanobis >= TUNING.min_jump_squared_mahalanobis
 }
 
 /// Returns the prior after `dt_s` seconds if the velocity may have jumped meanwhile. `expected`:
@@ -49,7 +32,7 @@ pub fn jumped(expected: &MotionEstimate, dt_s: f64, shutter: &Shutter, distance_
     let since_s = dt_s.max(0.5 * frame_s);
     let [speed, turn_rate, ..] = unseen(distance_m);
     for (first, sigma) in [(0, speed), (3, turn_rate)] {
-        let bend = if frame_s > 0.0 { BEND * sigma * shutter.readout_s / frame_s.powi(2) } else { 0.0 };
+        let bend = if frame_s > 0.0 { TUNING.jump_acceleration_sigma * sigma * shutter.readout_s / frame_s.powi(2) } else { 0.0 };
         for k in first..first + 3 {
             covariance[(k, k)] += (sigma * since_s).powi(2) / 3.0;
             covariance[(k, k + 6)] += sigma.powi(2) * since_s / 2.0;
@@ -78,21 +61,21 @@ pub fn by_bend(
     let [speed, turn_rate, ..] = unseen(distance_m);
     let off = line.map_or(error, |line| line.expected.motion.error_to(&found.motion));
     let off: Vector6<f64> = off.fixed_rows::<6>(0).into_owned();
-    let share = if line.is_some() { LINE_SHARE } else { OFF_SHARE };
+    let share = if line.is_some() { TUNING.jump_line_error_ratio } else { TUNING.jump_prediction_error_ratio };
     // The line itself may be off by this much. While the pose lies on it, that is part of the
     // distance already.
     let left = line.filter(|line| line.has_left);
     let covariance = left.map_or(Matrix6::zeros(), |line| line.expected.covariance.fixed_view::<6, 6>(0, 0).into_owned());
     // How long a usual jump takes to get there.
     let takes_s = (off.fixed_rows::<3>(0).norm() / speed).hypot(off.fixed_rows::<3>(3).norm() / turn_rate);
-    let most = (MAX_JUMP / 8.0 * frame_s / takes_s.max(f64::MIN_POSITIVE)).min(1.0);
-    let bend: Vector6<f64> = error.fixed_rows::<6>(6) * (BEND_SHARE * frame_s);
+    let most = (TUNING.max_jump_sigmas / 8.0 * frame_s / takes_s.max(f64::MIN_POSITIVE)).min(1.0);
+    let bend: Vector6<f64> = error.fixed_rows::<6>(6) * (TUNING.jump_velocity_error_ratio * frame_s);
     (off * off.transpose() + covariance) * (share * most).powi(2) + bend * bend.transpose()
 }
 
 /// Returns the covariance added to the first pose, as the camera may have just started or stopped.
 pub fn by_start(found: &MotionEstimate, shutter: &Shutter) -> Matrix6<f64> {
-    found.covariance.fixed_view::<6, 6>(6, 6) * (STARTED_SQUARE * shutter.exposure_s.powi(2))
+    found.covariance.fixed_view::<6, 6>(6, 6) * (START_STOP_MEAN_SQUARE * shutter.exposure_s.powi(2))
 }
 
 #[cfg(test)]
@@ -149,7 +132,7 @@ mod tests {
                 assert!((seen - truth).abs() < 4.8 * sigma, "{s} {jump}: {} {sigma}", seen - truth);
                 // The covariance is not absurdly wider than the largest error of such a jump
                 // either.
-                assert!(sigma < OFF_SHARE * MAX_JUMP / 8.0 * speed * exposure_s * 1.001);
+                assert!(sigma < TUNING.jump_prediction_error_ratio * TUNING.max_jump_sigmas / 8.0 * speed * exposure_s * 1.001);
             }
         }
     }

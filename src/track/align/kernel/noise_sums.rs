@@ -1,6 +1,7 @@
 //! What the pixels of a frame say about the camera's noise: their squared residuals, as a function
 //! of grey and gradient. [`NoiseSums`] are the sums of that linear fit.
 
+use crate::track::align::tuning::TUNING;
 use nalgebra::{Matrix3, Vector3};
 
 use super::columns::COLUMNS;
@@ -8,19 +9,16 @@ use super::normal::{RobustWeighting, RunView, columns, less_step};
 use crate::track::align::lanes::{LANES, Lanes, dispatch, load_at, total};
 use crate::track::align::learned::noise::NoiseSums;
 
-/// Maximum squared residual that counts as noise, in squared robust sigmas. Raised, pixels that
-/// show something else count as noise; lowered, [`KEPT_VARIANCE`] falls too.
-pub const MAX_SQUARED: f32 = 9.0;
-/// Variance of a standard normal distribution that is cut off at three sigmas, as [`MAX_SQUARED`]
-/// does.
-pub const KEPT_VARIANCE: f64 = 0.9733;
+/// Variance of a standard normal distribution that is cut off at three sigmas, as
+/// `max_squared_noise_residual` does.
+pub const TRUNCATED_VARIANCE: f64 = 0.9733;
 
 impl NoiseSums {
     /// Adds the residuals of a run after `step`.
     pub fn add(&mut self, view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) {
         let [aa, ag, as_, gg, gs, ss, ra, rg, rs] = noise_sums(view, step, weighting).map(f64::from);
         self.by_each_other += Matrix3::new(aa, ag, as_, ag, gg, gs, as_, gs, ss);
-        self.by_squared += Vector3::new(ra, rg, rs) / KEPT_VARIANCE;
+        self.by_squared += Vector3::new(ra, rg, rs) / TRUNCATED_VARIANCE;
     }
 }
 
@@ -36,7 +34,7 @@ dispatch! {
 pub fn noise_sums_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) -> [f32; 9] {
     let RunView { pixels, run, appearance, light, residuals } = *view;
     let (zero, one) = (L::splat(0.0), L::splat(1.0));
-    let largest = L::splat(MAX_SQUARED * (weighting.scale * weighting.scale) as f32);
+    let largest = L::splat(TUNING.max_squared_noise_residual * (weighting.scale * weighting.scale) as f32);
     let mut sums = [zero; 9];
     for k in run.range().step_by(LANES * weighting.stride) {
         let (columns, g) = columns::<L>(pixels, appearance, light, k);

@@ -11,13 +11,11 @@ use crate::track::align::learned::light::TileLight;
 use crate::track::align::learned::noise::Noise;
 use crate::track::align::pixels::appearance::Appearance;
 use crate::track::align::pixels::runs::{Pixels, Run};
+use crate::track::align::tuning::TUNING;
 
 /// Tukey's biweight: residuals beyond this many robust sigmas have no weight. See
 /// [`robust_kernel::TUKEY`].
 const TUKEY: f32 = robust_kernel::TUKEY as f32;
-/// Cauchy's weight in a first pass is one half at this many sigmas, and never 0. Raised, outliers
-/// bias the first step more; lowered, fewer pixels correct a start that is off.
-const FIRST_PASS: f32 = 2.7;
 
 /// How residuals are weighted.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -146,7 +144,7 @@ pub fn weight<L: Lanes>(squared: L, weighting: &RobustWeighting) -> L {
     let (zero, one) = (L::splat(0.0), L::splat(1.0));
     let scale2 = (weighting.scale * weighting.scale) as f32;
     if weighting.is_first_pass {
-        let u = squared.mul(L::splat(1.0 / (scale2 * FIRST_PASS * FIRST_PASS)));
+        let u = squared.mul(L::splat(1.0 / (scale2 * TUNING.first_pass_half_weight_sigmas * TUNING.first_pass_half_weight_sigmas)));
         return one.div(one.add(u));
     }
     let u = one.sub(squared.mul(L::splat(1.0 / (scale2 * TUKEY * TUKEY)))).max(zero);

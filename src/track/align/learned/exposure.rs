@@ -6,32 +6,7 @@
 
 use super::clue::Clue;
 use crate::camera::Shutter;
-
-/// Initial exposure of an unknown camera, seconds. Raised, the first frames are predicted with blur
-/// that they may not have.
-pub const USUAL_EXPOSURE_S: f64 = 0.004;
-/// Minimum learnt exposure, seconds; above 0, because changes are relative. Raised, cameras with
-/// short exposures are predicted too blurred.
-const MIN_EXPOSURE_S: f64 = 5e-4;
-/// Maximum learnt exposure, seconds: the frame interval at 25 per second. Raised, misleading frames
-/// can do more harm.
-const MAX_EXPOSURE_S: f64 = 0.04;
-/// Blur that a frame needs for a clue, and for full weight, pixels of the frame. `MIN_BLUR_PX`
-/// lowered, point spread passes for motion; `TELLING_BLUR_PX` raised, a slow camera learns later.
-const MIN_BLUR_PX: f64 = 0.8;
-pub const TELLING_BLUR_PX: f64 = 1.5;
-/// Fraction of a frame's clue that is applied, once the first frames, which count more, are in.
-/// Raised, the exposure follows the noise of single frames.
-const LEARNT_SHARE: f64 = 0.2;
-/// Maximum relative decrease and increase of the squared exposure per frame. Raised, a misleading
-/// frame does more harm; lowered, a wrong start is left later.
-const MAX_FALL: f64 = 0.5;
-const MAX_RISE: f64 = 1.0;
-
-/// Relative sigma of a learnt exposure, before any frame and after many. Raised, the speed of a
-/// newly found body is less certain.
-const FIRST_SIGMA: f64 = 1.0;
-const LEARNT_SIGMA: f64 = 0.05;
+use crate::track::align::tuning::TUNING;
 
 /// What is known of the point spread when a frame's blur is evaluated, in the kernel's unit of
 /// variance.
@@ -53,8 +28,8 @@ pub struct UnknownExposure {
 impl UnknownExposure {
     /// Returns the state of an exposure that an earlier session learnt to this relative sigma.
     pub fn known_to(sigma: f64) -> Self {
-        let of_frames = (sigma.powi(2) - LEARNT_SIGMA.powi(2)).max(0.0).sqrt().max(LEARNT_SIGMA);
-        Self { told: (FIRST_SIGMA / of_frames - 1.0).max(0.0) }
+        let of_frames = (sigma.powi(2) - TUNING.learnt_exposure_sigma.powi(2)).max(0.0).sqrt().max(TUNING.learnt_exposure_sigma);
+        Self { told: (TUNING.initial_exposure_sigma / of_frames - 1.0).max(0.0) }
     }
 
     /// Whether frames have determined it, with a total weight of at least one frame.
@@ -64,18 +39,18 @@ impl UnknownExposure {
 
     /// Returns the relative sigma of the exposure.
     pub fn sigma(&self) -> f64 {
-        LEARNT_SIGMA.hypot(FIRST_SIGMA / (1.0 + self.told))
+        TUNING.learnt_exposure_sigma.hypot(TUNING.initial_exposure_sigma / (1.0 + self.told))
     }
 
     /// Corrects the exposure of `shutter` by a frame's clue. `blur_px`: length of the frame's blur,
     /// pixels of the frame.
     pub fn learn(&mut self, shutter: &mut Shutter, clue: Clue, blur_px: f64) {
-        let weight = (blur_px / TELLING_BLUR_PX).min(1.0).powi(4);
+        let weight = (blur_px / TUNING.full_weight_blur_px).min(1.0).powi(4);
         self.told += weight;
-        let share = weight * LEARNT_SHARE.max(2.0 / (self.told + 1.0)).min(1.0);
+        let share = weight * TUNING.exposure_learning_rate.max(2.0 / (self.told + 1.0)).min(1.0);
         // Blur is linear in the square of the exposure.
-        let change = (2.0 * share * clue.score / clue.information).clamp(-MAX_FALL, MAX_RISE);
-        shutter.exposure_s = (shutter.exposure_s * (1.0 + change).sqrt()).clamp(MIN_EXPOSURE_S, MAX_EXPOSURE_S);
+        let change = (2.0 * share * clue.score / clue.information).clamp(-TUNING.max_exposure_decrease, TUNING.max_exposure_increase);
+        shutter.exposure_s = (shutter.exposure_s * (1.0 + change).sqrt()).clamp(TUNING.min_exposure_s, TUNING.max_exposure_s);
     }
 }
 
@@ -83,7 +58,7 @@ impl UnknownExposure {
 /// where the frame is too sharp or blur and point spread cannot be told apart. `blur`:
 /// `RunEvidence::blur` summed over the tiles; `blur_px`: length of the blur, pixels of the frame.
 pub fn exposure_clue(blur: &[f64; 5], psf_variance: KnownPsfVariance, blur_px: f64) -> Option<Clue> {
-    if blur_px <= MIN_BLUR_PX {
+    if blur_px <= TUNING.min_exposure_blur_px {
         return None;
     }
     let mut s = *blur;

@@ -5,24 +5,7 @@
 //! agree are not. The configured exposure stays in use: a contradiction is only reported.
 
 use super::clue::Clue;
-use super::exposure::TELLING_BLUR_PX;
-
-/// Minimum total weight of blurred frames. Raised, a wrong exposure is reported later; lowered, a
-/// few unusual frames contradict a right one.
-const MIN_FRAMES: f64 = 30.0;
-/// Minimum factor between the fitted and the configured exposure, up or down. Raised, smaller
-/// errors pass; lowered, rounding by drivers and strong sharpening contradict right exposures.
-const MIN_CHANGE: f64 = 1.5;
-/// Minimum reported ratio of fitted to configured exposure. Raised, an exposure configured too long
-/// passes; lowered, sharpening contradicts right ones.
-const MIN_RATIO: f64 = 0.3;
-/// Minimum distance of the mean from zero, standard errors, and consecutive frames that count as
-/// one, because their errors are alike. Raised, wrong exposures are reported later.
-const MIN_SIGMAS: f64 = 5.0;
-const ALIKE_FRAMES: f64 = 5.0;
-/// Maximum relative change that a single frame may ask for, either way; at 1.5 the exposure is
-/// doubled.
-const MAX_SAID: f64 = 1.5;
+use crate::track::align::tuning::TUNING;
 
 /// Weighted mean and scatter of the clues on a configured exposure.
 #[derive(Debug, Clone, Copy, Default)]
@@ -35,8 +18,8 @@ pub struct ExposureWatch {
 impl ExposureWatch {
     /// Adds a frame's clue. `blur_px`: length of the frame's blur, pixels of the frame.
     pub fn take(&mut self, clue: Clue, blur_px: f64) {
-        let weight = (blur_px / TELLING_BLUR_PX).min(1.0).powi(4);
-        let said = (clue.score / clue.information).clamp(-MAX_SAID, MAX_SAID);
+        let weight = (blur_px / TUNING.full_weight_blur_px).min(1.0).powi(4);
+        let said = (clue.score / clue.information).clamp(-TUNING.max_exposure_clue, TUNING.max_exposure_clue);
         if said.is_finite() {
             self.frames += weight;
             self.sum += weight * said;
@@ -47,16 +30,17 @@ impl ExposureWatch {
     /// Returns the ratio of the fitted to the configured exposure where the frames clearly
     /// contradict the configured one.
     pub fn contradiction(&self) -> Option<f64> {
-        if self.frames < MIN_FRAMES {
+        if self.frames < TUNING.min_contradicting_frames {
             return None;
         }
         let mean = self.sum / self.frames;
         let scatter = (self.squares / self.frames - mean * mean).max(0.0).sqrt();
-        let sigma = scatter / (self.frames / ALIKE_FRAMES).sqrt();
+        let sigma = scatter / (self.frames / TUNING.correlated_frames).sqrt();
         // Blur is linear in the square of the exposure.
         let ratio = (1.0 + 2.0 * mean).max(0.01).sqrt();
-        let is_far = !(1.0 / MIN_CHANGE..MIN_CHANGE).contains(&ratio) && ratio > MIN_RATIO;
-        (is_far && mean.abs() > MIN_SIGMAS * sigma).then_some(ratio)
+        let is_far =
+            !(1.0 / TUNING.min_exposure_factor..TUNING.min_exposure_factor).contains(&ratio) && ratio > TUNING.min_reported_exposure_ratio;
+        (is_far && mean.abs() > TUNING.min_exposure_standard_errors * sigma).then_some(ratio)
     }
 }
 

@@ -9,18 +9,7 @@
 //! and one is often enough.
 
 use crate::track::align::lanes::{LANES, Lanes, dispatch, load_at, resize_with_room, store_at, total};
-
-/// Initial gain, and its minimum and maximum. Too large a gain makes steps too short, too small a
-/// gain too long; wider bounds let misleading frames do more harm.
-const USUAL: f64 = 0.95;
-const LEAST: f64 = 0.7;
-const MOST: f64 = 1.1;
-/// Fraction of the difference to a frame's estimate that is applied per frame. Raised, the gain
-/// follows single frames; lowered, steps have a wrong length for longer after the view changes.
-const FOLLOWS: f64 = 0.2;
-/// Minimum mean squared change of a step that is learnt from, grey levels². Raised, slow cameras
-/// never learn the gain; lowered, rounding to whole levels biases it.
-const MIN_CHANGE: f64 = 0.01;
+use crate::track::align::tuning::TUNING;
 
 /// The fraction of the sampled gradients that is the pixels' own, as learnt so far.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,7 +17,7 @@ pub struct GradientGain(f64);
 
 impl Default for GradientGain {
     fn default() -> Self {
-        Self(USUAL)
+        Self(TUNING.initial_gradient_gain)
     }
 }
 
@@ -40,10 +29,11 @@ impl GradientGain {
 
     /// Learns from steps whose change was predicted with the gain as it is.
     pub fn learn(&mut self, sums: &ChangeSums) {
-        if sums.predicted_squared > MIN_CHANGE * sums.count {
+        if sums.predicted_squared > TUNING.min_step_change * sums.count {
             let found = sums.product / sums.predicted_squared;
             tracing::trace!(share = self.0, found, "slopes");
-            self.0 = (self.0 * (1.0 + FOLLOWS * (found - 1.0).clamp(-0.5, 0.5))).clamp(LEAST, MOST);
+            self.0 = (self.0 * (1.0 + TUNING.gradient_gain_learning_rate * (found - 1.0).clamp(-0.5, 0.5)))
+                .clamp(TUNING.min_gradient_gain, TUNING.max_gradient_gain);
         }
     }
 }

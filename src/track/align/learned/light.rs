@@ -22,11 +22,8 @@
 //!    and its `of_tile`, and its place to `spread_out` and to the list `others` of `add`. A
 //!    parameter with one value for the whole frame counts among `SHARED`.
 
+use crate::track::align::tuning::TUNING;
 use crate::track::frame::tile_grid::TileGrid;
-
-/// Weight of the usual gain at a node in the first guess, where each adjacent tile weighs 1. At 0,
-/// nodes without a tile have no gain; raised, shadows are guessed too bright.
-const USUAL_SHARE: f64 = 0.2;
 
 /// The light at a tile. A solution changes it by little.
 #[derive(Debug, Clone, Copy, Default)]
@@ -122,8 +119,8 @@ impl Light {
     pub fn guess(&mut self, bias: f64, psf_variance: f64, usual: f64, tiles: impl Iterator<Item = (u32, f64)>) {
         (self.bias, self.psf_variance) = (bias, psf_variance);
         self.weights.clear();
-        self.weights.resize(self.gains.len(), USUAL_SHARE);
-        self.gains.fill(usual * USUAL_SHARE);
+        self.weights.resize(self.gains.len(), TUNING.usual_gain_weight);
+        self.gains.fill(usual * TUNING.usual_gain_weight);
         for (tile, gain) in tiles {
             for node in self.nodes_of(tile) {
                 self.gains[node] += gain;

@@ -6,32 +6,8 @@
 //! linear function of grey and squared gradient, over many frames (weighted least squares, as for
 //! the photon transfer curve: Janesick 2007).
 
+use crate::track::align::tuning::TUNING;
 use nalgebra::{Matrix3, Vector3};
-
-/// Initial noise: variance at black, grey levels²; its growth per grey level; error of the
-/// prediction, pixels of the level. Raised, first covariances are wider.
-const USUAL_DARK: f64 = 2.25 + 1.0 / 12.0;
-const USUAL_SHOT: f64 = 0.03;
-const USUAL_MODEL_PX: f64 = 0.02;
-/// Minimum variance at black, grey levels²: that of rounding to whole levels. Raised, quiet cameras
-/// are trusted less than they deserve.
-const MIN_DARK: f64 = 1.0 / 12.0;
-/// Minimum error of the prediction, pixels of the level. Raised, the pose of a still camera
-/// scatters more.
-const MIN_MODEL_PX: f64 = 0.003;
-/// Minimum error of the prediction for a moving camera, pixels of the level: at the finest level,
-/// and above it. Raised, edges weigh less beside flat texture, and covariances are wider.
-const MOVING_MODEL_PX: f64 = 0.02;
-const COARSE_MODEL_PX: f64 = 0.04;
-/// Fraction of the memory that fades per frame. Raised, the estimate is noisier; lowered, a change
-/// of the camera's gain is learnt later.
-const FADES: f64 = 0.005;
-/// Weight of the initial noise as a prior, pixels; it holds what frames cannot determine. Raised,
-/// the noise is learnt later.
-const USUAL_PIXELS: f64 = 200.0;
-/// Fraction of the memory kept when the model changes. Raised, residuals of a wrong lens or fold
-/// count as noise for many passes; at 0, the first frames of a pass are judged by a usual camera.
-const KEPT_OF_OTHER_MODEL: f64 = 0.1;
 
 /// The parts of a pixel's noise, at one level of the frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -75,13 +51,21 @@ impl CameraNoise {
     /// from.
     pub fn usual(level: usize) -> Self {
         let n = f64::from(1u32 << (2 * level));
-        Self { level, sums: NoiseSums::default(), variance: Vector3::new(USUAL_DARK / n, USUAL_SHOT / n, USUAL_MODEL_PX.powi(2)) }
+        Self {
+            level,
+            sums: NoiseSums::default(),
+            variance: Vector3::new(
+                TUNING.initial_dark_variance / n,
+                TUNING.initial_shot_variance / n,
+                TUNING.initial_model_error_px.powi(2),
+            ),
+        }
     }
 
     /// Returns the noise of a pixel of a level, for a moving camera.
     pub fn at(&self, level: usize) -> Noise {
         let smaller = 0.25_f64.powi(level as i32 - self.level as i32);
-        let least_px = if level == self.level { MOVING_MODEL_PX } else { COARSE_MODEL_PX };
+        let least_px = if level == self.level { TUNING.min_moving_model_error_px } else { TUNING.min_coarse_model_error_px };
         Noise {
             dark: (self.variance.x * smaller) as f32,
             per_intensity: (self.variance.y * smaller) as f32,
@@ -103,19 +87,20 @@ impl CameraNoise {
 
     /// Forgets most of the memory, because the frames so far were solved with another model.
     pub fn doubt(&mut self) {
-        self.sums.by_each_other *= KEPT_OF_OTHER_MODEL;
-        self.sums.by_squared *= KEPT_OF_OTHER_MODEL;
+        self.sums.by_each_other *= TUNING.memory_kept_after_model_change;
+        self.sums.by_squared *= TUNING.memory_kept_after_model_change;
     }
 
     /// Learns from the sums of an aligned frame.
     pub fn learn(&mut self, frame: &NoiseSums) {
-        self.sums.by_each_other = self.sums.by_each_other * (1.0 - FADES) + frame.by_each_other;
-        self.sums.by_squared = self.sums.by_squared * (1.0 - FADES) + frame.by_squared;
+        self.sums.by_each_other = self.sums.by_each_other * (1.0 - TUNING.noise_forgetting_rate) + frame.by_each_other;
+        self.sums.by_squared = self.sums.by_squared * (1.0 - TUNING.noise_forgetting_rate) + frame.by_squared;
         let usual = Self::usual(self.level).variance;
-        let [least_dark, least_model] = [MIN_DARK / f64::from(1u32 << (2 * self.level)), MIN_MODEL_PX.powi(2)];
+        let [least_dark, least_model] = [TUNING.min_dark_variance / f64::from(1u32 << (2 * self.level)), TUNING.min_model_error_px.powi(2)];
         // The prior weighs as much as that number of pixels of the usual grey and gradient would,
         // in each part alone.
-        let weight = USUAL_PIXELS * Vector3::from(usual.map(|v| (v * v).recip())).component_mul(&self.share_of(&usual));
+        let weight =
+            TUNING.initial_noise_weight_pixels * Vector3::from(usual.map(|v| (v * v).recip())).component_mul(&self.share_of(&usual));
         let mut a = self.sums.by_each_other;
         let mut b = self.sums.by_squared;
         for k in 0..3 {
@@ -168,7 +153,7 @@ mod tests {
     use rand_pcg::Pcg64Mcg;
 
     use super::*;
-    use crate::track::align::kernel::noise_sums::{KEPT_VARIANCE, MAX_SQUARED};
+    use crate::track::align::kernel::noise_sums::TRUNCATED_VARIANCE;
 
     /// Sums over pixels of random grey and gradient with a known variance.
     fn sums(truth: &Vector3<f64>, weights: &CameraNoise, random: &mut Pcg64Mcg) -> NoiseSums {
@@ -179,10 +164,10 @@ mod tests {
             let squared = truth.dot(&regressors) * normal * normal;
             let expected = weights.variance.dot(&regressors);
             let scale2 = truth.dot(&regressors) / expected;
-            if squared < f64::from(MAX_SQUARED) * scale2 * expected {
+            if squared < f64::from(TUNING.max_squared_noise_residual) * scale2 * expected {
                 let w = expected.powi(-2);
                 sums.by_each_other += regressors * regressors.transpose() * w;
-                sums.by_squared += regressors * (w * squared / KEPT_VARIANCE);
+                sums.by_squared += regressors * (w * squared / TRUNCATED_VARIANCE);
             }
         }
         sums

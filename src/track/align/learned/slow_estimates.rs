@@ -6,31 +6,15 @@
 //! something else has no information about the camera or the light.
 
 use super::clue::Clue;
-use super::exposure::{USUAL_EXPOSURE_S, UnknownExposure};
+use super::exposure::UnknownExposure;
 use super::exposure_watch::ExposureWatch;
 use super::gradient_gain::{ChangeSums, GradientGain};
 use super::light::RememberedLight;
 use super::noise::{CameraNoise, NoiseSums};
 use crate::camera::Shutter;
 use crate::motion::UniformMotion;
+use crate::track::align::tuning::TUNING;
 use crate::track::frame::frame_levels::FINEST;
-
-/// Fraction of the difference to a sharp frame's point spread that is applied per frame. Raised, it
-/// follows noise; lowered, a change of focus is learnt later.
-const PSF_VARIANCE_SHARE: f64 = 0.2;
-/// Factor per frame of the decaying maximum of the start error. Raised, the search stays wide
-/// longer after a jump, and costs one more level.
-const START_ERROR_KEPT: f64 = 0.8;
-/// Initial start error, pixels of the frame. Raised, more frames start at the coarsest level;
-/// lowered, a pose from features may start outside the first level's basin and is solved twice.
-const FIRST_START_ERROR_PX: f64 = 40.0;
-/// Relative sigma of a configured exposure. Raised, the speed of a newly found body is less
-/// certain.
-const KNOWN_EXPOSURE_SIGMA: f64 = 0.03;
-/// Accepted frames between trials of the enlarged pictures, and before the first trial. Raised, a
-/// wrong choice stays longer; lowered, frames cost more.
-pub(in crate::track::align) const TRIAL_FRAMES: u32 = 32;
-pub(in crate::track::align) const FIRST_TRIAL: u32 = 3;
 
 /// The slow estimates of one body's alignment.
 #[derive(Debug, Clone)]
@@ -105,7 +89,7 @@ impl SlowEstimates {
     pub fn new(shutter: Shutter) -> Self {
         let is_known = shutter.exposure_s > 0.0;
         Self {
-            shutter: Shutter { exposure_s: if is_known { shutter.exposure_s } else { USUAL_EXPOSURE_S }, ..shutter },
+            shutter: Shutter { exposure_s: if is_known { shutter.exposure_s } else { TUNING.initial_exposure_s }, ..shutter },
             exposure: (!is_known).then(UnknownExposure::default),
             exposure_watch: ExposureWatch::default(),
             noise: CameraNoise::usual(FINEST),
@@ -113,9 +97,9 @@ impl SlowEstimates {
             psf_variance: 0.0,
             light: RememberedLight::default(),
             is_enlarged: true,
-            since_trial: TRIAL_FRAMES - FIRST_TRIAL,
+            since_trial: TUNING.enlargement_trial_interval_frames - TUNING.first_enlargement_trial_frames,
             line: None,
-            start_error_px: FIRST_START_ERROR_PX,
+            start_error_px: TUNING.initial_start_error_px,
             open_share: 0.0,
         }
     }
@@ -128,7 +112,7 @@ impl SlowEstimates {
 
     /// Returns the relative sigma of the exposure.
     pub fn exposure_sigma(&self) -> f64 {
-        self.exposure.as_ref().map_or(KNOWN_EXPOSURE_SIGMA, UnknownExposure::sigma)
+        self.exposure.as_ref().map_or(TUNING.configured_exposure_sigma, UnknownExposure::sigma)
     }
 
     /// Starts from an exposure that an earlier session learnt, with one sigma, both in seconds; a
@@ -171,7 +155,7 @@ impl SlowEstimates {
 
     /// Whether a trial of the enlarged pictures is due.
     pub fn is_trial_due(&self) -> bool {
-        self.since_trial + 1 >= TRIAL_FRAMES
+        self.since_trial + 1 >= TUNING.enlargement_trial_interval_frames
     }
 
     /// Learns from a frame whose pose was accepted. `light`: the light it was solved in.
@@ -181,7 +165,7 @@ impl SlowEstimates {
         self.is_enlarged = lessons.is_enlarged;
         self.gradient_gain.learn(&lessons.changes);
         if let Some(shown) = lessons.psf_variance {
-            self.psf_variance += PSF_VARIANCE_SHARE * (shown - self.psf_variance);
+            self.psf_variance += TUNING.psf_variance_learning_rate * (shown - self.psf_variance);
         }
         if let Some((clue, blur_px)) = lessons.exposure {
             match &mut self.exposure {
@@ -193,7 +177,7 @@ impl SlowEstimates {
             self.noise.learn(sums);
         }
         if let Some((start_error_px, open_share)) = lessons.start {
-            self.start_error_px = start_error_px.max(START_ERROR_KEPT * self.start_error_px);
+            self.start_error_px = start_error_px.max(TUNING.start_error_decay * self.start_error_px);
             self.open_share = open_share;
             self.since_trial = if lessons.has_tried { 0 } else { self.since_trial + 1 };
         }

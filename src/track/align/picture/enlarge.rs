@@ -15,7 +15,7 @@ use crate::simd::multiversion;
 const LOBES: usize = 3;
 const TAPS: usize = 2 * LOBES;
 /// Old pixels processed at once, so that they stay in the first-level cache.
-const BLOCK: usize = 64;
+const TEXELS_AT_A_TIME: usize = 64;
 
 /// A picture of at least one pixel, enlarged to twice its width and height. The two new pixels of
 /// an old one lie a quarter of an old pixel to either side of it.
@@ -34,7 +34,7 @@ impl<'a> Enlarged<'a> {
         let earlier = weights();
         let mut later = earlier;
         later.reverse();
-        Self { picture, weights: [earlier, later], blended: vec![0.0; picture.width() as usize + 2 * LOBES + BLOCK] }
+        Self { picture, weights: [earlier, later], blended: vec![0.0; picture.width() as usize + 2 * LOBES + TEXELS_AT_A_TIME] }
     }
 
     /// Returns the columns and rows of the enlarged picture.
@@ -81,11 +81,11 @@ fn interleave_plain(row: &[f32], earlier: &[f32; TAPS], later: &[f32; TAPS], out
     // Above 2^23 the lowest bits of a float count whole numbers, so the low byte is the integer.
     // This converts eight values at once, where `as` would check one after the other.
     let grey = |sum: f32| ((sum + 0.5).clamp(0.0, 255.0).floor() + 8_388_608.0).to_bits() as u8;
-    for (k, out) in out.chunks_mut(2 * BLOCK).enumerate() {
+    for (k, out) in out.chunks_mut(2 * TEXELS_AT_A_TIME).enumerate() {
         // Values computed beyond the end of the row are not written.
-        let Some(row) = row[k * BLOCK..].first_chunk::<{ BLOCK + TAPS }>() else { return };
-        let mut greys = [[0u8; BLOCK]; 2];
-        for u in 0..BLOCK {
+        let Some(row) = row[k * TEXELS_AT_A_TIME..].first_chunk::<{ TEXELS_AT_A_TIME + TAPS }>() else { return };
+        let mut greys = [[0u8; TEXELS_AT_A_TIME]; 2];
+        for u in 0..TEXELS_AT_A_TIME {
             let mut sums = [0.0f32; 2];
             for t in 0..TAPS {
                 sums[0] += earlier[t] * row[u + t];

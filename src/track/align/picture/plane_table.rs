@@ -5,24 +5,18 @@
 //! derivatives at one point) up to a few micrometres. So these are computed once, for a grid of
 //! points, and a lookup evaluates the one of the nearest grid point.
 
+use crate::track::align::tuning::TUNING;
 use nalgebra::{Vector2, Vector3};
 
 use crate::track::align::lanes::{LANES, Lanes};
 use crate::track::scene::shape::{ShapePoint, SurfaceShape};
-
-/// Grid steps per interval of the height's spline, along each axis. Raised, the table grows with
-/// the square and leaves the cache; lowered, edges of sharp folds are off.
-const TO_AN_INTERVAL: usize = 4;
-/// Step of the finite differences of the slopes, as a fraction of the grid spacing. Any small value
-/// would do.
-const STEP: f64 = 0.25;
 
 /// Rows of a paraboloid: value and slope by x; slope by y and by xx; by xy and by yy. Half a row
 /// has the offsets along x, y and z, and a zero: so the rows of eight points transpose cheaply.
 const ROWS: usize = 3;
 type Parabola = [[f32; LANES]; ROWS];
 /// Length of half a row.
-const HALF: usize = LANES / 2;
+const HALF_ROW: usize = LANES / 2;
 
 /// The paraboloids of a grid of points.
 #[derive(Debug, Clone)]
@@ -51,7 +45,7 @@ impl PlaneTable {
     /// no table.
     pub fn of(shape: &SurfaceShape, size_m: [f64; 2]) -> Option<Self> {
         let SurfaceShape::Bent(bent) = shape else { return None };
-        let steps = bent.height.intervals().map(|n| n * TO_AN_INTERVAL);
+        let steps = bent.height.intervals().map(|n| n * TUNING.grid_steps_per_interval);
         let spacing = [0, 1].map(|axis| size_m[axis] / steps[axis] as f64);
         let place = |index: usize, axis: usize| index as f64 * spacing[axis] - 0.5 * size_m[axis];
         let points = (0..=steps[1]).flat_map(|j| (0..=steps[0]).map(move |i| [place(i, 0), place(j, 1)]));
@@ -72,7 +66,7 @@ impl PlaneTable {
         let ((i, x), (j, y)) = (nearest(0), nearest(1));
         let first = ROWS * (j * (self.steps[0] + 1) + i);
         let wide = |n: usize, half: usize| {
-            let [x, y, z] = [0, 1, 2].map(|k| f64::from(self.rows[first + n][half * HALF + k]));
+            let [x, y, z] = [0, 1, 2].map(|k| f64::from(self.rows[first + n][half * HALF_ROW + k]));
             Vector3::new(x, y, z)
         };
         let (by_x, by_y, by_xy) = (wide(0, 1), wide(1, 0), wide(2, 0));
@@ -135,7 +129,7 @@ fn parabola(shape: &SurfaceShape, point: [f64; 2], size_m: [f64; 2], spacing: [f
     let curvature = |axis: usize| {
         let side = |sign: f64| {
             let mut p = point;
-            p[axis] = (p[axis] + sign * STEP * spacing[axis]).clamp(-0.5 * size_m[axis], 0.5 * size_m[axis]);
+            p[axis] = (p[axis] + sign * TUNING.slope_step_ratio * spacing[axis]).clamp(-0.5 * size_m[axis], 0.5 * size_m[axis]);
             (p[axis], shape.at(p).by_picture)
         };
         let ((low, before), (high, after)) = (side(-1.0), side(1.0));

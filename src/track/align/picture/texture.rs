@@ -9,6 +9,7 @@
 //! of the picture itself would lose detail that the camera sees, and this loss, which varies from
 //! place to place, would bias the pose.
 
+use crate::track::align::tuning::TUNING;
 use image::GrayImage;
 
 use super::enlarge::Enlarged;
@@ -21,18 +22,9 @@ pub const TILE_STEP: [usize; 2] = [TILE_COLUMNS - 1, TILE_ROWS - 1];
 /// Side of a block of candidates, texels. Raised, the chosen pixels are spread less evenly;
 /// lowered, more blocks are projected per frame.
 pub const BLOCK: usize = 16;
-/// Maximum candidates per block of 256 texels. Raised, the lists take more memory; lowered, a still
-/// camera uses fewer pixels of detailed pictures.
-const KEPT: usize = 160;
-/// Maximum size of a picture that is enlarged, pixels. Raised, large pictures take more memory and
-/// load longer; lowered, more of them lose detail to interpolation.
-const MAX_ENLARGED: u32 = 6_000_000;
 /// Minimum gradient of a candidate, grey levels per texel. Raised, soft pictures have too few
 /// pixels; lowered, lists hold texels that are never taken.
 const MIN_GRADIENT: f32 = 1.5;
-/// The chain of halved copies ends before a side falls below this, texels. Raised, pictures seen
-/// from afar are sampled too finely and alias.
-const MIN_SIDE: usize = 8;
 
 /// All levels of a picture.
 #[derive(Debug, Clone)]
@@ -96,7 +88,7 @@ impl Texture {
             candidates: Vec::new(),
         };
         let own = [picture.width() as usize, picture.height() as usize];
-        let is_enlarged = picture.width() * picture.height() <= MAX_ENLARGED;
+        let is_enlarged = picture.width() * picture.height() <= TUNING.max_enlarged_px;
         let sizes = is_enlarged.then_some(own.map(|n| 2 * n)).into_iter().chain(halved_sizes(own)).take(LANES);
         texture.tiles.reserve_exact(sizes.map(|size| tiles_of(size).iter().product::<usize>()).sum());
         if is_enlarged {
@@ -137,11 +129,11 @@ impl Texture {
     }
 }
 
-/// Returns the sizes of a picture and its halved copies, down to [`MIN_SIDE`].
+/// Returns the sizes of a picture and its halved copies, down to `min_copy_side_texels`.
 fn halved_sizes(own: [usize; 2]) -> impl Iterator<Item = [usize; 2]> {
     std::iter::successors(Some(own), |size| {
         let half = size.map(|n| n / 2);
-        half.iter().all(|n| *n >= MIN_SIDE).then_some(half)
+        half.iter().all(|n| *n >= TUNING.min_copy_side_texels).then_some(half)
     })
 }
 
@@ -274,7 +266,7 @@ impl Ranking {
         }
         let mut first = 0;
         for end in ends.iter().rev().map(|end| *end as usize) {
-            if first >= KEPT {
+            if first >= TUNING.candidates_per_block {
                 break;
             }
             if end > first + 1 {
@@ -282,7 +274,7 @@ impl Ranking {
             }
             first = end;
         }
-        for key in &sorted[..count.min(KEPT)] {
+        for key in &sorted[..count.min(TUNING.candidates_per_block)] {
             let k = TEXELS - 1 - (*key as usize & (TEXELS - 1));
             offsets.push([(k / BLOCK) as u8, (k % BLOCK) as u8]);
         }
@@ -352,7 +344,7 @@ mod tests {
                     }
                 }
                 expected.sort_by_key(|(squared, offset)| (-squared, *offset));
-                let expected: Vec<[u8; 2]> = expected.iter().take(KEPT).map(|e| e.1).collect();
+                let expected: Vec<[u8; 2]> = expected.iter().take(TUNING.candidates_per_block).map(|e| e.1).collect();
                 assert_eq!(found.of_block(column, row), expected, "block {k}");
             }
         }

@@ -18,32 +18,12 @@ use crate::track::align::lanes::{LANES, Lanes, TILE_COLUMNS, Tile, dispatch, loa
 use crate::track::align::picture::sight::{Sight, SightPath};
 use crate::track::align::picture::surface::AlignSurface;
 use crate::track::align::picture::texture::TILE_STEP;
+use crate::track::align::tuning::TUNING;
 use crate::track::scene::rectangle::Rectangle;
 
-/// Minimum samples across a sharp pixel of a surface tilted beyond this cosine (53 degrees).
-/// `TILTED_SIDE` raised, the cost grows with its square; `TILTED_COSINE` raised, more views pay it.
-const TILTED_SIDE: usize = 5;
-const TILTED_COSINE: f64 = 0.6;
-/// Maximum number of places along a blur that get nine samples each, and five each; beyond, three.
-/// Raised, blurred frames cost more; lowered, errors grow.
-const NINE_SAMPLES: usize = 3;
-const FIVE_SAMPLES: usize = 5;
-/// Offset across and down, pixels, of four of five samples and of the outer two of three. Raised,
-/// the prediction is more blurred than the pixel; lowered, less.
-const CORNER_SAMPLE: f32 = 0.3227;
-const DIAGONAL_SAMPLE: f32 = 0.3536;
 /// Unit of the point spread: variance that it adds across and down, pixels². Estimates and sigmas
 /// of the point spread are multiples of it.
 const PSF_VARIANCE_UNIT: f32 = 1.0 / 12.0;
-/// Groups of pixels by which texels are prefetched ahead, and reach of that around a pixel, pixels.
-/// `AHEAD` lowered, texels arrive too late; raised, they may have left the cache.
-const AHEAD: usize = 2;
-const OUTER_SAMPLE: f32 = 0.4;
-/// log2 of the texel size that suits a sample, pixels: sharp, tilted, blurred. Raised, the
-/// prediction loses detail; lowered, samples skip texels.
-const TEXEL_LOG2: f32 = -2.8;
-const TILTED_TEXEL_LOG2: f32 = -3.5;
-const BLURRED_TEXEL_LOG2: f32 = -1.9;
 
 /// The prediction at each pixel, in the order of [`Pixels`]. Grey is in grey levels of the
 /// reference, before the gain of the light.
@@ -109,14 +89,14 @@ impl View {
         let Predicted { surface, motion, spec, .. } = *what;
         let exposure_s = if spec.places > 1 { spec.shutter.exposure_s } else { 0.0 };
         let Rectangle { rotation, size_px: [w, h], .. } = &surface.rectangle;
-        let is_tilted = (rotation.transpose() * motion.pose.rotation_matrix())[(2, 2)].abs() < TILTED_COSINE;
+        let is_tilted = (rotation.transpose() * motion.pose.rotation_matrix())[(2, 2)].abs() < TUNING.tilted_cosine;
         let texel_log2 = match (exposure_s > 0.0, is_tilted) {
-            (true, _) => BLURRED_TEXEL_LOG2,
-            (false, false) => TEXEL_LOG2,
-            (false, true) => TILTED_TEXEL_LOG2,
+            (true, _) => TUNING.blurred_texel_log2,
+            (false, false) => TUNING.sharp_texel_log2,
+            (false, true) => TUNING.tilted_texel_log2,
         };
         Self {
-            side: if is_tilted { TILTED_SIDE.max(spec.side) } else { spec.side },
+            side: if is_tilted { TUNING.tilted_samples_across.max(spec.side) } else { spec.side },
             path: SightPath::new(&surface.rectangle, motion),
             to_body: std::array::from_fn(|k| rotation[(k / 3, k % 3)] as f32),
             texels_per_m: surface.rectangle.texels_per_m().map(|texels| texels as f32),
@@ -251,7 +231,7 @@ fn sample<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, u: L, v: L) -> L {
 #[inline(always)]
 fn prefetch<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, middle: [L; 2], by_pixel: &[L; 4]) {
     for [x, y] in [[0.0, 0.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]] {
-        let [x, y] = [L::splat(OUTER_SAMPLE * x), L::splat(OUTER_SAMPLE * y)];
+        let [x, y] = [L::splat(TUNING.prefetch_reach_px * x), L::splat(TUNING.prefetch_reach_px * y)];
         let u = by_pixel[0].mul_add(x, by_pixel[1].mul_add(y, middle[0]));
         let v = by_pixel[2].mul_add(x, by_pixel[3].mul_add(y, middle[1]));
         L::prefetch_quads(tiles, address(level, u, v).0);
@@ -367,7 +347,7 @@ fn instant(n: usize, places: usize) -> f32 {
 /// few, else three.
 #[inline(always)]
 fn blurred_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurPath<L>, by_pixel: &[L; 4], places: usize) -> Sampled<L> {
-    if places > FIVE_SAMPLES {
+    if places > TUNING.max_places_with_five_samples {
         return diagonal_samples(tiles, level, way, by_pixel, places);
     }
     let zero = L::splat(0.0);
@@ -376,8 +356,11 @@ fn blurred_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurPa
     let share = L::splat(1.0 / places as f32);
     for n in 0..places {
         let at = way.place(n, places);
-        let sampled =
-            if places > NINE_SAMPLES { five_samples(tiles, level, at, by_pixel) } else { sharp_samples(tiles, level, at, by_pixel, 3) };
+        let sampled = if places > TUNING.max_places_with_nine_samples {
+            five_samples(tiles, level, at, by_pixel)
+        } else {
+            sharp_samples(tiles, level, at, by_pixel, 3)
+        };
         mean.intensity = sampled.intensity.mul_add(share, mean.intensity);
         mean.psf_variance = sampled.psf_variance.mul_add(share, mean.psf_variance);
         mean.across = sampled.across.mul_add(share, mean.across);
@@ -395,7 +378,7 @@ fn blurred_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurPa
 /// Takes one sample at the middle of a pixel and four towards its corners.
 #[inline(always)]
 fn five_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, [u, v]: [L; 2], by_pixel: &[L; 4]) -> Sampled<L> {
-    let step = L::splat(CORNER_SAMPLE);
+    let step = L::splat(TUNING.corner_sample_px);
     let falling = [by_pixel[0].add(by_pixel[1]).mul(step), by_pixel[2].add(by_pixel[3]).mul(step)];
     let rising = [by_pixel[0].sub(by_pixel[1]).mul(step), by_pixel[2].sub(by_pixel[3]).mul(step)];
     let centre = sample(tiles, level, u, v);
@@ -406,10 +389,13 @@ fn five_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, [u, v]: [L; 2],
     let corners = right_below.add(left_above).add(right_above.add(left_below));
     let intensity = corners.add(centre).mul(L::splat(0.2));
     let (along_falling, along_rising) = (right_below.sub(left_above), right_above.sub(left_below));
-    let slope = L::splat(0.25 / CORNER_SAMPLE);
+    let slope = L::splat(0.25 / TUNING.corner_sample_px);
     Sampled {
         intensity,
-        psf_variance: corners.mul(L::splat(0.25)).sub(centre).mul(L::splat(PSF_VARIANCE_UNIT / (CORNER_SAMPLE * CORNER_SAMPLE))),
+        psf_variance: corners
+            .mul(L::splat(0.25))
+            .sub(centre)
+            .mul(L::splat(PSF_VARIANCE_UNIT / (TUNING.corner_sample_px * TUNING.corner_sample_px))),
         sharper: L::splat(0.0),
         across: along_falling.add(along_rising).mul(slope),
         down: along_falling.sub(along_rising).mul(slope),
@@ -420,7 +406,7 @@ fn five_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, [u, v]: [L; 2],
 /// Takes three samples at each of `places`, on alternating diagonals.
 #[inline(always)]
 fn diagonal_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurPath<L>, by_pixel: &[L; 4], places: usize) -> Sampled<L> {
-    let step = L::splat(DIAGONAL_SAMPLE);
+    let step = L::splat(TUNING.diagonal_sample_px);
     let diagonals = [
         [by_pixel[0].add(by_pixel[1]).mul(step), by_pixel[2].add(by_pixel[3]).mul(step)],
         [by_pixel[0].sub(by_pixel[1]).mul(step), by_pixel[2].sub(by_pixel[3]).mul(step)],
@@ -449,15 +435,18 @@ fn diagonal_samples<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, way: &BlurP
     let middles = middles.mul(L::splat(1.0 / places as f32));
     // From slopes along both diagonals: half the sum is across, half the difference is down.
     let [falling, rising] = [differences[0], differences[1]];
-    let falling = falling.mul(L::splat(0.25 / (DIAGONAL_SAMPLE * places.div_ceil(2) as f32)));
-    let rising = rising.mul(L::splat(0.25 / (DIAGONAL_SAMPLE * (places / 2) as f32)));
+    let falling = falling.mul(L::splat(0.25 / (TUNING.diagonal_sample_px * places.div_ceil(2) as f32)));
+    let rising = rising.mul(L::splat(0.25 / (TUNING.diagonal_sample_px * (places / 2) as f32)));
     // Each diagonal has every other place. The line fitted through its differences yields the mean
     // over all places, because the instants have a variance of a third.
-    let [falling_by_instant, rising_by_instant] =
-        std::array::from_fn(|d| by_instant[d].mul(L::splat(0.25 / (3.0 * DIAGONAL_SAMPLE * squared_instants[d].max(f32::MIN_POSITIVE)))));
+    let [falling_by_instant, rising_by_instant] = std::array::from_fn(|d| {
+        by_instant[d].mul(L::splat(0.25 / (3.0 * TUNING.diagonal_sample_px * squared_instants[d].max(f32::MIN_POSITIVE))))
+    });
     Sampled {
         intensity,
-        psf_variance: intensity.sub(middles).mul(L::splat(1.5 * PSF_VARIANCE_UNIT / (DIAGONAL_SAMPLE * DIAGONAL_SAMPLE))),
+        psf_variance: intensity
+            .sub(middles)
+            .mul(L::splat(1.5 * PSF_VARIANCE_UNIT / (TUNING.diagonal_sample_px * TUNING.diagonal_sample_px))),
         // From middle samples only: the outer ones alternate between diagonals.
         sharper: unblurred.sub(middles),
         across: falling.add(rising),
@@ -501,7 +490,7 @@ fn predict_pixels<L: Lanes, const IS_BENT: bool, const BY_VELOCITY: bool>(what: 
         let middle = hit(view, &sight, x, y);
         let by_pixel = footprint(view, &sight.rotation, &middle, pixels, k);
         let level = level_for(surface, view, &by_pixel);
-        let ahead = k + AHEAD * LANES;
+        let ahead = k + TUNING.prefetch_groups * LANES;
         if ahead < range[1] {
             // The plane of the surface is accurate enough to prefetch by.
             let later = view.path.at(load_at::<L>(&pixels.delay_s, ahead));

@@ -2,6 +2,7 @@
 //! much noise and blur. The other modules here and the solver take it as their input. Also the time
 //! of a tile, because a rolling shutter exposes rows one after the other.
 
+use crate::track::align::tuning::TUNING;
 use nalgebra::{Vector2, Vector3};
 
 use crate::camera::Shutter;
@@ -10,12 +11,8 @@ use crate::motion::Motion;
 use crate::track::align::learned::noise::Noise;
 use crate::track::align::learned::slow_estimates::SlowEstimates;
 use crate::track::align::picture::surface::AlignSurface;
-use crate::track::frame::frame_levels::{FINEST, LEVELS};
+use crate::track::frame::frame_levels::FINEST;
 use crate::track::frame::rays::CameraRays;
-
-/// Blur below which a frame is sharp, pixels of the frame. Raised, blur passes for point spread;
-/// lowered, a camera that always moves never informs its noise.
-pub const SHARP_FRAME_PX: f64 = 1.0;
 
 /// Powers of time in a motion: position, velocity, acceleration.
 pub const POWERS: usize = 3;
@@ -42,26 +39,6 @@ impl TileTime {
         [0.0, 1.0, self.delay_s]
     }
 }
-
-/// Pixels per level, from full size down, of a frame [`USUAL_WIDTH_PX`] wide; wider frames use more
-/// in proportion. Raised, frames cost more in proportion; lowered, errors grow.
-const PIXELS: [usize; LEVELS] = [10_000, 10_000, 4000, 1500, 500];
-const USUAL_WIDTH_PX: f64 = 1280.0;
-/// Samples across a pixel: above the finest level, and at it. Raised, the cost grows with the
-/// square; lowered, the prediction is less accurate.
-const COARSE_SIDE: usize = 3;
-const SIDE: usize = 5;
-/// Samples along a blur: (length below which they suffice, pixels of the level; number, odd), and
-/// beyond. Lengths raised, blur is predicted as ghost images; lowered, frames cost more.
-const PLACES: [(f64, usize); 4] = [(0.4, 1), (1.5, 3), (3.0, 5), (5.5, 9)];
-const MAX_PLACES: usize = 15;
-/// Places along a blur up to which a coarse level converges without more. Raised, it does not
-/// converge under longer blur; lowered, it costs more without need.
-const SHORT_BLUR_PLACES: usize = 3;
-
-/// Time over which the speed of the picture is measured, seconds. Hardly matters, as motion is
-/// smooth.
-const SPEED_OVER_S: f64 = 0.005;
 
 /// The task of one level of one frame.
 #[derive(Clone, Copy)]
@@ -106,19 +83,19 @@ impl<'a> LevelSpec<'a> {
         level: usize,
         motion: &Motion,
     ) -> Self {
-        let wider = (f64::from(rays.camera().width()) / USUAL_WIDTH_PX).max(1.0);
+        let wider = (f64::from(rays.camera().width()) / TUNING.reference_width_px).max(1.0);
         let mut spec = Self {
             surfaces,
             rays,
             shutter: &slow.shutter,
             level,
             noise: slow.noise.at(level),
-            count: (PIXELS[level] as f64 * wider) as usize,
+            count: (TUNING.pixels_per_level[level] as f64 * wider) as usize,
             is_dense: false,
             fills_up: false,
             blur_px: 0.0,
             places: 1,
-            side: if level == FINEST { SIDE } else { COARSE_SIDE },
+            side: if level == FINEST { TUNING.fine_samples_across } else { TUNING.coarse_samples_across },
             is_enlarged,
             gradient_gain: slow.gradient_gain.get() as f32,
         };
@@ -128,8 +105,8 @@ impl<'a> LevelSpec<'a> {
 
     /// Sets the number of samples along the blur by its length.
     pub fn with_places(mut self) -> Self {
-        let at_blur = PLACES.iter().find(|(longest_px, _)| self.blur_px < *longest_px);
-        self.places = at_blur.map_or(MAX_PLACES, |(_, places)| *places);
+        let at_blur = TUNING.places_by_blur.iter().find(|(longest_px, _)| self.blur_px < *longest_px);
+        self.places = at_blur.map_or(TUNING.max_places, |(_, places)| *places);
         self
     }
 
@@ -137,7 +114,7 @@ impl<'a> LevelSpec<'a> {
     /// otherwise a copy of itself.
     pub fn blurred_by(&self, motion: &Motion) -> Self {
         let blurred = Self { blur_px: self.blur_of(motion), ..*self }.with_places();
-        if blurred.places > self.places.max(SHORT_BLUR_PLACES) { blurred } else { *self }
+        if blurred.places > self.places.max(TUNING.short_blur_places) { blurred } else { *self }
     }
 
     /// Returns the length of the blur of a motion, pixels of the level.
@@ -148,7 +125,7 @@ impl<'a> LevelSpec<'a> {
 
     /// Returns how fast the picture moves through the frame, pixels of the frame per second.
     pub fn speed_px_s(&self, motion: &Motion) -> f64 {
-        self.moved_px(motion, &motion.after(SPEED_OVER_S)) * self.frame_px() / SPEED_OVER_S
+        self.moved_px(motion, &motion.after(TUNING.speed_baseline_s)) * self.frame_px() / TUNING.speed_baseline_s
     }
 
     /// Returns the size of a pixel of the level along each axis, pixels of the frame.

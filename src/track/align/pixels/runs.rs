@@ -10,13 +10,9 @@ use super::touching_planes::{Rays, TouchingPlanes};
 use crate::motion::Motion;
 use crate::track::align::lanes::{LANES, resize_with_room};
 use crate::track::align::learned::light::{Light, RememberedLight, TileLight};
+use crate::track::align::tuning::TUNING;
 use crate::track::frame::frame_levels::Level;
 use crate::track::frame::tile_grid::{Chosen, TileGrid};
-
-/// Grey levels above which a pixel is saturated, and below which clipped to black. `BRIGHTEST`
-/// raised, clipped pixels bias the pose; lowered, white parts of a bright stage are not used.
-const BRIGHTEST: f32 = 252.0;
-const DARKEST: f32 = 0.5;
 
 /// A run of pixels of one surface in one tile: whole lanes. The last lanes may repeat a pixel; a
 /// repeated one has no weight.
@@ -231,5 +227,5 @@ impl Pixels {
 
 /// Returns 1 for a grey that is neither saturated nor clipped to black, else 0.
 fn tells_something(intensity: f32) -> f32 {
-    if intensity > DARKEST && intensity < BRIGHTEST { 1.0 } else { 0.0 }
+    if intensity > TUNING.black_grey && intensity < TUNING.saturated_grey { 1.0 } else { 0.0 }
 }

@@ -6,6 +6,7 @@
 //! candidate is put at its nearest pixel. The choice never depends on the camera's picture: what
 //! stands in front of the stage must not choose.
 
+use crate::track::align::tuning::TUNING;
 use nalgebra::Vector3;
 
 use super::level_spec::LevelSpec;
@@ -16,13 +17,6 @@ use crate::track::align::picture::texture::BLOCK;
 use crate::track::frame::rays::RayTable;
 use crate::track::frame::tile_grid::Chosen;
 use crate::track::scene::rectangle::SeenPoint;
-
-/// Margin inside the border of a surface where no pixel is chosen, pixels of the level. Raised,
-/// surfaces seen small have fewer pixels; lowered, the surroundings bias the pose.
-const BORDER_PX: f64 = 3.0;
-/// Minimum cosine of the tilt at which a surface is used (86.6 degrees). Raised, steep views lose
-/// their pixels; lowered, their predictions are wrong.
-const MIN_COSINE: f64 = 0.06;
 
 /// Chooses pixels; reuses its buffers.
 #[derive(Debug, Default)]
@@ -165,7 +159,7 @@ fn list_blocks(spec: &LevelSpec, index: usize, motion: &Motion, blocks: &mut Vec
             }
             // Maximum metres that one pixel covers, along each axis of the surface.
             let Some(inverse) = seen.by_metres.try_inverse() else { continue };
-            let margin = [0, 1].map(|k| (BORDER_PX + 0.5 * spec.blur_px) * (inverse[(k, 0)].abs() + inverse[(k, 1)].abs()));
+            let margin = [0, 1].map(|k| (TUNING.surface_border_px + 0.5 * spec.blur_px) * (inverse[(k, 0)].abs() + inverse[(k, 1)].abs()));
             let reach_m = [0.5 * BLOCK as f64 * scale / tw, 0.5 * BLOCK as f64 * scale / th];
             if occluded(spec.surfaces, index, &camera, [x, y], [reach_m[0] + margin[0], reach_m[1] + margin[1]]) {
                 continue;
@@ -216,7 +210,7 @@ fn see(surface: &AlignSurface, motion: &Motion, spec: &LevelSpec, point: [f64; 2
     let scale = spec.frame_px();
     let place = surface.at(point);
     let from = |pose: &Pose<Body, Camera>| {
-        let seen = surface.rectangle.see_place(pose, spec.rays.camera(), &place, MIN_COSINE)?;
+        let seen = surface.rectangle.see_place(pose, spec.rays.camera(), &place, TUNING.min_tilt_cosine)?;
         Some((seen.in_smaller(scale), pose.translation))
     };
     let at_rest = from(&motion.pose)?;

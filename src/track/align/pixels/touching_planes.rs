@@ -15,23 +15,18 @@ use crate::track::align::lanes::{LANES, Lanes, dispatch, load_at, resize_with_ro
 use crate::track::align::picture::plane_table::{PlaneTable, TablePoint};
 use crate::track::align::picture::sight::{Sight, SightPath};
 use crate::track::align::picture::surface::AlignSurface;
+use crate::track::align::tuning::TUNING;
 
-/// Maximum iterations for where a ray meets the surface; each squares the error. At 1, steep views
-/// of deep folds are off by a fraction of a millimetre; raised, nothing is gained.
-const MEETING_STEPS: usize = 3;
-/// Distance from a ray's meeting point within which the plane counts as tangent there, metres.
-/// Raised, steep views of sharp folds are off by more; lowered, each pixel costs another lookup.
-const SAME_PLANE_M: f32 = 2e-3;
 /// Numbers of a map: the linear part's first two columns, row by row, and the shift. (Its third
 /// column is 0, 0, 1.)
-const NUMBERS: usize = 9;
+const MAP_NUMBERS: usize = 9;
 /// The map for a ray that meets nothing: the surface's own plane.
-const NO_MAP: [f32; NUMBERS] = [1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+const NO_MAP: [f32; MAP_NUMBERS] = [1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 
 /// A map for each pixel; empty where all surfaces are flat.
 #[derive(Debug, Default)]
 pub struct TouchingPlanes {
-    maps: [Vec<f32>; NUMBERS],
+    maps: [Vec<f32>; MAP_NUMBERS],
 }
 
 /// The pixels of a level, as far as their planes need them: lists in the same order.
@@ -50,7 +45,7 @@ pub struct Rays<'a> {
 /// The maps of several pixels.
 #[derive(Clone, Copy)]
 pub struct MapLanes<L> {
-    numbers: [L; NUMBERS],
+    numbers: [L; MAP_NUMBERS],
 }
 
 impl TouchingPlanes {
@@ -75,8 +70,8 @@ impl TouchingPlanes {
     #[inline(always)]
     pub fn load<L: Lanes>(&self, k: usize) -> MapLanes<L> {
         debug_assert!(k + LANES <= self.maps[0].len());
-        let mut numbers = [L::splat(0.0); NUMBERS];
-        for n in 0..NUMBERS {
+        let mut numbers = [L::splat(0.0); MAP_NUMBERS];
+        for n in 0..MAP_NUMBERS {
             numbers[n] = load_at(&self.maps[n], k);
         }
         MapLanes { numbers }
@@ -95,11 +90,11 @@ pub struct Touched<'a> {
 
 dispatch! {
     /// Finds the planes of one surface's pixels.
-    find_planes, find_planes_lanes, (what: &Touched, maps: &mut [Vec<f32>; NUMBERS])
+    find_planes, find_planes_lanes, (what: &Touched, maps: &mut [Vec<f32>; MAP_NUMBERS])
 }
 
 #[inline(always)]
-fn find_planes_lanes<L: Lanes>(what: &Touched, maps: &mut [Vec<f32>; NUMBERS]) {
+fn find_planes_lanes<L: Lanes>(what: &Touched, maps: &mut [Vec<f32>; MAP_NUMBERS]) {
     let Touched { table, path, pixels, range } = what;
     // Start from the offset, from the flat picture to the folds, of the previous pixels, which are
     // mostly adjacent.
@@ -112,7 +107,7 @@ fn find_planes_lanes<L: Lanes>(what: &Touched, maps: &mut [Vec<f32>; NUMBERS]) {
         let start = [on_plane[0].add(off[0]), on_plane[1].add(off[1])];
         let (map, met, is_met) = touching(table, start, &sight.centre, &direction);
         off = if is_met { [met[0].sub(on_plane[0]), met[1].sub(on_plane[1])] } else { [L::splat(0.0); 2] };
-        for n in 0..NUMBERS {
+        for n in 0..MAP_NUMBERS {
             store_at(&mut maps[n], k, map.numbers[n]);
         }
         if !is_met {
@@ -130,8 +125,8 @@ fn touching<L: Lanes>(table: &PlaneTable, start: [L; 2], from: &[L; 3], directio
     let mut map = MapLanes::touching(&table.at_lanes(point), point);
     let mut met = map.meet(from, direction);
     let mut moved = squared(met, point);
-    for _ in 1..MEETING_STEPS {
-        if moved < SAME_PLANE_M * SAME_PLANE_M {
+    for _ in 1..TUNING.max_intersection_steps {
+        if moved < TUNING.tangent_plane_reach_m * TUNING.tangent_plane_reach_m {
             break;
         }
         point = met;
@@ -159,7 +154,7 @@ fn meet<L: Lanes>(from: &[L; 3], direction: &[L; 3]) -> [L; 2] {
 /// Replaces the maps of those pixels of a group that are not finite, because their ray runs along
 /// the surface, by the surface's own plane.
 #[cold]
-fn drop_unmet(maps: &mut [Vec<f32>; NUMBERS], first: usize) {
+fn drop_unmet(maps: &mut [Vec<f32>; MAP_NUMBERS], first: usize) {
     for k in first..first + LANES {
         if !maps.iter().all(|numbers| numbers[k].is_finite()) {
             maps.iter_mut().zip(NO_MAP).for_each(|(numbers, value)| numbers[k] = value);
@@ -257,7 +252,7 @@ mod tests {
     }
 
     /// Returns the map that was found for a pixel.
-    fn found_map(maps: &[Vec<f32>; NUMBERS], k: usize) -> (Matrix3<f64>, Vector3<f64>) {
+    fn found_map(maps: &[Vec<f32>; MAP_NUMBERS], k: usize) -> (Matrix3<f64>, Vector3<f64>) {
         let [xx, xy, yx, yy, zx, zy, x, y, z] = [0, 1, 2, 3, 4, 5, 6, 7, 8].map(|n| f64::from(maps[n][k]));
         (Matrix3::new(xx, xy, 0.0, yx, yy, 0.0, zx, zy, 1.0), Vector3::new(x, y, z))
     }
@@ -294,7 +289,7 @@ mod tests {
         }
         let pixels = Rays { x: &x, y: &y, delay_s: &delay_s, groups: &[] };
         let what = Touched { table, path: SightPath::new(rectangle, &motion), pixels: &pixels, range: [0, x.len()] };
-        let [mut wide, mut plain]: [[Vec<f32>; NUMBERS]; 2] = std::array::from_fn(|_| std::array::from_fn(|_| vec![0.0; x.len()]));
+        let [mut wide, mut plain]: [[Vec<f32>; MAP_NUMBERS]; 2] = std::array::from_fn(|_| std::array::from_fn(|_| vec![0.0; x.len()]));
         find_planes(&what, &mut wide);
         find_planes_lanes::<Plain>(&what, &mut plain);
         for (k, maps) in (0..x.len()).flat_map(|k| [(k, &wide), (k, &plain)]) {
@@ -331,10 +326,10 @@ mod tests {
         x[5] = f32::NAN;
         let pixels = Rays { x: &x, y: &y, delay_s: &delay_s, groups: &[] };
         let path = SightPath::new(&rectangle, &passing());
-        let mut maps: [Vec<f32>; NUMBERS] = std::array::from_fn(|_| vec![f32::NAN; LANES]);
+        let mut maps: [Vec<f32>; MAP_NUMBERS] = std::array::from_fn(|_| vec![f32::NAN; LANES]);
         find_planes(&Touched { table: &table, path, pixels: &pixels, range: [0, LANES] }, &mut maps);
         for k in 0..LANES {
-            let numbers: [f32; NUMBERS] = std::array::from_fn(|n| maps[n][k]);
+            let numbers: [f32; MAP_NUMBERS] = std::array::from_fn(|n| maps[n][k]);
             assert!(numbers.iter().all(|v| v.is_finite()) && (numbers == NO_MAP) == (k == 5), "{k}: {numbers:?}");
         }
     }

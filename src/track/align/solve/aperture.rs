@@ -11,6 +11,7 @@
 //! unrelated to the expected ones. So a pose is not refused if the tiles that agree support each
 //! direction on their own. Those of a pose that slid do not.
 
+use crate::track::align::tuning::TUNING;
 use std::ops::Range;
 
 use nalgebra::{Matrix2, SymmetricEigen, Vector2};
@@ -18,19 +19,6 @@ use nalgebra::{Matrix2, SymmetricEigen, Vector2};
 use crate::track::align::pixels::appearance::Appearance;
 use crate::track::align::pixels::runs::{Pixels, Run};
 use crate::track::frame::frame_levels::Level;
-
-/// Ratio of agreeing tiles above which an occluder cannot hide all evidence of a direction. Raised,
-/// poses slide along stripes behind people; lowered, an occluder may look like a slide.
-const MIN_SHARE: f64 = 0.4;
-/// Minimum support of the worst direction relative to the best. Raised, stages of fine level lines
-/// are lost; lowered, poses slide along stripes.
-const MIN_BORNE_OUT: f64 = 0.3;
-/// Standard deviations by which a direction must be unsupported, or supported. Raised, poses slide
-/// along stripes with faint grain; lowered, plain stripes are lost by chance.
-const SURE_SIGMAS: f64 = 3.0;
-/// One of so many selected pixels is compared. Raised, the regression's deviation grows; lowered,
-/// frames cost more.
-const STRIDE: usize = 3;
 
 /// How the observed gradients agree with the expected ones.
 #[derive(Debug, Clone, Copy, Default)]
@@ -82,9 +70,13 @@ impl GradientAgreement {
 
     /// Whether a pose may have slid along stripes. `share`: ratio of tiles that agree.
     pub fn may_have_slid(&self, share: f64) -> bool {
-        let is_refuted = |[worst, best]: [BorneOut; 2]| worst.share + SURE_SIGMAS * worst.sigma < MIN_BORNE_OUT * best.share;
-        let is_borne_out = |[worst, best]: [BorneOut; 2]| worst.share - SURE_SIGMAS * worst.sigma > MIN_BORNE_OUT * best.share;
-        let is_in_doubt = share > MIN_SHARE && self.everywhere.borne_out().is_some_and(is_refuted);
+        let is_refuted = |[worst, best]: [BorneOut; 2]| {
+            worst.share + TUNING.direction_support_sigmas * worst.sigma < TUNING.min_direction_support * best.share
+        };
+        let is_borne_out = |[worst, best]: [BorneOut; 2]| {
+            worst.share - TUNING.direction_support_sigmas * worst.sigma > TUNING.min_direction_support * best.share
+        };
+        let is_in_doubt = share > TUNING.max_hidden_direction_inlier_ratio && self.everywhere.borne_out().is_some_and(is_refuted);
         is_in_doubt && !self.where_agreeing.borne_out().is_some_and(is_borne_out)
     }
 }
@@ -93,8 +85,8 @@ impl GradientSums {
     /// Sums over every third of these pixels of a solved level.
     fn of(range: Range<usize>, pixels: &Pixels, appearance: &Appearance, level: &Level) -> Self {
         let mut sums = Self::default();
-        let first = range.start.next_multiple_of(STRIDE);
-        for k in (first..range.end).step_by(STRIDE).filter(|k| pixels.counts[*k] > 0.0) {
+        let first = range.start.next_multiple_of(TUNING.aperture_stride);
+        for k in (first..range.end).step_by(TUNING.aperture_stride).filter(|k| pixels.counts[*k] > 0.0) {
             if let Some(seen) = level.gradient(pixels.place.each_ref().map(|place| place[k] as usize)) {
                 sums.add(seen, Vector2::new(appearance.across[k].into(), appearance.down[k].into()));
             }

@@ -10,6 +10,7 @@
 //! the pose at the stamp, the motion after the frame, and their covariances (Bar-Shalom, Li and
 //! Kirubarajan 2001, section 11.6).
 
+use crate::track::align::tuning::TUNING;
 use nalgebra::{Matrix6, SMatrix, Vector6};
 
 use crate::camera::Shutter;
@@ -18,23 +19,13 @@ use crate::track::align::kernel::columns::{POSE_ENTRIES, entry};
 use crate::track::align::kernel::tile_equations::{TileEquations, TileScore};
 
 /// Bands of rows in which tiles are gathered. Raised, nearby instants differ no more than before;
-/// lowered, the instants of `WITHIN` fall into the same band.
+/// lowered, the instants of `jump_instants_within_frame` fall into the same band.
 const BANDS: usize = 12;
-/// Instants tried within a frame's exposure and readout, and between the last frame and this one,
-/// where a jump looks like another velocity. Raised, frames cost more.
-const WITHIN: usize = 9;
-const BEFORE: usize = 3;
 /// Sigmas of a jump, as fractions of the usual velocity. The smaller one raised, small starts are
 /// taken for noise; more sizes cost more.
-const SIZES: [f64; 2] = [1.0, 0.25];
-/// Prior probability of a jump in the time of a frame. Raised, the covariance of every frame grows;
-/// lowered, more frames near starts and stops are off.
-const LIKELIHOOD: f64 = 0.003;
+const JUMP_SIZES: [f64; 2] = [1.0, 0.25];
 /// Maximum number of priors in the mixture: with jerk, and with the uniform motion before.
-pub const EXPECTATIONS: usize = 2;
-/// Members less likely than this, relative to the likeliest, are dropped. Raised, jumps are dropped
-/// that the covariance should include; lowered, frames cost more and nothing changes.
-const NEGLIGIBLE: f64 = 1e-6;
+pub const MAX_PRIORS: usize = 2;
 
 /// The equations of the tiles in a band of rows, by powers of the time from the band's middle:
 /// normal matrix of the pose, and the part of the right side that the step left.
@@ -121,7 +112,7 @@ impl RowBands {
     /// Returns the mixture over all priors, and for each over all instants and no jump. `dt_s`:
     /// seconds since the last frame; `distance_m`: to the nearest surface, for the usual velocity.
     /// `None` where a matrix is singular or a result is not finite.
-    pub fn mixture(&self, expectations: [Option<Expectation>; EXPECTATIONS], dt_s: f64, distance_m: f64) -> Option<Mixture> {
+    pub fn mixture(&self, expectations: [Option<Expectation>; MAX_PRIORS], dt_s: f64, distance_m: f64) -> Option<Mixture> {
         let is_alone = expectations.iter().flatten().count() < 2;
         let part = |expected: Expectation| Some(self.with_jumps(&self.without_jump(&expected, is_alone)?, dt_s, distance_m));
         mix(&expectations.map(|expected| expected.and_then(part)))
@@ -131,7 +122,7 @@ impl RowBands {
     fn with_jumps(&self, without: &WithoutJump, dt_s: f64, distance_m: f64) -> Part {
         let [speed, turn_rate, ..] = unseen(distance_m);
         let usual = Vector6::new(speed, speed, speed, turn_rate, turn_rate, turn_rate);
-        let priors = SIZES.map(|size| usual.map(|sigma| (size * sigma).powi(-2)));
+        let priors = JUMP_SIZES.map(|size| usual.map(|sigma| (size * sigma).powi(-2)));
         let mut members = Members::none_jumped();
         for (instant_s, likelihood) in self.instants(dt_s) {
             let solved = self.jump_sums(instant_s).beside(without);
@@ -148,9 +139,10 @@ impl RowBands {
         // Starts at the last stamp: a jump later in that frame may not have shown in it.
         let gap_s = (dt_s - half_s).max(0.0);
         let whole_s = (2.0 * half_s + gap_s).max(f64::MIN_POSITIVE);
-        let spans = [(-half_s, 2.0 * half_s, WITHIN), (-half_s - gap_s, gap_s, BEFORE)];
+        let spans =
+            [(-half_s, 2.0 * half_s, TUNING.jump_instants_within_frame), (-half_s - gap_s, gap_s, TUNING.jump_instants_before_frame)];
         spans.into_iter().filter(|(_, lasts_s, _)| *lasts_s > 0.0).flat_map(move |(from_s, lasts_s, parts)| {
-            let likelihood = LIKELIHOOD * lasts_s / (whole_s * parts as f64 * SIZES.len() as f64);
+            let likelihood = TUNING.jump_probability * lasts_s / (whole_s * parts as f64 * JUMP_SIZES.len() as f64);
             (0..parts).map(move |part| (from_s + lasts_s * (part as f64 + 0.5) / parts as f64, likelihood))
         })
     }
@@ -381,7 +373,7 @@ impl Members {
     /// Starts with the motion that did not jump as the only member.
     fn none_jumped() -> Self {
         Self {
-            largest: (1.0 - LIKELIHOOD).ln(),
+            largest: (1.0 - TUNING.jump_probability).ln(),
             weight: 1.0,
             pose: Vector6::zeros(),
             pose_squares: Matrix6::zeros(),
@@ -390,14 +382,14 @@ impl Members {
         }
     }
 
-    /// Adds the jumps at an instant, one per size. Those less likely than [`NEGLIGIBLE`], relative
-    /// to the likeliest so far, are dropped.
-    fn add(&mut self, at: &WithoutMotion, tried: &[Option<Tried>; SIZES.len()]) {
+    /// Adds the jumps at an instant, one per size. Those less likely than `negligible_likelihood`,
+    /// relative to the likeliest so far, are dropped.
+    fn add(&mut self, at: &WithoutMotion, tried: &[Option<Tried>; JUMP_SIZES.len()]) {
         self.rescale(tried.iter().flatten().map(|t| t.evidence).fold(self.largest, f64::max));
         let (mut all, mut seen) = (Moments::zero(), None);
         for t in tried.iter().flatten() {
             let weight = (t.evidence - self.largest).exp();
-            if weight <= NEGLIGIBLE {
+            if weight <= TUNING.negligible_likelihood {
                 continue;
             }
             self.weight += weight;
@@ -454,7 +446,7 @@ struct Part {
 }
 
 /// Returns mean and covariance of the mixture of all priors.
-fn mix(parts: &[Option<Part>; EXPECTATIONS]) -> Option<Mixture> {
+fn mix(parts: &[Option<Part>; MAX_PRIORS]) -> Option<Mixture> {
     let parts = || parts.iter().flatten();
     let largest = parts().map(|part| part.evidence).fold(f64::NEG_INFINITY, f64::max);
     let total: f64 = parts().map(|part| (part.evidence - largest).exp()).sum();

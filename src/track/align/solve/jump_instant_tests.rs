@@ -4,6 +4,7 @@ use super::*;
 use crate::geometry::Pose;
 use crate::motion::{Motion, MotionEstimate};
 use crate::track::align::hypotheses::velocity_jump::by_bend;
+use crate::track::align::tuning::TUNING;
 
 const DISTANCE_M: f64 = 4.0;
 const ROLLING: Shutter = Shutter { readout_s: 0.014, exposure_s: 0.008 };
@@ -19,7 +20,7 @@ fn known() -> MotionMatrix {
     MotionMatrix::from_diagonal(&MotionError::from_fn(|k, _| f64::powi(sigma(k), -2)))
 }
 
-fn alone(information: MotionMatrix, error: MotionError) -> [Option<Expectation>; EXPECTATIONS] {
+fn alone(information: MotionMatrix, error: MotionError) -> [Option<Expectation>; MAX_PRIORS] {
     [Some(Expectation { information, error, likelihood: 1.0, covariance: None }), None]
 }
 
@@ -138,7 +139,7 @@ fn invalid_motions_never_panic() {
 }
 
 /// The mixture computed member by member, each from the joint normal equations of motion and jump.
-fn member_by_member(bands: &RowBands, expectations: [Option<Expectation>; EXPECTATIONS], dt_s: f64) -> Mixture {
+fn member_by_member(bands: &RowBands, expectations: [Option<Expectation>; MAX_PRIORS], dt_s: f64) -> Mixture {
     type Both = SMatrix<f64, 24, 24>;
     let [speed, turn_rate, ..] = unseen(DISTANCE_M);
     // Logarithm of prior probability times evidence; pose and motion with their covariances.
@@ -148,10 +149,10 @@ fn member_by_member(bands: &RowBands, expectations: [Option<Expectation>; EXPECT
         let information = without.solved.try_inverse().expect("regular");
         let pull = information * without.correction;
         let pose: Vector6<f64> = without.correction.fixed_rows::<6>(0).into();
-        members.push((without.evidence + (1.0 - LIKELIHOOD).ln(), pose, Matrix6::zeros(), without.correction, without.solved));
+        members.push((without.evidence + (1.0 - TUNING.jump_probability).ln(), pose, Matrix6::zeros(), without.correction, without.solved));
         for (instant_s, likelihood) in bands.instants(dt_s) {
             let sums = bands.jump_sums(instant_s);
-            for size in SIZES {
+            for size in JUMP_SIZES {
                 let prior = Vector6::from_fn(|k, _| (size * if k < 3 { speed } else { turn_rate }).powi(-2));
                 let mut both = Both::zeros();
                 both.fixed_view_mut::<18, 18>(0, 0).copy_from(&information);

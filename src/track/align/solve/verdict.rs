@@ -2,6 +2,7 @@
 //! picture, residuals of the size of the noise, a pose near the predicted one, and a small
 //! covariance.
 
+use crate::track::align::tuning::TUNING;
 use nalgebra::Matrix6;
 
 use super::aperture::GradientAgreement;
@@ -54,7 +55,7 @@ impl Alignment {
 
     /// Whether the picture alone is conclusive.
     pub fn is_conclusive(&self) -> bool {
-        self.tiles >= CONCLUSIVE_TILES && self.share() >= CONCLUSIVE_SHARE
+        self.tiles >= TUNING.conclusive_tiles && self.share() >= TUNING.conclusive_inlier_ratio
     }
 
     /// Whether the tiles support the pose although more than half of them show something else. Some
@@ -75,7 +76,7 @@ impl Alignment {
 
     /// Whether the pose is so far from the predicted one that earlier frames say nothing of it.
     pub fn is_pushed(&self) -> bool {
-        self.squared_mahalanobis > MAX_SQUARED_MAHALANOBIS
+        self.squared_mahalanobis > TUNING.max_prediction_squared_mahalanobis
     }
 
     /// Whether the pose may be reported: it is credible, or the frame alone supports it, and it has
@@ -88,80 +89,37 @@ impl Alignment {
         let is_expected = is_followed && !self.is_pushed();
         let may_be_covered = is_expected || !is_followed || self.is_conclusive();
         // Such a pose, unless it is sharp, waits for a second frame to agree.
-        let is_found_again = !is_followed && was_given && self.is_covered_in_part() && self.scale < FITTING_PART_SCALE;
+        let is_found_again = !is_followed && was_given && self.is_covered_in_part() && self.scale < TUNING.max_occluded_sigma;
         let is_credible = self.is_credible(is_expected) || is_found_again || (may_be_covered && self.is_borne_out(distance_m));
         is_credible && !self.gradients.may_have_slid(self.share())
     }
 
     /// Whether enough tiles agree to take the others for occluded: less than half of them, but at
-    /// least `PART_SHARE`.
+    /// least `min_occluded_inlier_ratio`.
     pub fn is_covered_in_part(&self) -> bool {
-        self.share() >= PART_SHARE && self.may_be_pulled()
+        self.share() >= TUNING.min_occluded_inlier_ratio && self.may_be_pulled()
     }
 
     /// Whether the pose is clearly right, or less clearly but where it was predicted.
     pub fn is_credible(&self, is_expected: bool) -> bool {
         let continues = is_expected
-            && self.share() >= CONTINUED_SHARE
-            && self.squared_mahalanobis < MAX_SQUARED_MAHALANOBIS
-            && self.scale < CONTINUED_SCALE;
-        self.agreeing >= MIN_TILES && (self.share() >= NEW_SHARE || continues)
+            && self.share() >= TUNING.min_continued_inlier_ratio
+            && self.squared_mahalanobis < TUNING.max_prediction_squared_mahalanobis
+            && self.scale < TUNING.max_continued_sigma;
+        self.agreeing >= TUNING.min_agreeing_tiles && (self.share() >= TUNING.min_new_inlier_ratio || continues)
     }
 }
 
-/// Minimum agreeing tiles of a reported pose. Raised, pictures seen small are lost; lowered, a few
-/// tiles that agree by chance are enough.
-const MIN_TILES: usize = 8;
-/// Minimum ratio of agreeing tiles: for any pose, and for one where the motion filter predicted it.
-/// Raised, partly occluded stages are lost; the second below 0.1, wrong poses pass.
-const NEW_SHARE: f64 = 0.5;
-const CONTINUED_SHARE: f64 = 0.12;
-/// Minimum ratio of agreeing tiles to find a partly occluded body again. Raised, such bodies are
-/// found later; lowered, the occluder pulls their poses.
-const PART_SHARE: f64 = 0.4;
-/// Maximum residuals of such a pose, sigmas. Raised, something else that fits in part may pass;
-/// lowered, blurred bodies are found later.
-const FITTING_PART_SCALE: f64 = 1.5;
-/// Maximum squared Mahalanobis distance of a pose at its predicted place. Raised, a jump into a
-/// local minimum passes for motion; lowered, starts and stops are judged like new poses.
-const MAX_SQUARED_MAHALANOBIS: f64 = 100.0;
-/// Maximum residuals of a pose at its predicted place, sigmas of the tiles that take part. Raised,
-/// wrong poses return; lowered, partly occluded stages are lost sooner.
-const CONTINUED_SCALE: f64 = 2.5;
-/// Tile count and agreement ratio above which one frame is conclusive. Raised, bodies are found a
-/// frame later; lowered, a single wrong frame could be reported.
-const CONCLUSIVE_TILES: usize = 40;
-const CONCLUSIVE_SHARE: f64 = 0.7;
-
-/// Agreeing tiles, and their ratio, that suffice where something occludes the rest. Raised, stages
-/// behind people are found late; lowered, poses that fit only in a corner may be reported.
-const SURE_TILES: usize = 24;
-const SURE_SHARE: f64 = 0.15;
-/// Minimum variance of a tile's prediction, and sum of it over the tile, in variances of a pixel's
-/// noise. Raised, hazy and dim stages are not found; lowered, noise is judged.
-const MIN_DETAIL: f64 = 0.5;
-const MIN_DETAIL_IN_ALL: f64 = 25.0;
-/// Minimum fraction of a tile's observed variance that is not noise. Raised, right tiles in haze do
-/// not agree; lowered, plain tiles agree by chance.
-const MIN_CLEAN: f64 = 0.25;
-/// Minimum correlation of an agreeing tile. Raised, tiles behind gauze and in changing light
-/// disagree; lowered, tiles of other pictures agree by chance.
-const AGREEING_CORRELATION: f64 = 0.9;
-/// Maximum sigmas of a pose that one frame may report, relative to the distance and in radians.
-/// Raised, first poses of a shaken camera may be wrong; lowered, they wait for a second frame.
-const SHARP_SHIFT: f64 = 0.0033;
-const SHARP_TURN: f64 = 0.00175;
-
 /// Whether enough tiles agree, in number and ratio, to ignore the others.
 pub fn are_sure(agreeing: usize, tiles: usize) -> bool {
-    agreeing >= SURE_TILES && agreeing as f64 >= SURE_SHARE * tiles as f64
+    agreeing >= TUNING.sufficient_tiles && agreeing as f64 >= TUNING.sufficient_inlier_ratio * tiles as f64
 }
 
 /// Whether a pose is certain enough for one frame alone to report it. `covariance`: of shift and
 /// turn, with all contributions, m² and rad²; `distance_m`: to the nearest surface.
 pub fn is_sharp(covariance: &Matrix6<f64>, distance_m: f64) -> bool {
     let sigma = |first: usize| covariance.fixed_view::<3, 3>(first, first).trace().max(0.0).sqrt();
-    sigma(0) < SHARP_SHIFT * distance_m && sigma(3) < SHARP_TURN
+    sigma(0) < TUNING.max_single_frame_shift_sigma * distance_m && sigma(3) < TUNING.max_single_frame_rotation_sigma
 }
 
 /// Returns [`Alignment::squared_mahalanobis`]; infinite where the covariance is singular.
@@ -180,13 +138,13 @@ pub fn agreement(e: &RunEvidence) -> Option<bool> {
     let [s, p, ss, pp, sp] = e.moments.map(|m| m / n);
     let (seen, predicted, both) = (ss - s * s, pp - p * p, sp - s * p);
     let noise = e.noise / n;
-    if predicted < MIN_DETAIL * noise || n * predicted < MIN_DETAIL_IN_ALL * noise {
+    if predicted < TUNING.min_tile_detail * noise || n * predicted < TUNING.min_tile_detail_sum * noise {
         return None;
     }
     // Noise lowers the correlation of a right tile. Its variance is subtracted, but not in full, as
     // it is not known exactly.
-    let clean = (seen - noise).max(MIN_CLEAN * seen);
-    Some(both > 0.0 && both * both > AGREEING_CORRELATION.powi(2) * clean * predicted)
+    let clean = (seen - noise).max(TUNING.min_signal_ratio * seen);
+    Some(both > 0.0 && both * both > TUNING.min_agreeing_correlation.powi(2) * clean * predicted)
 }
 
 #[cfg(test)]

@@ -1,5 +1,7 @@
 //! Predicts where a body is: in the frame that finds it, and in frames that do not find it.
 
+use crate::track::acquire::tuning::TUNING as ACQUIRE_TUNING;
+use crate::track::body::tuning::TUNING;
 use nalgebra::Vector2;
 
 use super::TrackedBody;
@@ -9,14 +11,6 @@ use crate::geometry::resection::{Twist, perturbed};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::MotionEstimate;
 use crate::track::acquire::search_windows::Extent;
-use crate::track::acquire::unexplained_cells::MARGIN_PX;
-
-/// Maximum interval between verified poses that imply a motion, seconds; consecutive frames always
-/// do. Raised, outdated motion is used; lowered, a dropped frame leaves the motion unknown.
-const MAX_MOTION_GAP_S: f64 = 0.07;
-/// How long after a body was last seen its place is searched first, seconds. Raised, bodies that
-/// went away delay others; lowered, a new body may miss its confirmation.
-const LAST_SEEN_FOR_S: f64 = 0.5;
 
 impl TrackedBody {
     /// Returns its motion in the frame at `timestamp`, if it was aligned there.
@@ -59,7 +53,7 @@ impl TrackedBody {
     /// Returns where it was last seen, if recently, and then its extrapolated pose, if known.
     pub fn expected_poses(&self, timestamp: Timestamp) -> impl Iterator<Item = Pose<Camera, Body>> {
         let recent = self.before.map(|(last, then, twist)| (last, timestamp.seconds_since(then), twist));
-        recent.filter(|(_, dt_s, _)| *dt_s <= LAST_SEEN_FOR_S).into_iter().flat_map(|(last, dt_s, twist)| {
+        recent.filter(|(_, dt_s, _)| *dt_s <= TUNING.last_seen_search_s).into_iter().flat_map(|(last, dt_s, twist)| {
             let by_now = twist.map(|twist| perturbed(&last, &(twist.0 * dt_s)));
             std::iter::once(last).chain(by_now)
         })
@@ -80,8 +74,8 @@ impl TrackedBody {
             }
         }
         let size = [camera.width(), camera.height()];
-        let from = [0, 1].map(|k| (low[k] - f64::from(MARGIN_PX)).clamp(0.0, f64::from(size[k])) as u32);
-        let to = [0, 1].map(|k| (high[k] + f64::from(MARGIN_PX)).clamp(0.0, f64::from(size[k])) as u32);
+        let from = [0, 1].map(|k| (low[k] - f64::from(ACQUIRE_TUNING.region_margin_px)).clamp(0.0, f64::from(size[k])) as u32);
+        let to = [0, 1].map(|k| (high[k] + f64::from(ACQUIRE_TUNING.region_margin_px)).clamp(0.0, f64::from(size[k])) as u32);
         (0..2).all(|k| from[k] < to[k]).then_some([from, to])
     }
 
@@ -90,6 +84,6 @@ impl TrackedBody {
     pub fn before_at(&self, timestamp: Timestamp) -> Option<(Pose<Camera, Body>, f64, Option<Twist>)> {
         let (pose, then, twist) = self.before?;
         let dt_s = timestamp.seconds_since(then);
-        (dt_s > 1e-4 && dt_s <= MAX_MOTION_GAP_S.max(self.to_next_s)).then_some((pose, dt_s, twist))
+        (dt_s > 1e-4 && dt_s <= TUNING.max_motion_gap_s.max(self.to_next_s)).then_some((pose, dt_s, twist))
     }
 }

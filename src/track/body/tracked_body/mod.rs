@@ -9,10 +9,13 @@
 
 mod expected;
 
+use crate::track::acquire::tuning::TUNING as ACQUIRE_TUNING;
+use crate::track::body::tuning::TUNING;
+use crate::track::patches::tuning::TUNING as PATCHES_TUNING;
 use nalgebra::{Matrix6, Vector2, Vector3, Vector6};
 use tracing::debug;
 
-use super::learnt_readout::{CURVATURE, ReadoutDoubt};
+use super::learnt_readout::ReadoutDoubt;
 use super::pixel_watch::{Displaced, Used};
 use super::reason::Reason;
 use super::track_state::TrackStateMachine;
@@ -23,7 +26,6 @@ use crate::geometry::resection::{MovingCamera, Observation, SquaredResiduals, Tw
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::{MotionError, MotionEstimate, ProcessNoise};
 use crate::track::acquire::candidate::Recognition;
-use crate::track::acquire::expected_candidate::{FIRST_SHIFT, FIRST_TURN};
 use crate::track::align::{AlignSurface, Aligner, Alignment, CameraRays, FrameLevels, Patch, ReadoutQuestion, ShutterClue, is_sharp};
 use crate::track::model_error::field_error::{FieldSize, ModelErrorBuffers, blended, model_error};
 use crate::track::model_error::focal_clue::{FocalClue, RowDisplacement, focal_clue, is_suspect};
@@ -35,49 +37,11 @@ use crate::track::model_error::shape_doubt::ShapeDoubt;
 use crate::track::model_error::surface_doubt::covariance_by_surfaces;
 use crate::track::model_error::tile_residuals::TileResiduals;
 use crate::track::patches::fitted_anchor::FittedAnchor;
-use crate::track::patches::planar_ambiguity::{MIN_MARGIN, ambiguity_margin, most_frequent_surface};
+use crate::track::patches::planar_ambiguity::{ambiguity_margin, most_frequent_surface};
 use crate::track::patches::row_motion::RowMotion;
 use crate::track::patches::verify::{Refusal, Verified, VerifyBuffers, View, judged_noise, search_silent, verify};
 use crate::track::scene::reference::PreparedBody;
 use crate::track::scene::surface::BodySpec;
-
-/// Maximum gap over which a body is followed, seconds; the next frame always is. Raised, alignment
-/// starts outside its basin; lowered, a dropped frame costs a search by features.
-const MAX_FOLLOWED_GAP_S: f64 = 0.1;
-/// Maximum residual sigma of an alignment that fits (noise alone: 1). Raised, the right one of two
-/// planar poses may not be tried; lowered, the wrong one costs as much as several followed bodies.
-const FITTING_SCALE: f64 = 1.5;
-/// Fraction of fitting anchors above which no rival start is tried. Raised, frames cost more;
-/// lowered, the first candidate may hide a better one.
-const CLEAR_SHARE: f64 = 0.6;
-/// Frames between two checks of a followed pose against the opposite tilt, about 1 ms each. Raised,
-/// a pose on the wrong branch stays longer; lowered, frames cost more.
-const AUDIT_FRAMES: u32 = 16;
-
-/// Distance of a followed pose from its start, in periods, above which it is checked for being a
-/// period off. Raised, it may be a period off; lowered, frames of repetitive pictures cost more.
-const CLOSE_PERIODS: f64 = 0.25;
-/// Factor by which a pose one period aside must be stronger for this one to be refused, see
-/// [`Alignment::strength`]. Raised, poses pass that are a period off; lowered to 1, chance decides.
-const CLEARLY_STRONGER: f64 = 1.2;
-
-/// Minimum tile weight at which an object's model error is separated from noise, as for the stage.
-/// Raised, objects have wider covariances and are reported a frame later; lowered, chance decides.
-const TELLING_TILES: f64 = 40.0;
-
-/// Row displacement by the readout's sigma, pixels, above which misfit may be due to the shutter.
-/// Raised, lenses are blamed for it; lowered, zooms are noticed later if the shutter is unknown.
-const DOUBTED_PX: f64 = 0.1;
-/// Minimum distance of a copy's anchor from its projection, fraction of the frame's width. Raised,
-/// a copy in front of the picture is believed; lowered, a picture in deep folds is refused.
-const COPY_AWAY: f64 = 0.005;
-/// Minimum anchors of a surface for the pose to explain it. Raised, copies beside a small or
-/// occluded picture pass; lowered, chance decides.
-const MIN_OF_SURFACE: usize = 8;
-
-/// Maximum difference of equal starts, radians and fraction of the distance. Raised, a start that
-/// would succeed is skipped; lowered, alignment fails twice from the same place.
-const SAME_START: f64 = 0.005;
 
 /// A body and what its frames showed so far; keeps its buffers between frames.
 pub struct TrackedBody {
@@ -237,7 +201,7 @@ impl TrackedBody {
     /// Whether this frame moves so fast that the readout's uncertainty displaces its rows
     /// noticeably.
     pub fn is_readout_in_doubt(&self) -> bool {
-        self.clue.is_some_and(|clue| self.readout_doubt.is_some_and(|doubt| doubt.sigma_s * clue.speed_px_s > DOUBTED_PX))
+        self.clue.is_some_and(|clue| self.readout_doubt.is_some_and(|doubt| doubt.sigma_s * clue.speed_px_s > TUNING.min_shutter_doubt_px))
     }
 
     /// Returns the covariance of [δp, δθ] of `T_body_camera`, body axes, of the last verified pose
@@ -250,7 +214,7 @@ impl TrackedBody {
         let turn = pose.rotation * (self.by_readout.fixed_rows::<3>(3) * sigma_s);
         let step = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
         // The derivative itself is wrong by a fraction of the step, in any direction.
-        let [shift, turn] = [shift, turn].map(|part| (CURVATURE * part.norm()).powi(2));
+        let [shift, turn] = [shift, turn].map(|part| (TUNING.readout_linearisation_error * part.norm()).powi(2));
         Some(step * step.transpose() + Matrix6::from_diagonal(&Vector6::new(shift, shift, shift, turn, turn, turn)))
     }
 
@@ -286,7 +250,7 @@ impl TrackedBody {
         let (estimate, then) = self.motion.take()?;
         self.followed = Some((estimate, then));
         let dt_s = frame.timestamp.seconds_since(then);
-        if dt_s <= 0.0 || dt_s > MAX_FOLLOWED_GAP_S.max(self.to_next_s) {
+        if dt_s <= 0.0 || dt_s > TUNING.max_followed_gap_s.max(self.to_next_s) {
             return None;
         }
         let has_opposite = std::mem::take(&mut self.has_opposite);
@@ -306,7 +270,7 @@ impl TrackedBody {
             })
         })?;
         self.unaudited += 1;
-        if self.unaudited >= AUDIT_FRAMES && !self.is_audited(&verified.pose.inverse(), camera_rays.camera()) {
+        if self.unaudited >= TUNING.tilt_audit_interval_frames && !self.is_audited(&verified.pose.inverse(), camera_rays.camera()) {
             self.motion = None;
             return None;
         }
@@ -316,7 +280,7 @@ impl TrackedBody {
     /// Whether the opposite tilt does not explain the frame clearly better.
     fn is_audited(&mut self, pose: &Pose<Camera, Body>, camera: &CameraModel) -> bool {
         self.unaudited = 0;
-        self.twin_margin(pose, camera) > -MIN_MARGIN
+        self.twin_margin(pose, camera) > -PATCHES_TUNING.min_twin_margin
     }
 
     /// Returns how much worse than the pose its planar twin explains the anchors.
@@ -346,7 +310,7 @@ impl TrackedBody {
         // Under a rolling shutter tilt and motion are correlated: of 48 flags one was 0.37 degrees
         // off.
         let is_doubtful = self.track.is_continued() && !self.aligner.is_global() && !is_sharp(&verified.covariance, distance_m);
-        let refusal = if margin < MIN_MARGIN {
+        let refusal = if margin < PATCHES_TUNING.min_twin_margin {
             Some(Refusal::Ambiguous(margin))
         } else {
             judged_noise(&verified.covariance, distance_m).err().or(is_doubtful.then_some(Refusal::Uncertain))
@@ -427,7 +391,7 @@ impl TrackedBody {
             "aligned"
         );
         if !found.may_be_given(since_s.is_some(), self.track.was_given(), distance_m) {
-            self.is_seen_in_part = found.scale < FITTING_SCALE;
+            self.is_seen_in_part = found.scale < TUNING.max_fitting_sigma;
             return None;
         }
         self.clue = solution.shutter_clue;
@@ -467,8 +431,8 @@ impl TrackedBody {
             (found.pose.translation - expected.motion.pose.translation).norm() + distance_m * found.pose.angle_to(&expected.motion.pose);
         let sigma = |first: usize| expected.covariance.fixed_view::<3, 3>(first, first).trace().max(0.0).sqrt();
         let open_m = sigma(0) + distance_m * sigma(3);
-        let is_due = self.unaudited + 1 >= AUDIT_FRAMES;
-        !is_followed || is_due || moved_m > CLOSE_PERIODS * period_m || 3.0 * open_m > 0.5 * period_m
+        let is_due = self.unaudited + 1 >= TUNING.tilt_audit_interval_frames;
+        !is_followed || is_due || moved_m > TUNING.period_check_distance * period_m || 3.0 * open_m > 0.5 * period_m
     }
 
     /// Whether one of its pictures is repetitive.
@@ -490,13 +454,17 @@ impl TrackedBody {
         rivals.iter().any(|aside| {
             let start = Pose::new(found.pose.rotation, found.pose.translation + aside);
             let distance_m = self.aligner.distance_m(&start);
-            let unseen = self.unseen(start, [FIRST_SHIFT * distance_m, FIRST_TURN], None);
+            let unseen = self.unseen(
+                start,
+                [ACQUIRE_TUNING.feature_pose_shift_sigma * distance_m, ACQUIRE_TUNING.feature_pose_rotation_sigma],
+                None,
+            );
             let expected = MotionEstimate { motion: unseen.motion.with_twist(&found.estimate.motion.twist()), ..unseen };
             let Some(solution) = self.aligner.align(levels, camera_rays, &expected, None) else { return false };
             let rival = solution.alignment;
             let is_other = (rival.pose.translation - found.pose.translation).norm() > 0.5 * aside.norm();
             debug!(body = %self.body.name, own = found.strength(), rival = rival.strength(), is_other, "a period aside");
-            is_other && rival.strength() > CLEARLY_STRONGER * found.strength()
+            is_other && rival.strength() > TUNING.min_period_strength_ratio * found.strength()
         })
     }
 
@@ -555,7 +523,7 @@ impl TrackedBody {
         let error = model_error(&t_camera_body, field_px, residuals, error_buffers);
         // An object with few tiles cannot separate model error from noise: all of it counts as a
         // field.
-        let tells = is_stage || residuals.weight() > TELLING_TILES;
+        let tells = is_stage || residuals.weight() > TUNING.min_model_error_tiles;
         let of_frame = error.map_or(Matrix6::zeros(), |e| if tells { field_size.take(&e) } else { e.at_most() });
         let noise = error.map_or(1.0, |e| e.noise);
         *own_error = blended(&t_camera_body, residuals, &verified.covariance, &of_frame, own_error).unwrap_or(of_frame);
@@ -655,7 +623,7 @@ impl TrackedBody {
     pub fn is_elsewhere(&self, pose: &Pose<Body, Camera>, copy: &[FittedAnchor], camera: &CameraModel) -> bool {
         let surface = most_frequent_surface(copy, self.body.surfaces.len());
         let t_camera_body = pose.inverse();
-        let limit_px = COPY_AWAY * f64::from(camera.width());
+        let limit_px = TUNING.min_copy_distance * f64::from(camera.width());
         let is_away = |anchor: &&FittedAnchor| {
             let seen = t_camera_body.transform(&anchor.observation.point);
             let is_far = || (camera.project(Normalized(seen.coords.xy() / seen.z)).0 - anchor.observation.pixel).norm() > limit_px;
@@ -664,7 +632,7 @@ impl TrackedBody {
         let on_surface = |anchors: &[FittedAnchor]| anchors.iter().filter(|a| a.surface == surface).count();
         let away = copy.iter().filter(is_away).count();
         debug!(body = %self.body.name, away, of = copy.len(), own = on_surface(&self.anchors), "is elsewhere");
-        on_surface(&self.anchors) >= MIN_OF_SURFACE && 4 * away > 3 * copy.len()
+        on_surface(&self.anchors) >= TUNING.min_surface_anchors && 4 * away > 3 * copy.len()
     }
 
     /// Verifies starts, and returns the first clear success, otherwise the best that passes.
@@ -685,7 +653,7 @@ impl TrackedBody {
                         self.anchors.clone_from(&buffers.anchors);
                         self.found.clone_from(&buffers.found);
                     }
-                    if v.share > CLEAR_SHARE {
+                    if v.share > TUNING.conclusive_anchor_ratio {
                         break;
                     }
                 }
@@ -702,7 +670,8 @@ impl TrackedBody {
 /// Whether alignment from both poses leads to the same result: 0.005 radians (0.3 degrees) and as
 /// much of the distance are well within its basin.
 pub fn is_near(a: &Pose<Body, Camera>, b: &Pose<Body, Camera>) -> bool {
-    a.angle_to(b) < SAME_START && (a.translation - b.translation).norm() < SAME_START * a.translation.norm()
+    a.angle_to(b) < TUNING.same_start_tolerance
+        && (a.translation - b.translation).norm() < TUNING.same_start_tolerance * a.translation.norm()
 }
 
 #[cfg(test)]

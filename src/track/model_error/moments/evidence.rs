@@ -2,23 +2,18 @@
 //! plain softness its picture contains beside the single moment that fits best. A cell is a small
 //! block of pixels, compared with the reference picture drawn at several moments.
 
+use crate::track::model_error::tuning::TUNING;
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
 /// Columns and rows of a cell, pixels. Raised, folds and light vary within a cell; lowered, a cell
 /// has little detail.
-pub const ACROSS: usize = 24;
-pub const DOWN: usize = 16;
+pub const CELL_COLUMNS: usize = 24;
+pub const CELL_ROWS: usize = 16;
 /// Number of pixels with neighbours on all sides.
-const INSIDE: usize = (ACROSS - 2) * (DOWN - 2);
-/// Minimum standard deviation of a tested cell, grey levels. Raised, faint pictures are not tested;
-/// lowered, noise is.
-const MIN_CONTRAST: f32 = 4.0;
-/// Maximum fraction of a cell's variance that the regression leaves. Raised, people in front of the
-/// stage count; lowered, noisy cells do not.
-const MAX_LEFT: f64 = 0.3;
+const INSIDE: usize = (CELL_COLUMNS - 2) * (CELL_ROWS - 2);
 
 /// The greys of a cell, by row and column.
-pub type Greys = [[f32; ACROSS]; DOWN];
+pub type Greys = [[f32; CELL_COLUMNS]; CELL_ROWS];
 
 /// The moments that are drawn, in frame intervals from the frame's own. Not tuned; more cost more.
 pub const MOMENTS: [f64; 5] = [-1.0, -0.5, 0.0, 0.5, 1.0];
@@ -59,10 +54,10 @@ pub struct Shares {
 
 /// Numbers and indices of the regression's columns: what one moment explains, the unknowns, and the
 /// observed greys.
-const EXPLAINED: usize = 3;
-const ASKED: usize = 3;
-const SEEN: usize = EXPLAINED + ASKED;
-const COLUMNS: usize = SEEN + 1;
+const MOMENT_COLUMNS: usize = 3;
+const UNKNOWNS: usize = 3;
+const SEEN: usize = MOMENT_COLUMNS + UNKNOWNS;
+const REGRESSION_COLUMNS: usize = SEEN + 1;
 
 impl Evidence {
     /// Scales the earlier evidence by this factor.
@@ -104,7 +99,7 @@ impl Cell {
         for (told, middle) in told.iter_mut().zip(MIDDLES) {
             *told = self.evidence_about(middle).unwrap_or(*told);
         }
-        told.iter().any(|told| told.left < MAX_LEFT).then_some(told)
+        told.iter().any(|told| told.left < TUNING.max_cell_residual_ratio).then_some(told)
     }
 
     /// Returns the moment that the frame shows the cell at, in frame intervals from its own: the
@@ -114,7 +109,7 @@ impl Cell {
         let inside = |greys: &Greys| {
             let mut out = [0.0; INSIDE];
             for (k, out) in out.iter_mut().enumerate() {
-                *out = greys[1 + k / (ACROSS - 2)][1 + k % (ACROSS - 2)];
+                *out = greys[1 + k / (CELL_COLUMNS - 2)][1 + k % (CELL_COLUMNS - 2)];
             }
             let mean = out.iter().sum::<f32>() / INSIDE as f32;
             out.map(|grey| grey - mean)
@@ -122,7 +117,7 @@ impl Cell {
         let product = |a: &[f32; INSIDE], b: &[f32; INSIDE]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
         let (seen, drawn) = (inside(&self.seen), self.drawn.each_ref().map(inside));
         let variance = product(&seen, &seen);
-        if variance < MIN_CONTRAST.powi(2) * INSIDE as f32 {
+        if variance < TUNING.min_cell_contrast.powi(2) * INSIDE as f32 {
             return None;
         }
         let left = drawn.each_ref().map(|drawn| {
@@ -139,33 +134,34 @@ impl Cell {
         change.iter_mut().zip(own).for_each(|(change, own)| *change -= lit * own);
         let moved = product(&seen, &change) / (gain * product(&change, &change)).max(f32::MIN_POSITIVE);
         let explained = moved * product(&seen, &change) * gain;
-        let is_told = variance * left[best] - explained < MAX_LEFT as f32 * variance && moved.abs() <= 0.5;
+        let is_told = variance * left[best] - explained < TUNING.max_cell_residual_ratio as f32 * variance && moved.abs() <= 0.5;
         is_told.then(|| MOMENTS[best] + f64::from(moved) * (MOMENTS[to] - MOMENTS[from]))
     }
 
     fn evidence_about(&self, middle: usize) -> Option<OfCell> {
         let columns = self.columns(middle);
         let product = |a: usize, b: usize| columns[a].iter().zip(&columns[b]).map(|(a, b)| a * b).sum::<f32>();
-        let mut gram = SMatrix::<f64, COLUMNS, COLUMNS>::zeros();
-        for a in 0..COLUMNS {
+        let mut gram = SMatrix::<f64, REGRESSION_COLUMNS, REGRESSION_COLUMNS>::zeros();
+        for a in 0..REGRESSION_COLUMNS {
             for b in 0..=a {
                 gram[(a, b)] = f64::from(product(a, b));
                 gram[(b, a)] = gram[(a, b)];
             }
         }
         let variance = gram[(SEEN, SEEN)];
-        if variance < f64::from(MIN_CONTRAST.powi(2)) * INSIDE as f64 {
+        if variance < f64::from(TUNING.min_cell_contrast.powi(2)) * INSIDE as f64 {
             return None;
         }
         // The light's gain and the cell's position are free for a single moment.
-        let explained = gram.fixed_view::<EXPLAINED, EXPLAINED>(0, 0).into_owned().cholesky()?;
-        let gain = explained.solve(&gram.fixed_view::<EXPLAINED, 1>(0, SEEN))[0];
-        let across = gram.fixed_view::<EXPLAINED, { COLUMNS - EXPLAINED }>(0, EXPLAINED).into_owned();
-        let rest = gram.fixed_view::<{ COLUMNS - EXPLAINED }, { COLUMNS - EXPLAINED }>(EXPLAINED, EXPLAINED)
+        let explained = gram.fixed_view::<MOMENT_COLUMNS, MOMENT_COLUMNS>(0, 0).into_owned().cholesky()?;
+        let gain = explained.solve(&gram.fixed_view::<MOMENT_COLUMNS, 1>(0, SEEN))[0];
+        let across = gram.fixed_view::<MOMENT_COLUMNS, { REGRESSION_COLUMNS - MOMENT_COLUMNS }>(0, MOMENT_COLUMNS).into_owned();
+        let rest = gram
+            .fixed_view::<{ REGRESSION_COLUMNS - MOMENT_COLUMNS }, { REGRESSION_COLUMNS - MOMENT_COLUMNS }>(MOMENT_COLUMNS, MOMENT_COLUMNS)
             - across.transpose() * explained.solve(&across);
-        let mut normal = rest.fixed_view::<ASKED, ASKED>(0, 0).into_owned();
-        let right = rest.fixed_view::<ASKED, 1>(0, ASKED).into_owned();
-        let left = rest[(ASKED, ASKED)] - {
+        let mut normal = rest.fixed_view::<UNKNOWNS, UNKNOWNS>(0, 0).into_owned();
+        let right = rest.fixed_view::<UNKNOWNS, 1>(0, UNKNOWNS).into_owned();
+        let left = rest[(UNKNOWNS, UNKNOWNS)] - {
             let ridge = 1e-6 * normal.trace() + f64::MIN_POSITIVE;
             (normal + Matrix3::identity() * ridge).cholesky()?.solve(&right).dot(&right)
         };
@@ -175,14 +171,14 @@ impl Cell {
 
     /// Returns all columns, each without its mean.
     #[allow(clippy::needless_range_loop)]
-    fn columns(&self, middle: usize) -> [[f32; INSIDE]; COLUMNS] {
-        let mut columns = [[0.0; INSIDE]; COLUMNS];
+    fn columns(&self, middle: usize) -> [[f32; INSIDE]; REGRESSION_COLUMNS] {
+        let mut columns = [[0.0; INSIDE]; REGRESSION_COLUMNS];
         let Self { seen, drawn, begins_even } = self;
         let [before, now, after] = [&drawn[middle - 1], &drawn[middle], &drawn[middle + 1]];
         let mut k = 0;
-        for v in 1..DOWN - 1 {
+        for v in 1..CELL_ROWS - 1 {
             let sign = if (v % 2 == 0) == *begins_even { 0.5 } else { -0.5 };
-            for u in 1..ACROSS - 1 {
+            for u in 1..CELL_COLUMNS - 1 {
                 let own = now[v][u];
                 let values = [
                     own,
@@ -278,7 +274,7 @@ mod tests {
     #[test]
     fn cells_of_another_picture_give_no_evidence() {
         let other = of_rows(|v, u| 100.0 + 40.0 * (0.9 * v as f32).sin() * (0.8 * u as f32 + 1.0).cos());
-        for seen in [other, [[80.0; ACROSS]; DOWN]] {
+        for seen in [other, [[80.0; CELL_COLUMNS]; CELL_ROWS]] {
             assert!(cell(seen, 3.0).evidence().is_none() && cell(seen, 3.0).moment().is_none());
         }
     }

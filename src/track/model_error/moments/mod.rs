@@ -12,10 +12,11 @@
 mod evidence;
 mod tear;
 
+use crate::track::model_error::tuning::TUNING;
 use image::GrayImage;
 use nalgebra::{Matrix2, Matrix2x3, Point3, SVector, Vector2};
 
-use self::evidence::{ACROSS, Cell, DOWN, Evidence, Greys, MIDDLES, MOMENTS};
+use self::evidence::{CELL_COLUMNS, CELL_ROWS, Cell, Evidence, Greys, MIDDLES, MOMENTS};
 use self::tear::{Displaced, torn_by};
 use crate::camera::{CameraModel, Normalized};
 use crate::geometry::{Body, Camera, Pose, skew};
@@ -26,44 +27,6 @@ use crate::track::scene::averaged_picture::AveragedPicture;
 use crate::track::scene::bilinear::look_at;
 use crate::track::scene::reference::{PreparedBody, PreparedSurface};
 use crate::track::scene::shape::ShapePoint;
-
-/// Cells drawn per frame. Raised, a tested frame costs more; lowered, an occluder of some cells
-/// decides.
-const CELLS: usize = 40;
-/// Places in the pictures where tears are searched for, whatever is visible there. Raised, a tested
-/// frame costs more; lowered, tears have too few cells.
-const PLACES: usize = 144;
-/// Minimum cells by which a frame is judged. Raised, small stages are not tested; lowered, a few
-/// cells decide.
-const MIN_CELLS: usize = 8;
-/// Minimum displacement of the picture per frame for a test, pixels (rms). Raised, slow mixtures
-/// are noticed later; lowered, the point spread passes for a second moment.
-const ASKED_PX: f64 = 1.2;
-/// Maximum displacement per frame, pixels of the copy of the frame; beyond it a smaller copy is
-/// used. Raised, a cell's moments share less of its width; lowered, fields are seen less often.
-const MAX_PX: f64 = 6.0;
-/// Maximum relative change of the motion from frame to frame for evidence of a second moment.
-/// Raised, jerks of a hand pass for a second moment; lowered, only smooth motion counts.
-const MAX_CHANGE: f64 = 0.3;
-/// Share of a second moment above which a frame is blended (long exposure: a third; mixture: 1).
-/// Raised, mixtures pass; lowered, long exposures are refused.
-const BLENDED: f64 = 0.7;
-/// Share above which rows are woven: 1 for fields a frame interval apart, a half for half of it.
-/// Raised, fields pass; lowered, stripes may pass for fields.
-const WOVEN: f64 = 0.3;
-/// Fraction of the evidence kept at each tested frame. Raised, a repaired source is trusted later;
-/// lowered, single frames decide.
-const KEPT: f64 = 0.8;
-/// Tested frames with the same result before it is announced. Raised, it is announced later;
-/// lowered, a chance result may be announced.
-const SAID_AFTER: u32 = 5;
-/// Moving frames that are all tested at first, and the interval of tests after those. Raised,
-/// frames cost more, or mixtures that begin later are noticed later.
-const ASKED_FIRST: u32 = 12;
-const IDLE_FRAMES: u32 = 6;
-/// Displacement per frame, pixels (rms), from which a mixture's pose is withheld; the covariance
-/// covers slower ones. Raised, poses far less certain than usual are reported.
-const WITHHELD_PX: f64 = 1.0;
 
 /// How a frame mixes moments.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -152,19 +115,19 @@ impl MixtureWatch {
         // A mixture's pose may alternate between both moments and stand still in between, so the
         // motion before counts as well.
         let longest_px = found.motion_before.map_or(way_px, |before| way_px.max(found.way_px(&before)));
-        if way_px >= ASKED_PX && self.is_due() {
+        if way_px >= TUNING.min_test_motion_px && self.is_due() {
             self.ask(found, way_px, levels);
         }
         match self.mixture {
             None => Verdict::Whole,
-            Some(_) if longest_px >= WITHHELD_PX => Verdict::Withheld,
+            Some(_) if longest_px >= TUNING.min_withheld_motion_px => Verdict::Withheld,
             Some(_) => Verdict::Slow,
         }
     }
 
     /// Returns the mixture to announce, once.
     pub fn news(&mut self) -> Option<Mixture> {
-        let mixture = self.mixture.filter(|_| self.agreeing >= SAID_AFTER && !self.is_said)?;
+        let mixture = self.mixture.filter(|_| self.agreeing >= TUNING.frames_to_announce && !self.is_said)?;
         self.is_said = true;
         Some(mixture)
     }
@@ -176,12 +139,12 @@ impl MixtureWatch {
 
     fn is_due(&mut self) -> bool {
         self.passed += 1;
-        self.asked < ASKED_FIRST || self.mixture.is_some() || self.passed >= IDLE_FRAMES
+        self.asked < TUNING.first_tested_frames || self.mixture.is_some() || self.passed >= TUNING.test_interval_frames
     }
 
     fn ask(&mut self, found: &Found, way_px: f64, levels: &mut FrameLevels) {
         let mut level = 0;
-        while way_px / f64::from(1u32 << level) > MAX_PX && level + 1 < LEVELS {
+        while way_px / f64::from(1u32 << level) > TUNING.max_test_motion_px && level + 1 < LEVELS {
             level += 1;
         }
         // Fields are not visible in smaller copies.
@@ -193,19 +156,19 @@ impl MixtureWatch {
         self.prepare(found, &copy, &poses);
         self.find_moments(found, &copy, &poses);
         let is_torn = torn_by(&self.displaced).is_some();
-        self.torn += (1.0 - KEPT) * (f64::from(u8::from(is_torn)) - self.torn);
+        self.torn += (1.0 - TUNING.moment_evidence_kept) * (f64::from(u8::from(is_torn)) - self.torn);
         // If the motion changes, a frame's cells show more or less motion than its own.
         if found.is_steady()
             && let Some(of_frame) = self.evidence_of(found, &copy, &poses)
         {
-            self.evidence.fade(KEPT);
+            self.evidence.fade(TUNING.moment_evidence_kept);
             self.evidence.add(&of_frame);
         }
         let shares = self.evidence.shares();
         let mixture = match shares {
-            Some(shares) if shares.by_turns.abs() > WOVEN => Some(Mixture::Woven),
+            Some(shares) if shares.by_turns.abs() > TUNING.min_woven_share => Some(Mixture::Woven),
             _ if is_torn || self.torn > 0.5 => Some(Mixture::Torn),
-            Some(shares) if shares.both > BLENDED => Some(Mixture::Blended),
+            Some(shares) if shares.both > TUNING.min_blended_share => Some(Mixture::Blended),
             _ => None,
         };
         self.agreeing = if mixture.is_some() && mixture == self.mixture { self.agreeing + 1 } else { u32::from(mixture.is_some()) };
@@ -220,7 +183,7 @@ impl MixtureWatch {
         let (frame, scale) = (copy.size.map(|n| n as f64), copy.scale());
         self.texels.clear();
         self.texels.extend(surfaces.iter().map(|surface| {
-            let see = |place| Some(surface.rectangle.see(&poses[NOW], found.camera, place, 0.0)?.in_smaller(scale));
+            let see = |place| Some(surface.rectangle.see(&poses[OWN_MOMENT], found.camera, place, 0.0)?.in_smaller(scale));
             surface.rectangle.texels_log2(frame, see).unwrap_or(0.0)
         }));
         if self.averaged.len() < surfaces.len() {
@@ -246,7 +209,7 @@ impl MixtureWatch {
 
     /// Sums the evidence of cells at anchors that were found. `None` where too few cells have any.
     fn evidence_of(&mut self, found: &Found, copy: &FrameCopy, poses: &Poses) -> Option<Evidence> {
-        let stride = found.anchors.len().div_ceil(CELLS).max(1);
+        let stride = found.anchors.len().div_ceil(TUNING.cells_per_frame).max(1);
         let (mut sums, mut left, mut cells) = ([Evidence::default(); MIDDLES.len()], [0.0; MIDDLES.len()], 0);
         for anchor in found.anchors.iter().step_by(stride) {
             let number = anchor.surface as usize;
@@ -261,7 +224,7 @@ impl MixtureWatch {
             cells += 1;
         }
         let best = (0..MIDDLES.len()).min_by(|a, b| left[*a].total_cmp(&left[*b]))?;
-        (cells >= MIN_CELLS).then_some(sums[best])
+        (cells >= TUNING.min_moment_cells).then_some(sums[best])
     }
 
     /// Finds the moment that the frame shows at places all over the pictures.
@@ -269,7 +232,7 @@ impl MixtureWatch {
         let mut displaced = std::mem::take(&mut self.displaced);
         displaced.clear();
         let surfaces = found.body.surfaces.len();
-        let side = ((PLACES / surfaces.max(1)) as f64).sqrt().floor().max(2.0) as usize;
+        let side = ((TUNING.tear_places / surfaces.max(1)) as f64).sqrt().floor().max(2.0) as usize;
         for (number, at) in (0..surfaces).flat_map(|number| (0..side * side).map(move |at| (number, at))) {
             let share = [at % side, at / side].map(|k| (k as f64 + 0.5) / side as f64);
             let moment = self.cell(found, number, share, None, copy, poses).and_then(|cell| cell.moment());
@@ -303,7 +266,7 @@ impl Found<'_> {
         let both = points.filter_map(|point| Some([self.way(&point, &self.motion)?, self.way(&point, before)?]));
         let (change, way) =
             both.fold((0.0, 0.0), |(change, way), [now, then]| (change + (now - then).norm_squared(), way + now.norm_squared()));
-        change <= MAX_CHANGE.powi(2) * way
+        change <= TUNING.max_motion_change.powi(2) * way
     }
 
     /// Returns a place of a surface that is shown as it looked at `moment`; `None` where it is not
@@ -333,7 +296,7 @@ fn metres(share: [f64; 2], size_m: [f64; 2]) -> [f64; 2] {
 /// The camera's pose at each of the [`MOMENTS`].
 type Poses = [Pose<Body, Camera>; MOMENTS.len()];
 /// Index of the frame's own moment in [`MOMENTS`].
-const NOW: usize = 2;
+const OWN_MOMENT: usize = 2;
 
 /// A copy of the frame at a pyramid level; level 0 is the frame itself.
 struct FrameCopy<'a> {
@@ -390,11 +353,11 @@ fn draw_cell(
     let place = rectangle.shape.at(metres(share, size_m));
     let scale = copy.scale();
     let see = |pose| Some(rectangle.see_place(pose, camera, &place, 0.2)?.in_smaller(scale));
-    let now = see(&poses[NOW])?;
+    let now = see(&poses[OWN_MOMENT])?;
     let half = Vector2::new(0.5, 0.5);
     let shown = shown.map_or(now.pixel, |shown| (shown + half) / scale - half);
-    let first = shown - Vector2::new(0.5 * ACROSS as f64, 0.5 * DOWN as f64);
-    let last = [copy.size[0].checked_sub(ACROSS)?, copy.size[1].checked_sub(DOWN)?];
+    let first = shown - Vector2::new(0.5 * CELL_COLUMNS as f64, 0.5 * CELL_ROWS as f64);
+    let last = [copy.size[0].checked_sub(CELL_COLUMNS)?, copy.size[1].checked_sub(CELL_ROWS)?];
     let origin = [first.x.round(), first.y.round()];
     if origin.iter().zip(last).any(|(at, last)| *at < 0.0 || *at > last as f64) {
         return None;
@@ -402,7 +365,7 @@ fn draw_cell(
     let image_size = [image.width() as usize, image.height() as usize];
     let texel = [0, 1].map(|k| share[k] * image_size[k] as f64 - 0.5);
     let per_m = Matrix2::new(image_size[0] as f64 / size_m[0], 0.0, 0.0, -(image_size[1] as f64) / size_m[1]);
-    let mut drawn = [[[0.0; ACROSS]; DOWN]; MOMENTS.len()];
+    let mut drawn = [[[0.0; CELL_COLUMNS]; CELL_ROWS]; MOMENTS.len()];
     for (drawn, pose) in drawn.iter_mut().zip(poses) {
         let seen = see(pose)?;
         let by_pixel = per_m * seen.by_metres.try_inverse()?;
@@ -416,7 +379,7 @@ fn draw_cell(
 /// leaves the picture.
 fn draw(picture: &[u8], size: [usize; 2], texel: [f64; 2], by_pixel: &Matrix2<f64>, from: Vector2<f64>, drawn: &mut Greys) -> Option<()> {
     let place = |u: usize, v: usize| Vector2::from(texel) + by_pixel * (from + Vector2::new(u as f64, v as f64));
-    let corners = [(0, 0), (ACROSS - 1, 0), (0, DOWN - 1), (ACROSS - 1, DOWN - 1)];
+    let corners = [(0, 0), (CELL_COLUMNS - 1, 0), (0, CELL_ROWS - 1), (CELL_COLUMNS - 1, CELL_ROWS - 1)];
     let is_in = |(u, v)| {
         let at = place(u, v);
         at.x >= 0.0 && at.y >= 0.0 && at.x <= (size[0] - 1) as f64 && at.y <= (size[1] - 1) as f64
@@ -428,7 +391,7 @@ fn draw(picture: &[u8], size: [usize; 2], texel: [f64; 2], by_pixel: &Matrix2<f6
         let first: Vector2<f32> = place(0, v).cast();
         let step: [f32; 2] = [by_pixel[(0, 0)] as f32, by_pixel[(1, 0)] as f32];
         let [xs, ys] = [0, 1].map(|k| std::array::from_fn(|u| first[k] + u as f32 * step[k]));
-        *row = look_at::<ACROSS>(picture, size, &xs, &ys);
+        *row = look_at::<CELL_COLUMNS>(picture, size, &xs, &ys);
     }
     Some(())
 }

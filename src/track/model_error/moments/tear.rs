@@ -2,6 +2,7 @@
 //! displacement along its motion; a step of these at a line is tested against a smooth change by
 //! pose and readout.
 
+use crate::track::model_error::tuning::TUNING;
 use nalgebra::{SMatrix, SVector};
 
 /// The displacement of a cell along its motion, from where the pose has it.
@@ -17,24 +18,11 @@ pub struct Displaced {
     pub by_pose: SVector<f64, 6>,
 }
 
-/// Number of lines tried. Raised, a tested frame costs more; lowered, tears between the lines are
-/// missed.
-const LINES: usize = 12;
-/// Minimum step, in displacements per frame interval. Raised, tears near the border are missed;
-/// lowered, a jerk under a rolling shutter passes for one.
-const MIN_WAYS: f64 = 0.4;
-/// Maximum fraction of a smooth fit's residual that a step may leave. Raised, noise passes for a
-/// tear; lowered, noisy tears are missed.
-const LEFT: f64 = 0.4;
-/// Minimum cells on either side of a line. Raised, tears near the border are missed; lowered, a few
-/// cells decide.
-const MIN_CELLS: usize = 6;
-
 /// Number of smooth terms: the pose (6), and the motion by the row and its square.
-const SMOOTH: usize = 8;
+const SMOOTH_TERMS: usize = 8;
 
 impl Displaced {
-    fn smooth(&self) -> SVector<f64, SMOOTH> {
+    fn smooth(&self) -> SVector<f64, SMOOTH_TERMS> {
         let y = self.row - 0.5;
         let p = &self.by_pose;
         SVector::from([p[0], p[1], p[2], p[3], p[4], p[5], self.way * y, self.way * y * y])
@@ -48,7 +36,8 @@ impl Displaced {
 /// Returns the step from the upper to the lower rows, in displacements per frame interval, if it
 /// explains the cells clearly better than another pose and another readout do.
 pub fn torn_by(cells: &[Displaced]) -> Option<f64> {
-    let (mut normal, mut right, mut all) = (SMatrix::<f64, SMOOTH, SMOOTH>::zeros(), SVector::<f64, SMOOTH>::zeros(), 0.0);
+    let (mut normal, mut right, mut all) =
+        (SMatrix::<f64, SMOOTH_TERMS, SMOOTH_TERMS>::zeros(), SVector::<f64, SMOOTH_TERMS>::zeros(), 0.0);
     for cell in cells {
         let columns = cell.smooth();
         normal += columns * columns.transpose();
@@ -57,17 +46,18 @@ pub fn torn_by(cells: &[Displaced]) -> Option<f64> {
     }
     // For a flat stage seen head-on, pose and rows cannot be told apart.
     let scale = normal.diagonal().map(|d| d.max(f64::MIN_POSITIVE).sqrt().recip());
-    let scaled = SMatrix::<f64, SMOOTH, SMOOTH>::from_fn(|r, c| normal[(r, c)] * scale[r] * scale[c] + if r == c { 1e-6 } else { 0.0 });
+    let scaled =
+        SMatrix::<f64, SMOOTH_TERMS, SMOOTH_TERMS>::from_fn(|r, c| normal[(r, c)] * scale[r] * scale[c] + if r == c { 1e-6 } else { 0.0 });
     let inverse = scaled.cholesky()?.inverse();
-    let inverse = SMatrix::<f64, SMOOTH, SMOOTH>::from_fn(|r, c| inverse[(r, c)] * scale[r] * scale[c]);
+    let inverse = SMatrix::<f64, SMOOTH_TERMS, SMOOTH_TERMS>::from_fn(|r, c| inverse[(r, c)] * scale[r] * scale[c]);
     let smooth_left = all - right.dot(&(inverse * right));
-    let steps = (1..LINES).filter_map(|k| {
-        let line = k as f64 / LINES as f64;
+    let steps = (1..TUNING.tear_lines).filter_map(|k| {
+        let line = k as f64 / TUNING.tear_lines as f64;
         let above = cells.iter().filter(|cell| cell.row < line).count();
-        if above < MIN_CELLS || cells.len() - above < MIN_CELLS {
+        if above < TUNING.min_cells_beside_tear || cells.len() - above < TUNING.min_cells_beside_tear {
             return None;
         }
-        let (mut with_smooth, mut own, mut with_off) = (SVector::<f64, SMOOTH>::zeros(), 0.0, 0.0);
+        let (mut with_smooth, mut own, mut with_off) = (SVector::<f64, SMOOTH_TERMS>::zeros(), 0.0, 0.0);
         for cell in cells {
             let step = cell.way * cell.side(line);
             with_smooth += cell.smooth() * step;
@@ -80,7 +70,7 @@ pub fn torn_by(cells: &[Displaced]) -> Option<f64> {
     });
     let (explained, step) = steps.max_by(|a, b| a.0.total_cmp(&b.0))?;
     tracing::debug!(cells = cells.len(), left = 1.0 - explained / smooth_left, step, "tear");
-    (step.abs() >= MIN_WAYS && smooth_left - explained < LEFT * smooth_left).then_some(step)
+    (step.abs() >= TUNING.min_tear_step && smooth_left - explained < TUNING.max_tear_residual_ratio * smooth_left).then_some(step)
 }
 
 #[cfg(test)]

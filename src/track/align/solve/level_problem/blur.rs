@@ -4,6 +4,7 @@
 //! smeared. The derivatives by the velocity replace the columns of the pose in the system of an
 //! alignment. So light and point spread are solved for as well, and occluders get as little weight.
 
+use crate::track::align::tuning::TUNING;
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3, Vector6};
 
 use super::LevelProblem;
@@ -14,14 +15,6 @@ use crate::track::align::pixels::appearance::Appearance;
 use crate::track::align::pixels::level_spec::LevelSpec;
 use crate::track::align::pixels::level_spec::TileTime;
 use crate::track::align::solve::system::Prior;
-
-/// Reweightings of a step, as many as an alignment's. Raised, a step costs more; lowered, occluders
-/// weigh more.
-const PASSES: usize = 2;
-/// Prior information of the unknowns that are not asked, and of the squared blur; they keep the
-/// system regular. Raised, blur is found too short.
-const UNASKED: f64 = 1.0;
-const SQUARED_BLUR_INFORMATION: f64 = 1e-6;
 
 /// What is known before a velocity is estimated by its blur.
 pub struct KnownVelocity {
@@ -56,7 +49,7 @@ impl LevelProblem {
         let Appearance { by_pose, by_velocity, .. } = &mut self.picture.appearance;
         std::mem::swap(by_pose, by_velocity);
         by_pose.iter_mut().zip(asked).filter(|(_, is_asked)| !**is_asked).for_each(|(column, _)| column.fill(0.0));
-        let mut information = MotionMatrix::identity() * UNASKED;
+        let mut information = MotionMatrix::identity() * TUNING.regularising_information;
         information.fixed_view_mut::<6, 6>(0, 0).copy_from(&known.information);
         self.blur_step(spec, &information, known)
     }
@@ -86,8 +79,8 @@ impl LevelProblem {
             between[k] = 2.0 * (between[k] - sharp) - (across[k] + down[k]);
         }
         unused.iter_mut().for_each(|column| column.resize(intensity.len(), 0.0));
-        let mut information = MotionMatrix::identity() * UNASKED;
-        information.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::identity() * SQUARED_BLUR_INFORMATION));
+        let mut information = MotionMatrix::identity() * TUNING.regularising_information;
+        information.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::identity() * TUNING.squared_blur_information));
         self.picture.appearance.by_pose = columns;
         let VelocityStep { step, covariance } = self.blur_step(spec, &information, known)?;
         Some((step.fixed_rows::<3>(0).into_owned(), covariance.fixed_view::<3, 3>(0, 0).into_owned()))
@@ -104,7 +97,7 @@ impl LevelProblem {
         };
         let together = TileTime { delay_s: 0.0, mean_square_s2: 0.0 };
         self.gate_tiles(&spec.noise, false);
-        let scale = self.reweight(spec, &prior, Some(together), false, PASSES)?;
+        let scale = self.reweight(spec, &prior, Some(together), false, TUNING.blur_reweightings)?;
         let Self { picture, runs, system, .. } = self;
         let step: Vector6<f64> = system.step().motion().fixed_rows::<6>(0).into_owned();
         let (covariance, votes) = system.covariance();

@@ -8,6 +8,7 @@
 //! `blur` solves for a velocity by motion blur, `solution` draws conclusions from a solved level,
 //! and `patches` finds correspondences.
 
+use crate::track::align::tuning::TUNING;
 use nalgebra::Vector3;
 
 pub mod blur;
@@ -32,30 +33,6 @@ use crate::track::align::pixels::runs::{Pixels, Run};
 use crate::track::align::pixels::selection::Selector;
 use crate::track::frame::frame_levels::{FINEST, FrameLevels};
 use solution::LevelSolution;
-
-/// Minimum pixels of a level. Raised, pictures seen small are given up or started at finer levels;
-/// lowered, the prior decides the result.
-const MIN_PIXELS: usize = 60;
-/// Minimum correlation of a run with its prediction; the better half always takes part. Raised,
-/// tiles in haze or glare are excluded; lowered, people in front of the stage pull the pose.
-const MIN_CORRELATION: f32 = 0.9;
-/// Correlation of runs that count for the bias of the first guess, and for occlusion. Raised, too
-/// few runs are left; lowered, runs of something else take part.
-const TELLING_CORRELATION: f32 = 0.8;
-/// Maximum bias of that guess, grey levels. Raised, a line through runs with little contrast can
-/// leave almost no gain; lowered, haze is guessed too thin.
-const MAX_BIAS: f64 = 60.0;
-/// Minimum residuals from which their robust spread is taken, if there are as many. Raised, the
-/// median costs more; lowered, the spread is less certain.
-const SCALE_SAMPLES: usize = 1500;
-/// Pixels of a rough step, used only for weights and noise, and maximum stride over groups of
-/// pixels. Raised, frames cost more; lowered, the weights are worse.
-const ROUGH_PIXELS: usize = 2500;
-const MAX_STRIDE: usize = 16;
-
-/// Correlation below which a run shows something else. Raised, a lens error passes for occlusion;
-/// lowered, people in front of the stage pull the pose.
-const COVERED_CORRELATION: f32 = 0.5;
 
 /// The prior of the motion and of the point spread.
 #[derive(Clone, Copy)]
@@ -131,8 +108,8 @@ pub struct LevelProblem {
 /// Whether tiles with these correlations show a body of which more than half may be occluded:
 /// enough tiles fit, and most others show something else.
 fn is_covered(correlations: &[f32]) -> bool {
-    let telling = correlations.iter().filter(|correlation| **correlation > TELLING_CORRELATION).count();
-    let others = correlations.iter().filter(|correlation| **correlation < COVERED_CORRELATION).count();
+    let telling = correlations.iter().filter(|correlation| **correlation > TUNING.min_bias_run_correlation).count();
+    let others = correlations.iter().filter(|correlation| **correlation < TUNING.max_occluded_correlation).count();
     are_sure(telling, correlations.len()) && 2 * others >= correlations.len() - telling
 }
 
@@ -159,7 +136,7 @@ impl LevelProblem {
         (self.at, self.solved) = (None, None);
         self.runs.clear();
         let chosen = selector.choose(spec, motion);
-        if chosen.len() < MIN_PIXELS {
+        if chosen.len() < TUNING.min_level_pixels {
             return false;
         }
         let Picture { pixels, appearance, residuals } = &mut self.picture;
@@ -325,7 +302,7 @@ impl LevelProblem {
 
     /// Returns the stride over groups of pixels that is fine enough for weights and for the noise.
     fn rough_stride(&self) -> usize {
-        (self.pixels().len() / ROUGH_PIXELS).clamp(1, MAX_STRIDE)
+        (self.pixels().len() / TUNING.rough_step_pixels).clamp(1, TUNING.max_group_stride)
     }
 
     /// Returns the squared whitened residuals that the last step left in the open runs, of one
@@ -340,7 +317,7 @@ impl LevelProblem {
 
     /// Returns the robust standard deviation of the residuals that the last step left, in sigmas.
     fn scale(&mut self) -> f64 {
-        let stride = (self.pixels().len() / SCALE_SAMPLES).max(1);
+        let stride = (self.pixels().len() / TUNING.min_scale_residuals).max(1);
         median(self.squares(stride)).map_or(1.0, |middle| (middle.sqrt() * 1.4826).max(0.7))
     }
 
@@ -357,8 +334,8 @@ impl LevelProblem {
         let is_covered = may_be_covered && is_covered(&self.sorted);
         // At least the better half takes part. But if more than that is occluded, the occluder
         // pulls the pose, and so do the tiles at its edge.
-        let least = median(&mut self.sorted).map_or(MIN_CORRELATION, |middle| MIN_CORRELATION.min(middle as f32));
-        let least = if is_covered { least.max(TELLING_CORRELATION) } else { least };
+        let least = median(&mut self.sorted).map_or(TUNING.min_run_correlation, |middle| TUNING.min_run_correlation.min(middle as f32));
+        let least = if is_covered { least.max(TUNING.min_bias_run_correlation) } else { least };
         for r in &mut self.runs {
             r.gate.is_open = r.gate.correlation >= least;
         }
@@ -371,8 +348,8 @@ impl LevelProblem {
         let Self { picture, runs, sorted, .. } = self;
         let open = || runs.iter().filter(|r| r.gate.is_open);
         sorted.clear();
-        sorted.extend(open().map(|r| &r.gate).filter(|g| g.correlation > TELLING_CORRELATION).map(|g| g.bias));
-        let bias = median(sorted).filter(|_| sorted.len() >= 6).map(|bias| bias.clamp(-MAX_BIAS, MAX_BIAS));
+        sorted.extend(open().map(|r| &r.gate).filter(|g| g.correlation > TUNING.min_bias_run_correlation).map(|g| g.bias));
+        let bias = median(sorted).filter(|_| sorted.len() >= 6).map(|bias| bias.clamp(-TUNING.max_initial_bias, TUNING.max_initial_bias));
         let bias = bias.unwrap_or(picture.pixels.light().bias());
         let gain = |g: &TileCorrelation| ((f64::from(g.seen) - bias) / f64::from(g.predicted.max(1.0))).clamp(0.02, 20.0);
         sorted.clear();

@@ -2,6 +2,7 @@
 //! from where the solution puts it. They are the correspondences that later checks of the model
 //! use.
 
+use crate::track::align::tuning::TUNING;
 use nalgebra::{Matrix2, Vector2, Vector3};
 
 use super::solution::LevelSolution;
@@ -12,16 +13,6 @@ use crate::track::align::kernel::evidence::{RunEvidence, evidence};
 use crate::track::align::kernel::normal::RobustWeighting;
 use crate::track::align::picture::surface::AlignSurface;
 use crate::track::align::pixels::appearance::predict;
-use crate::track::align::pixels::level_spec::SHARP_FRAME_PX;
-
-/// Mean shift from which patches are sampled again, correction that ends it (pixels of the level),
-/// maximum rounds. First two lowered, or rounds raised, miscalibrated cameras cost more.
-const SMALL_SHIFT_PX: f64 = 0.05;
-const SMALL_CORRECTION_PX: f64 = 0.015;
-const PATCH_ROUNDS: usize = 3;
-/// Minimum fitting pixels of a patch. Raised, pictures seen small have fewer correspondences;
-/// lowered, some of them are chance.
-const MIN_PATCH_PIXELS: f64 = 12.0;
 
 /// A patch of the reference and where the frame shows it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -55,8 +46,8 @@ impl LevelSolution<'_> {
         // patches must be followed.
         let runs = problem.runs.len().max(1) as f64;
         let mut moved_px = shifts.iter().map(|s| s.norm()).sum::<f64>() / runs;
-        let mut least_px = SMALL_SHIFT_PX;
-        for _ in 0..PATCH_ROUNDS {
+        let mut least_px = TUNING.resampling_shift_px;
+        for _ in 0..TUNING.max_resampling_rounds {
             if moved_px < least_px {
                 break;
             }
@@ -68,12 +59,12 @@ impl LevelSolution<'_> {
                 *shift += more;
                 moved_px += more.norm() / runs;
             }
-            least_px = SMALL_CORRECTION_PX;
+            least_px = TUNING.resampling_converged_px;
         }
         let scale = spec.frame_px();
         // An error in the predicted blur scatters the pixels of a patch as noise does. The
         // residuals of a sharp frame come from the model.
-        let is_blurred = spec.blur_px * scale > SHARP_FRAME_PX;
+        let is_blurred = spec.blur_px * scale > TUNING.max_sharp_blur_px;
         let scatter = if is_blurred { sigmas.max(1.0).powi(-2) } else { 1.0 };
         for (r, shift) in problem.runs.iter().zip(shifts) {
             let Some((_, structure)) = patch_shift(&r.evidence) else { continue };
@@ -141,7 +132,7 @@ impl LevelProblem {
 /// where too little of the tile fits, or its detail runs in one direction only.
 fn patch_shift(e: &RunEvidence) -> Option<(Vector2<f64>, Matrix2<f64>)> {
     let [aa, ab, bb, ra, rb] = e.shift;
-    if e.inliers < MIN_PATCH_PIXELS || 2.0 * e.inliers < e.count || aa * bb - ab * ab < 0.02 * (aa + bb).powi(2) {
+    if e.inliers < TUNING.min_patch_pixels || 2.0 * e.inliers < e.count || aa * bb - ab * ab < 0.02 * (aa + bb).powi(2) {
         return None;
     }
     let structure = Matrix2::new(aa, ab, ab, bb);

@@ -1,6 +1,7 @@
 //! A solved level, with the queries that only a solution can answer: the estimate and its
 //! covariance, agreement of tiles, noise, gradients, the clue on the readout, and the pixels used.
 
+use crate::track::align::tuning::TUNING;
 use nalgebra::{Matrix6, Vector6};
 
 use super::{Corrected, LevelProblem, LevelSpec};
@@ -17,10 +18,6 @@ use crate::track::align::solve::shutter_clue::ReadoutClue;
 use crate::track::align::solve::system::schur_complement::{SchurComplement, SolvedTile};
 use crate::track::align::solve::verdict::agreement;
 use crate::track::frame::frame_levels::Level;
-
-/// Maximum squared residual, sigmas²; larger ones count as this. Raised, occluders influence the
-/// choice of enlargement; lowered, fewer pixels decide it.
-const MAX_MISFIT: f32 = 9.0;
 
 /// A solved level.
 pub struct LevelSolution<'a> {
@@ -123,10 +120,10 @@ impl LevelSolution<'_> {
     }
 
     /// Returns the mean squared residual that the last step left, sigmas²; each counts as
-    /// [`MAX_MISFIT`] at most.
+    /// `max_squared_misfit` at most.
     pub fn misfit(&mut self) -> f64 {
         let squares = self.problem.squares(1);
-        squares.iter().map(|s| f64::from(s.min(MAX_MISFIT))).sum::<f64>() / squares.len().max(1) as f64
+        squares.iter().map(|s| f64::from(s.min(TUNING.max_squared_misfit))).sum::<f64>() / squares.len().max(1) as f64
     }
 
     /// Returns the open runs' sums for learning the noise, with the residuals of the last step.

@@ -6,6 +6,7 @@
 //! The order of calls is [`System::begin`], [`System::add`] for each tile, [`System::solve`], then
 //! [`System::covariance`].
 
+use crate::track::align::tuning::TUNING;
 use nalgebra::SVector;
 
 use self::banded_cholesky::{Band, back_substitute, factor};
@@ -27,13 +28,6 @@ pub const MOTION: usize = 18;
 const SHARED: usize = LIGHT - 4;
 /// Unknowns behind the light nodes: the shared ones, and the motion.
 const DENSE: usize = SHARED + MOTION;
-
-/// Usual relative difference of gain between neighbouring nodes, one sigma. Raised, gains absorb
-/// what is not light; lowered, spots and shadows are smeared out and pull the pose.
-const ROUGHNESS: f64 = 0.15;
-/// Sigma of the bias, grey levels. Raised, frames of nearly one grey trade bias for gain; lowered,
-/// haze pulls the gain.
-const BIAS_SIGMA: f64 = 60.0;
 
 /// The prior of a step.
 pub struct Prior<'a> {
@@ -170,8 +164,8 @@ impl System {
         let (psf_variance, bias, motion) = (self.band.nodes, self.band.nodes + 1, self.band.nodes + SHARED);
         self.matrix[psf_variance * n + psf_variance] = prior.psf_variance_sigma.powi(-2);
         self.right[psf_variance] = (prior.psf_variance - light.psf_variance()) * prior.psf_variance_sigma.powi(-2);
-        self.matrix[bias * n + bias] = BIAS_SIGMA.powi(-2);
-        self.right[bias] = -light.bias() * BIAS_SIGMA.powi(-2);
+        self.matrix[bias * n + bias] = TUNING.bias_sigma.powi(-2);
+        self.right[bias] = -light.bias() * TUNING.bias_sigma.powi(-2);
         let right = prior.information * prior.error;
         for i in 0..MOTION {
             self.right[motion + i] = right[i];
@@ -184,7 +178,7 @@ impl System {
     /// Adds the prior that neighbouring nodes have similar gains.
     fn smooth(&mut self, columns: usize, light: &Light) {
         let n = self.band.size;
-        let information = (ROUGHNESS * light.mean_gain().abs().max(0.02)).powi(-2);
+        let information = (TUNING.gain_roughness * light.mean_gain().abs().max(0.02)).powi(-2);
         for c in 0..columns {
             for r in 0..self.band.rows {
                 let a = c * self.band.rows + r;
