@@ -80,7 +80,7 @@ fn main() {
             );
             for (start, off) in FAR.iter().flat_map(|off| (0..STARTS).map(move |_| *off)).map(|off| (moved(&truth, off, &mut random), off))
             {
-                let found = matcher.try_start(&frame, &start.inverse(), off * truth.translation.norm(), off);
+                let found = matcher.study().try_start(&frame, &start.inverse(), off * truth.translation.norm(), off);
                 let is_right = found.is_some_and(|f| is_right(&f.pose.inverse(), &truth));
                 let counts = match (is_shown, is_right) {
                     (false, _) => &mut other,

@@ -264,7 +264,7 @@ fn measurement(sighting: &Sighting, camera: &BodyEstimate<crate::geometry::Camer
         homography: two_view.homography,
         essential,
         inliers: verified.inliers,
-        rms_px: verified.rms_px,
+        rms_px: sighting.stage.rms_px?,
     })
 }
 

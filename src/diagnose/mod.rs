@@ -58,7 +58,7 @@ impl Trial {
 
     /// Recognises the surfaces in a frame, without using a lens or a size.
     pub fn views(&mut self, image: &GrayImage) -> Vec<SurfaceView> {
-        let mut views = self.matcher.recognise(image);
+        let mut views = self.matcher.study().recognise(image);
         views.retain(|v| v.matches.len() >= MIN_MATCHES);
         views
     }
@@ -72,10 +72,10 @@ impl Trial {
     /// Does the same as [`verified`](Self::verified), but also requires that patches of a surface
     /// fit the pose.
     pub fn fitted(&mut self, frames: &[Frame], surface: usize) -> (usize, usize) {
-        self.count(frames, |matcher| matcher.fitting_patches(surface) >= MIN_PATCHES)
+        self.count(frames, |matcher| matcher.study().fitting_patches(surface) >= MIN_PATCHES)
     }
 
-    fn count(&mut self, frames: &[Frame], is_so: impl Fn(&Matcher) -> bool) -> (usize, usize) {
+    fn count(&mut self, frames: &[Frame], is_so: impl Fn(&mut Matcher) -> bool) -> (usize, usize) {
         let step = frames.len().div_ceil(TRIED_FRAMES).max(1);
         let (mut counted, mut asked) = (0, 0);
         for frame in frames.iter().step_by(step) {
@@ -83,7 +83,7 @@ impl Trial {
             self.stamp = self.stamp.after_s(10.0);
             let sighting = self.matcher.look(&Frame { timestamp: self.stamp, ..frame.clone() });
             asked += 1;
-            counted += usize::from(sighting.stage.reason.is_none_or(Reason::is_verified) && is_so(&self.matcher));
+            counted += usize::from(sighting.stage.reason.is_none_or(Reason::is_verified) && is_so(&mut self.matcher));
         }
         (counted, asked)
     }

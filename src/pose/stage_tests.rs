@@ -11,10 +11,10 @@ fn body(state: State) -> BodySighting {
         by_model: None,
         share: 1.0,
         inliers: 0,
-        rms_px: 0.1,
+        solver_rms_px: 0.1,
         is_conclusive: false,
     };
-    BodySighting { state, verified: (state == Tracking).then_some(verified), reason: None }
+    BodySighting { state, verified: (state == Tracking).then_some(verified), rms_px: (state == Tracking).then_some(0.1), reason: None }
 }
 
 fn sighting(sequence: u64, stage: State, object: State) -> Sighting {

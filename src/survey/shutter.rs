@@ -88,14 +88,14 @@ struct Pass {
 impl Pass {
     /// Tracks the clip's first frames with an assumed shutter.
     fn over(clip: impl IntoIterator<Item = Frame>, matcher: &mut Matcher, shutter: Shutter) -> Self {
-        matcher.ask_shutter(shutter);
+        matcher.study().ask_shutter(shutter);
         let mut pass = Self::default();
         for frame in clip.into_iter().take(MAX_FRAMES) {
             pass.frames += 1;
             pass.first.get_or_insert(frame.timestamp);
             pass.last = frame.timestamp;
             matcher.look(&frame);
-            let Some(clue) = matcher.shutter_clue() else { continue };
+            let Some(clue) = matcher.study().shutter_clue() else { continue };
             pass.aligned += 1;
             pass.readout.push(clue.readout.clue);
             pass.speeds.push(clue.speed_px_s);

@@ -252,8 +252,8 @@ impl StageFinder {
         self.tracked(frame).or_else(|| {
             // With a wrong lens or layout nothing may pass verification although the stage is
             // there.
-            let quick = self.matcher.quickly_recognised_pose(&frame.image);
-            quick.or_else(|| Some(self.matcher.recognised_pose(&frame.image)?.0))
+            let quick = self.matcher.study().quickly_recognised_pose(&frame.image);
+            quick.or_else(|| Some(self.matcher.study().recognised_pose(&frame.image)?.0))
         })
     }
 
@@ -275,7 +275,7 @@ impl StageFinder {
             pixel: m.pixel,
             sigma_px: m.scale,
         };
-        self.matcher.recognised_pose(&frame.image).map_or_else(Vec::new, |(_, matches)| matches.iter().map(feature).collect())
+        self.matcher.study().recognised_pose(&frame.image).map_or_else(Vec::new, |(_, matches)| matches.iter().map(feature).collect())
     }
 }
 

@@ -19,12 +19,11 @@ use super::acquire::feature_search::{FeatureSearch, Look};
 use super::acquire::unexplained::Unexplained;
 use super::align::{CameraRays, FrameLevels};
 use super::body::reason::Reason;
-use super::body::tracked_body::{TrackedBody, is_near};
+use super::body::tracked_body::{Start, TrackedBody, is_near};
 use super::frame::frame_look::FrameLook;
-use super::model_error::misfit::ModelNews;
 use super::patches::registration::SearchPicture;
 use super::patches::row_motion::RowMotion;
-use super::patches::verify::{Verified, VerifyBuffers, View, verify};
+use super::patches::verify::{FullView, Verified, VerifyBuffers, View, verify};
 use super::settings::TrackerSettings;
 use crate::camera::{CameraModel, Shutter};
 use crate::compute_clock::ComputeClock;
@@ -214,7 +213,7 @@ impl BodySearch {
     /// explain. If much is unexplained, each frame searches a part of it and makes few attempts, so
     /// that frames take about as long whether or not a body is missing.
     fn find_beside_stage(&mut self, scene: &mut Scene) {
-        let in_vain = || scene.missing().filter(|body| body.followed_from.is_some());
+        let in_vain = || scene.missing().filter(|body| body.attempt.followed_from.is_some());
         (self.is_beside, self.tries) = (true, TUNING.max_attempts_when_known.saturating_sub(in_vain().count()));
         let is_covered = in_vain().any(|body| body.track.is_continued() && body.has_motion());
         if is_covered {
@@ -258,7 +257,7 @@ impl BodySearch {
             missing.map(|k| (k, self.candidates(&mut scene.bodies[k], scene.frame.timestamp, is_last))).collect();
         found.sort_by_key(|(k, candidates)| {
             let support = candidates.iter().map(|candidate| candidate.inliers).max();
-            (scene.bodies[*k].is_in_vain, std::cmp::Reverse(support))
+            (scene.bodies[*k].failed_last_time, std::cmp::Reverse(support))
         });
         self.spent.acquire_ms += start.elapsed_ms();
         let start = self.clock.start();
@@ -266,7 +265,7 @@ impl BodySearch {
             candidates.truncate(TUNING.max_candidates_per_body.min(self.tries));
             scene.verified[*k] = self.align_best(*k, scene, candidates);
             // A body whose turn did not come was not tried in vain.
-            scene.bodies[*k].is_in_vain = !candidates.is_empty() && scene.verified[*k].is_none();
+            scene.bodies[*k].failed_last_time = !candidates.is_empty() && scene.verified[*k].is_none();
         }
         self.spent.align_ms += start.elapsed_ms();
         for (k, candidates) in &found {
@@ -316,7 +315,7 @@ impl BodySearch {
         if let Some(expected) = tracked.expected_poses(timestamp).last() {
             prefer_expected_tilt(&mut found, &expected);
         }
-        tracked.seen = seen;
+        tracked.recognition = seen;
         debug!(matches = own.len(), candidates = found.len(), inliers = found.first().map_or(0, |c| c.inliers));
         found
     }
@@ -326,41 +325,40 @@ impl BodySearch {
         // Once the stage is known, a body tried in vain in the last frame starts only from nearby
         // levels: starting further off takes more than half of the time, so the candidates take
         // turns at it.
-        let is_retried = self.is_beside && scene.bodies[k].is_in_vain;
+        let is_retried = self.is_beside && scene.bodies[k].failed_last_time;
         let turn = self.turn;
         let has_turn =
             |number: usize| turn.is_multiple_of(2) && number % TUNING.max_attempts_when_known == turn / 2 % TUNING.max_attempts_when_known;
-        scene.bodies[k].is_seen_in_part = false;
+        scene.bodies[k].attempt.is_seen_in_part = false;
         let mut verified = None;
         for (number, candidate) in candidates.iter().enumerate() {
-            scene.bodies[k].aligner.begin_nearby(is_retried && !has_turn(number));
-            verified = self.align_candidate(k, scene, candidate);
+            verified = self.align_candidate(k, scene, candidate, is_retried && !has_turn(number));
             // The body is partly visible here; the other planar pose would not fit better.
-            if verified.is_some() || scene.bodies[k].is_seen_in_part {
+            if verified.is_some() || scene.bodies[k].attempt.is_seen_in_part {
                 break;
             }
         }
-        scene.bodies[k].aligner.begin_nearby(false);
         verified
     }
 
     /// Aligns a candidate; `None` if the picture does not confirm the result or an alignment was
-    /// already started there.
-    fn align_candidate(&mut self, k: usize, scene: &mut Scene, candidate: &Candidate) -> Option<Verified> {
+    /// already started there. `is_nearby_only`: see [`Start`].
+    fn align_candidate(&mut self, k: usize, scene: &mut Scene, candidate: &Candidate, is_nearby_only: bool) -> Option<Verified> {
         let camera = scene.camera_motion(k);
         let tracked = &mut scene.bodies[k];
         let _span = debug_span!("align found", body = %tracked.body.name).entered();
         let start = candidate.pose.inverse();
         // A closer look repeats candidates that were already tried in vain.
-        let is_new = !tracked.tried.iter().any(|tried| is_near(tried, &start));
+        let is_new = !tracked.attempt.tried.iter().any(|tried| is_near(tried, &start));
         if !is_new || !candidate.off.iter().all(|sigma| sigma.is_finite()) {
             return None;
         }
         self.tries = self.tries.saturating_sub(1);
-        tracked.tried.push(start);
+        tracked.attempt.tried.push(start);
         let off = first_off(self.longest_readout_s(), tracked.aligner.distance_m(&start), candidate.off);
         let expected = tracked.unseen(start, off, camera.as_ref());
-        tracked.align_found(scene.frame, scene.levels, scene.rays, &expected)
+        let start = Start { is_nearby_only, ..Start::found(&expected) };
+        tracked.align_found(scene.frame, scene.levels, scene.rays, &start)
     }
 
     /// Returns the best pose that patches verify around the candidates, aligned if that succeeds.
@@ -389,12 +387,13 @@ impl BodySearch {
         }
         // Once the stage is known there is no time to start twice from the same place.
         let is_new = |verified: &Verified| {
-            !(self.is_beside && tracked.tried.iter().chain(&tracked.followed_from).any(|tried| is_near(tried, &verified.pose)))
+            !(self.is_beside
+                && tracked.attempt.tried.iter().chain(&tracked.attempt.followed_from).any(|tried| is_near(tried, &verified.pose)))
         };
         let aligned = best.filter(is_new).and_then(|verified| {
             let distance = tracked.aligner.distance_m(&verified.pose);
             let first = tracked.unseen(verified.pose, first_off(self.longest_readout_s(), distance, [0.0; 2]), camera.as_ref());
-            tracked.align(frame, scene.levels, scene.rays, &first, None)
+            tracked.align(frame, scene.levels, scene.rays, &Start::found(&first))
         });
         self.verify_buffers = buffers;
         let has_asked = tracked.track.is_continued() || !found.is_empty();
@@ -404,12 +403,17 @@ impl BodySearch {
         aligned.or(best.filter(|_| !tracked.repeats()))
     }
 
-    /// Returns the frame as verification of a body needs it.
+    /// Returns the frame as verification of a body needs it; its half size must be that of this
+    /// frame.
     fn view<'a>(&'a self, frame: &'a Frame, tracked: &TrackedBody) -> View<'a> {
-        View {
+        View { full: self.full_view(frame, tracked), half: SearchPicture { image: &self.half, scale: 2.0, mask: self.mask.as_ref() } }
+    }
+
+    /// Returns the frame at full size, as a study of a body needs it.
+    pub fn full_view<'a>(&'a self, frame: &'a Frame, tracked: &TrackedBody) -> FullView<'a> {
+        FullView {
             camera: &self.camera,
-            full: SearchPicture { image: &frame.image, scale: 1.0, mask: self.mask.as_ref() },
-            half: SearchPicture { image: &self.half, scale: 2.0, mask: self.mask.as_ref() },
+            picture: SearchPicture { image: &frame.image, scale: 1.0, mask: self.mask.as_ref() },
             row_motion: RowMotion {
                 shutter: self.shutter,
                 readout_sigma_s: self.readout_sigma_s,
@@ -419,14 +423,9 @@ impl BodySearch {
         }
     }
 
-    /// Checks a frame against the model of a followed body; see [`TrackedBody::study`]. Returns the
-    /// news and the workers' time, milliseconds.
-    pub fn study(&mut self, frame: &Frame, tracked: &mut TrackedBody, verified: &Verified) -> (Option<ModelNews>, f64) {
-        let mut buffers = std::mem::take(&mut self.verify_buffers);
-        let view = self.view(frame, tracked);
-        let news = tracked.study(&verified.pose, &view, &mut buffers);
-        self.verify_buffers = buffers;
-        (news, self.workers.take_extra_ms())
+    /// Returns the compute of the workers since the last call, milliseconds.
+    pub fn take_extra_ms(&self) -> f64 {
+        self.workers.take_extra_ms()
     }
 
     /// Searches a frame for a second copy of a body's picture: another pose that patches verify in
@@ -456,16 +455,16 @@ impl BodySearch {
         scene.levels.half_into(&mut self.half);
         let mut buffers = std::mem::take(&mut self.verify_buffers);
         let view = self.view(scene.frame, tracked);
-        let view = View {
-            full: SearchPicture { mask: Some(&open), ..view.full },
-            half: SearchPicture { mask: Some(&open), ..view.half },
-            row_motion: RowMotion { before: None, ..view.row_motion },
-            ..view
+        let full = FullView {
+            picture: SearchPicture { mask: Some(&open), ..view.full.picture },
+            row_motion: RowMotion { before: None, ..view.full.row_motion },
+            ..view.full
         };
+        let view = View { full, half: SearchPicture { mask: Some(&open), ..view.half } };
         let copy = found.iter().take(TUNING.max_copy_candidates).find_map(|candidate| {
             let verified = verify(&tracked.body, &candidate.pose, &view, false, &mut buffers);
             debug!(body = %tracked.body.name, inliers = candidate.inliers, ?verified, "copy");
-            verified.ok().filter(|_| tracked.is_elsewhere(&first.pose, &buffers.anchors, &self.camera))
+            verified.ok().filter(|_| tracked.is_elsewhere(&first, &buffers.anchors, &self.camera))
         });
         self.verify_buffers = buffers;
         self.spent.align_ms += start.elapsed_ms() + self.workers.take_extra_ms();
@@ -477,7 +476,7 @@ impl BodySearch {
         let tracked = &mut scene.bodies[k];
         let distance_m = tracked.aligner.distance_m(&copy.pose);
         let expected = tracked.unseen(copy.pose, first_off(self.shutter.readout_s, distance_m, [0.0; 2]), None);
-        scene.verified[k] = tracked.align_found(scene.frame, scene.levels, scene.rays, &expected);
+        scene.verified[k] = tracked.align_found(scene.frame, scene.levels, scene.rays, &Start::found(&expected));
     }
 
     /// Records for every body without a verified pose why it has none.
@@ -485,9 +484,9 @@ impl BodySearch {
         let mut look = None;
         for (tracked, _) in scene.bodies.iter_mut().zip(&*scene.verified).filter(|(_, verified)| verified.is_none()) {
             let look = look.get_or_insert_with(|| FrameLook::at(&self.half));
-            let reason = Reason::of_failure(&tracked.seen, tracked.refusal, look, self.camera.width());
-            debug!(body = %tracked.body.name, ?reason, seen = ?tracked.seen, refusal = ?tracked.refusal, ?look, "no pose");
-            tracked.reason = Some(reason);
+            let reason = Reason::of_failure(&tracked.recognition, tracked.attempt.refusal, look, self.camera.width());
+            debug!(body = %tracked.body.name, ?reason, seen = ?tracked.recognition, refusal = ?tracked.attempt.refusal, ?look, "no pose");
+            tracked.attempt.reason = Some(reason);
         }
     }
 

@@ -54,11 +54,12 @@ pub struct TwoViewBuffers {
     points: Vec<PointPair>,
 }
 
-/// Describes a verified frame by the anchors that fit. `camera`: the frame's; `seed`: of the
-/// five-point samples.
+/// Describes a verified frame by the anchors that fit. `observed`: the pose, and the root mean
+/// square of its anchors' displacements, pixels; `camera`: the frame's; `seed`: of the five-point
+/// samples.
 pub fn two_view(
     body: &PreparedBody,
-    verified: &Verified,
+    observed: (&Verified, f64),
     anchors: &[FittedAnchor],
     camera: &CameraModel,
     seed: u64,
@@ -69,11 +70,12 @@ pub fn two_view(
     rays.clear();
     rays.extend(anchors.iter().map(|a| camera.unproject(Pixel(a.corrected_px))));
     pair_rays(body, anchors, rays, &t_body_reference, pairs);
-    let t_camera_body = verified.pose.inverse();
+    let (verified, rms_px) = observed;
+    let t_camera_body = verified.t_camera_body();
     let t_frame_reference = t_camera_body * t_body_reference;
     let distance = (t_camera_body * body.surfaces[0].spec.pose).translation.norm();
     let focal = 0.5 * (camera.intrinsics().fx + camera.intrinsics().fy);
-    let sigma = verified.rms_px.max(0.05) / focal;
+    let sigma = rms_px.max(0.05) / focal;
     let has_baseline = t_frame_reference.translation.norm() >= TUNING.min_baseline * distance;
     let essential = has_baseline.then(|| estimate_motion(pairs, &t_frame_reference, sigma, seed)).flatten();
     TwoView {

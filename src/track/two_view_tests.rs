@@ -6,15 +6,23 @@ use crate::camera::Normalized;
 
 /// Returns exact anchors on a grid over every surface, displaced by up to `noise_px` in a fixed
 /// pattern.
-fn seen(body: &PreparedBody, pose: &Pose<Camera, Body>, camera: &CameraModel, across: u32, noise_px: f64) -> (Verified, Vec<FittedAnchor>) {
+fn seen(
+    body: &PreparedBody,
+    pose: &Pose<Camera, Body>,
+    camera: &CameraModel,
+    across: u32,
+    noise_px: f64,
+) -> (Verified, f64, Vec<FittedAnchor>) {
     let wobble = |k: u32, _| Vector2::new((f64::from(k) * 12.9).sin(), (f64::from(k) * 78.2).sin()) * noise_px;
     let anchors = seen_anchors(body, pose, camera, across, wobble);
     let (covariance, inliers, rms_px) = (Matrix6::identity(), anchors.len(), noise_px.max(0.05));
-    (Verified { pose: pose.inverse(), covariance, by_model: None, inliers, share: 1.0, rms_px, is_conclusive: false }, anchors)
+    let pose = pose.inverse();
+    let verified = Verified { pose, covariance, by_model: None, inliers, share: 1.0, solver_rms_px: rms_px, is_conclusive: false };
+    (verified, rms_px, anchors)
 }
 
-fn described(body: &PreparedBody, (verified, anchors): &(Verified, Vec<FittedAnchor>), camera: &CameraModel) -> TwoView {
-    two_view(body, verified, anchors, camera, 1, &mut TwoViewBuffers::default())
+fn described(body: &PreparedBody, (verified, rms_px, anchors): &(Verified, f64, Vec<FittedAnchor>), camera: &CameraModel) -> TwoView {
+    two_view(body, (verified, *rms_px), anchors, camera, 1, &mut TwoViewBuffers::default())
 }
 
 fn with_depth() -> PreparedBody {
@@ -79,6 +87,6 @@ fn two_views_need_a_baseline_and_correspondences() {
     }
     let pose = facing(0.1, -0.3, Vector3::new(0.4, 0.05, 5.0));
     let mut few = seen(&body, &pose, &camera, 4, 0.0);
-    few.1.truncate(11);
+    few.2.truncate(11);
     assert!(described(&body, &few, &camera).homography.is_none());
 }

@@ -102,8 +102,8 @@ const TRACK: [&str; 15] = [
     "synthetic",
 ];
 /// The rooms of `track::align`, likewise.
-const ALIGN: [&str; 11] =
-    ["tuning", "lanes", "picture", "learned", "pixels", "kernel", "solve", "hypotheses", "kernels", "frame_problem", "aligner"];
+const ALIGN: [&str; 12] =
+    ["tuning", "lanes", "picture", "learned", "pixels", "kernel", "solve", "hypotheses", "request", "kernels", "frame_problem", "aligner"];
 
 /// Holds the modules directly inside `parent` to an order.
 fn assert_order(parent: &[&str], order: &[&str]) {

@@ -78,7 +78,7 @@ impl Pass {
         let mut source = open_clip(clip, ClipOptions { fps, calibrated, ..ClipOptions::default() })?;
         let setup = TrackerSetup { shutter, learnt, ..tracker_setup(settings, source.size(), None)? };
         let mut tracker = Tracker::new(setup.clone().as_trial())?;
-        tracker.matcher.study_model();
+        tracker.matcher.study().study_model();
         let rows = source.rows();
         let progress = Progress::start(Some(rows.unwrap_or(MAX_ROWS).min(MAX_ROWS)));
         let (mut outcome, mut kept, mut travel) = (Outcome::default(), Kept::default(), Travel::default());
@@ -100,7 +100,7 @@ impl Pass {
             progress.advance();
         }
         progress.finish();
-        let (model, notes, doubt_of_stamps) = (tracker.matcher.model_report(), source.notes(), source.doubt_of_stamps());
+        let (model, notes, doubt_of_stamps) = (tracker.matcher.study().model_report(), source.notes(), source.doubt_of_stamps());
         tracing::debug!(?model, ?shutter, outcome.tracked, "how the model fits");
         Ok(Self { size: source.size(), rows, setup, outcome, frames: kept.frames, travel, model, objects, notes, doubt_of_stamps, stamps })
     }

@@ -13,40 +13,27 @@ use super::frame_problem::{Buffers, FrameProblem};
 use super::learned::slow_estimates::{Lessons, SlowEstimates};
 use super::picture::surface::{AlignSurface, distance_m};
 use super::pixels::level_spec::LevelSpec;
+use super::request::AlignRequest;
 use super::solve::level_problem::patches::Patch;
 use super::solve::level_problem::solution::UsedPixel;
-use super::solve::shutter_clue::{ReadoutQuestion, ShutterClue};
+use super::solve::shutter_clue::ShutterClue;
 use super::solve::verdict::Alignment;
 use crate::camera::Shutter;
 use crate::geometry::{Body, Camera, Pose};
-use crate::motion::{Motion, MotionError, MotionEstimate};
+use crate::motion::Motion;
 use crate::track::frame::frame_levels::{FINEST, FrameLevels};
 use crate::track::frame::rays::CameraRays;
 use crate::track::frame::tuning::TUNING as FRAME_TUNING;
 use crate::track::scene::reference::PreparedBody;
 use crate::track::scene::surface::SurfaceSpec;
 
-/// Aligns one body with each frame. Its state is in three places: settings, buffers, and slow
-/// estimates.
+/// Aligns one body with each frame. Its state is in three places: the surfaces, buffers, and
+/// slow estimates.
 #[derive(Debug)]
 pub struct Aligner {
-    settings: Settings,
+    surfaces: Vec<AlignSurface>,
     buffers: Buffers,
     slow: SlowEstimates,
-}
-
-/// Settings that stay the same from frame to frame, except `question`, which is used once.
-#[derive(Debug)]
-struct Settings {
-    surfaces: Vec<AlignSurface>,
-    /// Whether every frame is to return a [`ShutterClue`].
-    asks_shutter: bool,
-    /// The readout question for the next frame, if any.
-    question: Option<ReadoutQuestion>,
-    /// See [`Aligner::trust`].
-    is_trusted: bool,
-    /// See [`Aligner::begin_nearby`].
-    begins_nearby: bool,
 }
 
 /// An aligned frame. It can be queried until the next frame is aligned.
@@ -68,22 +55,18 @@ impl Aligner {
 
     /// Creates an aligner from surfaces that are already prepared.
     pub fn of_surfaces(surfaces: Vec<AlignSurface>, shutter: Shutter) -> Self {
-        Self {
-            buffers: Buffers::with_room_for(&surfaces),
-            settings: Settings { surfaces, asks_shutter: false, question: None, is_trusted: false, begins_nearby: false },
-            slow: SlowEstimates::new(shutter),
-        }
+        Self { buffers: Buffers::with_room_for(&surfaces), surfaces, slow: SlowEstimates::new(shutter) }
     }
 
     /// Returns the maximum number of patches per frame: one per tile of each surface.
     pub fn most_patches(&self) -> usize {
-        self.settings.surfaces.len() * FRAME_TUNING.max_tiles[0] * FRAME_TUNING.max_tiles[1]
+        self.surfaces.len() * FRAME_TUNING.max_tiles[0] * FRAME_TUNING.max_tiles[1]
     }
 
     /// Updates the surfaces' places and shapes; their pictures stay. The noise learnt so far keeps
     /// little weight, as it includes the residuals of the former model.
     pub fn take_places(&mut self, surfaces: &[SurfaceSpec]) {
-        for (own, spec) in self.settings.surfaces.iter_mut().zip(surfaces) {
+        for (own, spec) in self.surfaces.iter_mut().zip(surfaces) {
             own.take_place(spec);
         }
         self.buffers.has_kept = false;
@@ -92,7 +75,7 @@ impl Aligner {
 
     /// Returns the distance to the nearest surface's centre, metres.
     pub fn distance_m(&self, pose: &Pose<Body, Camera>) -> f64 {
-        distance_m(&self.settings.surfaces, pose)
+        distance_m(&self.surfaces, pose)
     }
 
     /// Whether the readout time is 0: a global shutter, or an unknown readout. Then a single frame
@@ -105,21 +88,6 @@ impl Aligner {
     pub fn take_readout(&mut self, readout_s: f64) {
         self.buffers.has_kept &= self.slow.shutter.readout_s == readout_s;
         self.slow.shutter.readout_s = readout_s;
-    }
-
-    /// Declares that a pose of the body was reported: from now on, whatever differs from the body
-    /// is taken to be in front of it, wherever the body is found. Before that, its picture or size
-    /// may differ from the configured one, and a part that fits by chance must not be taken for its
-    /// visible part.
-    pub fn trust(&mut self) {
-        self.settings.is_trusted = true;
-    }
-
-    /// Chooses where alignment starts from now on. With `is_alone`, it starts only at the level
-    /// that holds the usual start error; otherwise it starts there and, where that does not fit,
-    /// again at the level that holds the whole uncertainty.
-    pub fn begin_nearby(&mut self, is_alone: bool) {
-        self.settings.begins_nearby = is_alone;
     }
 
     /// Starts from an exposure learnt in an earlier session, with one sigma, both in seconds. A
@@ -146,47 +114,27 @@ impl Aligner {
         self.slow.take_camera(&other.slow);
     }
 
-    /// Makes every later frame return a [`ShutterClue`]. Fixes the shutter to `shutter`: its
-    /// exposure is no longer learnt.
-    pub fn ask_shutter(&mut self, shutter: Shutter) {
+    /// Fixes the shutter: its exposure is no longer learnt.
+    pub fn fix_shutter(&mut self, shutter: Shutter) {
         self.slow.fix_shutter(shutter);
-        self.settings.asks_shutter = true;
-    }
-
-    /// Sets the readout question for the next frame; the exposure is still learnt.
-    pub fn ask_readout(&mut self, question: Option<ReadoutQuestion>) {
-        self.settings.question = question;
     }
 
     /// Returns how fast the picture moves through the frame, pixels per second.
     pub fn speed_px_s(&self, motion: &Motion, rays: &CameraRays) -> f64 {
-        LevelSpec::new(&self.settings.surfaces, &self.slow, rays, self.slow.is_enlarged, FINEST, motion).speed_px_s(motion)
+        LevelSpec::new(&self.surfaces, &self.slow, rays, self.slow.is_enlarged, FINEST, motion).speed_px_s(motion)
     }
 
     /// Aligns a frame from a predicted motion. Returns `None` where too little of the body is in
     /// view, nothing converges, or a covariance is singular.
-    ///
-    /// `since_s`: seconds since the last frame if the body is followed, as its velocity may have
-    /// jumped since; `None` for a body that was just found.
-    pub fn align<'a>(
-        &'a mut self,
-        levels: &mut FrameLevels,
-        rays: &'a CameraRays,
-        expected: &MotionEstimate,
-        since_s: Option<f64>,
-    ) -> Option<Solution<'a>> {
-        let Self { settings: Settings { surfaces, asks_shutter, question, is_trusted, begins_nearby }, buffers, slow } = &mut *self;
-        let always = ReadoutQuestion { expected_by_readout: MotionError::zeros(), is_open: true, may_teach: true, min_speed_px_s: 0.0 };
-        let question = question.take().or(asks_shutter.then_some(always));
+    pub fn align<'a>(&'a mut self, levels: &mut FrameLevels, rays: &'a CameraRays, request: &AlignRequest) -> Option<Solution<'a>> {
+        let Self { surfaces, buffers, slow } = &mut *self;
+        let AlignRequest { expected, since_s, was_reported, readout: question, .. } = *request;
         let is_open = question.is_some_and(|question| question.is_open);
-        let is_followed = since_s.is_some();
         // A velocity jump within the frame would absorb the effect of a wrong readout time, and the
         // readout would seem confirmed.
         let since_s = since_s.filter(|_| !is_open);
         let information = expected.covariance.cholesky()?.inverse();
-        let mut frame = FrameProblem::new(surfaces, slow, buffers, levels, rays, expected, &information);
-        frame.follows(is_followed, *is_trusted);
-        frame.begins_nearby = *begins_nearby;
+        let mut frame = FrameProblem::new(surfaces, slow, buffers, levels, rays, request, &information);
         let found = frame.solve()?;
         let jumped_since_s = since_s.filter(|_| frame.is_surprising(&found));
         if let Some(since_s) = jumped_since_s {
@@ -198,7 +146,7 @@ impl Aligner {
             frame.settle_rest()?;
         }
         let (mut alignment, mut exposure) = frame.verify()?;
-        if *is_trusted && !frame.is_by_what_fits() && !is_by_blur && alignment.may_be_pulled() {
+        if was_reported && !frame.is_by_what_fits() && !is_by_blur && alignment.may_be_pulled() {
             frame.settle_by_what_fits()?;
             (alignment, exposure) = frame.verify()?;
         } else if !is_by_blur && frame.settle_uncovered()? {
@@ -225,11 +173,11 @@ impl Solution<'_> {
     /// Accepts the pose: the slow estimates learn from the frame. Replaces the contents of
     /// `patches` with the patches that fit, at most one per tile.
     pub fn accept(self, patches: &mut Vec<Patch>) {
-        let Aligner { settings, buffers, slow } = self.aligner;
+        let Aligner { surfaces, buffers, slow } = self.aligner;
         slow.learn(&self.lessons, &buffers.light);
         patches.clear();
         if let Some(solution) = buffers.fine.solution() {
-            let spec = LevelSpec::new(&settings.surfaces, slow, self.rays, slow.is_enlarged, FINEST, &solution.found.motion);
+            let spec = LevelSpec::new(surfaces, slow, self.rays, slow.is_enlarged, FINEST, &solution.found.motion);
             solution.patches(&spec, &mut buffers.shifts, patches);
         }
     }

@@ -15,7 +15,8 @@
 //! - `solve`: one level: all tiles together
 //! - `hypotheses`: motions that the prediction does not contain
 //!
-//! `frame_problem` takes one frame through all of it, `aligner` is what the rest of `track` uses,
+//! `request` is what a caller asks for, `frame_problem` takes one frame through all of it, `aligner`
+//! is what the rest of `track` uses,
 //! `lanes` has the vector registers of the inner loops, and `kernels` opens these to benches.
 //!
 //! Source: direct alignment in the manner of Lucas and Kanade (1981) and Baker and Matthews (2004),
@@ -31,6 +32,7 @@ mod lanes;
 mod learned;
 mod picture;
 mod pixels;
+mod request;
 mod solve;
 
 pub use crate::track::frame::frame_levels::{FrameLevels, LEVELS};
@@ -39,6 +41,7 @@ pub use aligner::Aligner;
 pub use kernels::AlignKernels;
 pub use learned::clue::Clue;
 pub use picture::surface::AlignSurface;
+pub use request::AlignRequest;
 pub use solve::level_problem::patches::Patch;
 pub use solve::level_problem::solution::UsedPixel;
 #[cfg(test)]

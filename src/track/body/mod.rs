@@ -2,6 +2,7 @@
 //! With `align::learned` the only memory of the tracker.
 //!
 //! - `tracked_body`: a body with its last motion, its anchors and its model errors
+//! - `pose_anchors`: the anchors of a verified pose
 //! - `track_state`: searching, tracking, coasting or lost
 //! - `frame_interval`, `clock_steps`: how often frames come, and jumps of their clock
 //! - `learnt_readout`, `learnt_camera`, `agreement`, `shutter_news`: the shutter, learnt or checked
@@ -15,6 +16,7 @@ pub mod frame_interval;
 pub mod learnt_camera;
 pub mod learnt_readout;
 pub mod pixel_watch;
+pub mod pose_anchors;
 pub mod reason;
 pub mod shutter_news;
 pub mod track_state;

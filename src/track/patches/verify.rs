@@ -37,10 +37,18 @@ pub struct Verified {
     pub share: f64,
     /// Number of pixels or anchors that it rests on.
     pub inliers: usize,
-    /// Root mean square residual of the tiles or of the anchors, pixels.
-    pub rms_px: f64,
+    /// Root mean square residual of what the solver used, pixels: of pixels over their gradients,
+    /// or of anchors.
+    pub solver_rms_px: f64,
     /// Whether this frame alone is conclusive.
     pub is_conclusive: bool,
+}
+
+impl Verified {
+    /// Returns the pose in the other direction, for projections.
+    pub fn t_camera_body(&self) -> Pose<Camera, Body> {
+        self.pose.inverse()
+    }
 }
 
 /// Why a candidate was refused.
@@ -77,19 +85,26 @@ impl Refusal {
     }
 }
 
-/// The frame, camera and workers that verification uses.
+/// The frame at full size, its camera, and the workers that search in it.
 #[derive(Debug, Clone, Copy)]
-pub struct View<'a> {
+pub struct FullView<'a> {
     /// The lens.
     pub camera: &'a CameraModel,
-    /// The frame at full size.
-    pub full: SearchPicture<'a>,
-    /// The frame at half size.
-    pub half: SearchPicture<'a>,
+    /// The frame.
+    pub picture: SearchPicture<'a>,
     /// What is known about the motion during its readout.
     pub row_motion: RowMotion,
     /// The workers that search the anchors.
     pub workers: &'a Workers,
+}
+
+/// What verification uses: the frame at both sizes.
+#[derive(Debug, Clone, Copy)]
+pub struct View<'a> {
+    /// The frame at full size.
+    pub full: FullView<'a>,
+    /// The same frame at half size.
+    pub half: SearchPicture<'a>,
 }
 
 /// Buffers of the verification.
@@ -103,20 +118,28 @@ pub struct VerifyBuffers {
     pub anchors: Vec<FittedAnchor>,
     /// All anchors that were found then, wherever they were.
     pub found: Vec<FittedAnchor>,
-    /// The anchors that [`search_silent`] found.
-    pub searched: Vec<FittedAnchor>,
+}
+
+/// The anchors of silent surfaces; keeps its buffers.
+#[derive(Debug, Default)]
+pub struct SilentSearch {
+    targets: Vec<Target>,
+    registered: Vec<Option<Registered>>,
+    /// Per surface: anchors in view, and anchors that alignment shows.
     per_surface: Vec<[usize; 2]>,
+    /// The anchors that [`search_silent`] found.
+    pub found: Vec<FittedAnchor>,
 }
 
 /// Searches for the anchors of silent surfaces (in view, but hardly aligned) around their predicted
-/// places; the result is in `buffers.searched`. `aligned`: the anchors that alignment shows.
-pub fn search_silent(body: &PreparedBody, pose: &Pose<Camera, Body>, view: &View, aligned: &[FittedAnchor], buffers: &mut VerifyBuffers) {
-    let VerifyBuffers { targets, registered, searched, per_surface, .. } = buffers;
-    searched.clear();
+/// places; the result is in `silent.found`. `aligned`: the anchors that alignment shows.
+pub fn search_silent(body: &PreparedBody, pose: &Pose<Camera, Body>, view: &FullView, aligned: &[FittedAnchor], silent: &mut SilentSearch) {
+    let SilentSearch { targets, registered, per_surface, found } = silent;
+    found.clear();
     if body.surfaces.len() < 2 {
         return;
     }
-    visible_targets(body, pose, view.camera, &view.full, TUNING.max_fine_anchors, targets);
+    visible_targets(body, pose, view.camera, &view.picture, TUNING.max_fine_anchors, targets);
     per_surface.clear();
     per_surface.resize(body.surfaces.len(), [0, 0]);
     targets.iter().for_each(|t| per_surface[t.surface as usize][0] += 1);
@@ -129,10 +152,10 @@ pub fn search_silent(body: &PreparedBody, pose: &Pose<Camera, Body>, view: &View
     if targets.is_empty() {
         return;
     }
-    register(body, targets, &view.full, view.workers, registered);
+    register(body, targets, &view.picture, view.workers, registered);
     let moving = MovingCamera { lens: view.camera, twist: view.row_motion.twist(pose) };
     let shutter = view.row_motion.shutter;
-    searched.extend(registered.iter().flatten().filter_map(|r| {
+    found.extend(registered.iter().flatten().filter_map(|r| {
         let seen = r.observation?;
         let observation = Observation { delay_s: shutter.delay_s(seen.pixel.y + 0.5, view.camera.height()), ..seen };
         let corrected_px = rolling_shutter_corrected_px(pose, &moving, &observation);
@@ -150,19 +173,19 @@ pub fn verify(
     buffers: &mut VerifyBuffers,
 ) -> Result<Verified, Refusal> {
     // A small stage shows too few anchors at half size: then the start is used directly.
-    let coarse = registered_pose(body, start, view, &view.half, TUNING.max_coarse_anchors, buffers)
+    let coarse = registered_pose(body, start, &view.full, &view.half, TUNING.max_coarse_anchors, buffers)
         .ok()
         .filter(|_| buffers.observations.len() >= TUNING.min_coarse_fitting_anchors);
     let start = coarse.map_or(*start, |c| c.pose);
-    let fine = registered_pose(body, &start, view, &view.full, TUNING.max_fine_anchors, buffers)?;
-    judge(body, &fine, view, continued, buffers)
+    let fine = registered_pose(body, &start, &view.full, &view.full.picture, TUNING.max_fine_anchors, buffers)?;
+    judge(body, &fine, &view.full, continued, buffers)
 }
 
 /// One iteration: predict, search, resect.
 fn registered_pose(
     body: &PreparedBody,
     start: &Pose<Camera, Body>,
-    view: &View,
+    view: &FullView,
     picture: &SearchPicture,
     count: usize,
     buffers: &mut VerifyBuffers,
@@ -196,7 +219,13 @@ fn tile(camera: &CameraModel, o: &Observation) -> u32 {
         + index(o.pixel.x, camera.width(), TUNING.verification_tiles[0])
 }
 
-fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, buffers: &mut VerifyBuffers) -> Result<Verified, Refusal> {
+fn judge(
+    body: &PreparedBody,
+    fine: &Resection,
+    view: &FullView,
+    continued: bool,
+    buffers: &mut VerifyBuffers,
+) -> Result<Verified, Refusal> {
     let moving = MovingCamera { lens: view.camera, twist: view.row_motion.twist(&fine.pose) };
     let asked = buffers.registered.iter().flatten().count();
     collect_anchors(fine, &moving, buffers);
@@ -229,9 +258,9 @@ fn judge(body: &PreparedBody, fine: &Resection, view: &View, continued: bool, bu
         let unit = Observation { information: nalgebra::Matrix2::identity(), ..a.observation };
         squared_residual(&fine.pose, &moving, &unit).unwrap_or(0.0)
     };
-    let rms_px = (anchors.iter().map(squared_px).sum::<f64>() / anchors.len() as f64).sqrt();
+    let solver_rms_px = (anchors.iter().map(squared_px).sum::<f64>() / anchors.len() as f64).sqrt();
     let (pose, covariance) = (fine.pose.inverse(), covariance_of_inverse(&fine.pose, &covariance));
-    Ok(Verified { pose, covariance, by_model: None, share, inliers: anchors.len(), rms_px, is_conclusive: false })
+    Ok(Verified { pose, covariance, by_model: None, share, inliers: anchors.len(), solver_rms_px, is_conclusive: false })
 }
 
 /// Collects the anchors that were found, and those of them that agree with the pose both in pixels
@@ -279,7 +308,7 @@ fn judged_covariance(
     body: &PreparedBody,
     fine: &Resection,
     moving: &MovingCamera<CameraModel>,
-    view: &View,
+    view: &FullView,
     observations: &[Observation],
 ) -> Result<Matrix6<f64>, Refusal> {
     let mut covariance = sandwich_covariance(fine, moving, observations).ok_or(Refusal::Uncertain)?;

@@ -14,13 +14,13 @@ fn verified(frame: &GrayImage, start: &Pose<Camera, Body>) -> Result<(Verified, 
     let body = prepared(vec![cloth(1)]);
     let half = halved(frame);
     let (camera, workers) = (lens(480, 360), Workers::new(1));
-    let view = View {
+    let full = FullView {
         camera: &camera,
-        full: SearchPicture { image: frame, scale: 1.0, mask: None },
-        half: SearchPicture { image: &half, scale: 2.0, mask: None },
+        picture: SearchPicture { image: frame, scale: 1.0, mask: None },
         row_motion: RowMotion { shutter: Default::default(), readout_sigma_s: 0.0, before: None },
         workers: &workers,
     };
+    let view = View { full, half: SearchPicture { image: &half, scale: 2.0, mask: None } };
     let mut buffers = VerifyBuffers::default();
     verify(&body, start, &view, false, &mut buffers).map(|found| (found, buffers.anchors))
 }
@@ -35,9 +35,9 @@ fn a_pose_that_is_nearly_right_becomes_right() {
     let (found, anchors) = verified(&frame(), &start).expect("the picture agrees");
     let (shift, turn) =
         ((found.pose.translation - truth().inverse().translation).norm(), found.pose.angle_to(&truth().inverse()).to_degrees());
-    println!("{shift:.5} m, {turn:.4} degrees, {} anchors, share {:.2}, {:.3} px", anchors.len(), found.share, found.rms_px);
+    println!("{shift:.5} m, {turn:.4} degrees, {} anchors, share {:.2}, {:.3} px", anchors.len(), found.share, found.solver_rms_px);
     assert!(shift < 0.003 && turn < 0.03, "{shift} {turn}");
-    assert!(found.share > 0.8 && anchors.len() > 100 && found.rms_px < 0.2);
+    assert!(found.share > 0.8 && anchors.len() > 100 && found.solver_rms_px < 0.2);
     assert_eq!(found.covariance, found.covariance.transpose());
     assert!(found.covariance.cholesky().is_some());
     // Without a rolling shutter every anchor is where it was seen, up to its residual.

@@ -65,7 +65,7 @@ impl FrameProblem<'_> {
     /// Whether a newly found body's residuals at the finest level come from blur. Only under a
     /// global shutter; rows of a rolling one show the velocity themselves.
     pub(super) fn is_clearly_blurred(&self, scale: f64) -> bool {
-        !self.is_followed && self.slow.shutter.is_global() && shows_blur(scale, &self.above)
+        !self.is_followed && self.slow.shutter.is_global() && shows_blur(scale, self.progress.above.as_ref())
     }
 
     /// Returns the velocity that the blur of the solved frame shows, if any.
@@ -91,7 +91,8 @@ impl FrameProblem<'_> {
 
 /// Whether residuals of the finest level (`scale`, sigmas) come from blur, judged by the fit of the
 /// level above.
-fn shows_blur(scale: f64, above: &LevelFit) -> bool {
+fn shows_blur(scale: f64, above: Option<&LevelFit>) -> bool {
+    let Some(above) = above else { return false };
     let ratio = if above.open_share > TUNING.min_coarse_inlier_ratio {
         TUNING.min_blur_residual_ratio_of_coarse_fit
     } else {
@@ -107,9 +108,13 @@ mod tests {
     #[test]
     fn missing_fine_detail_marks_a_body_as_blurred() {
         let above = |scale, open_share| LevelFit { scale, open_share };
-        assert!(shows_blur(4.2, &above(2.9, 0.88)) && !shows_blur(4.2, &above(2.9, 0.55)));
-        assert!(shows_blur(7.8, &above(5.0, 0.5)) && shows_blur(3.0, &above(3.1, 0.85)) && !shows_blur(7.8, &above(11.0, 0.9)));
+        assert!(shows_blur(4.2, Some(&above(2.9, 0.88))) && !shows_blur(4.2, Some(&above(2.9, 0.55))));
+        assert!(
+            shows_blur(7.8, Some(&above(5.0, 0.5)))
+                && shows_blur(3.0, Some(&above(3.1, 0.85)))
+                && !shows_blur(7.8, Some(&above(11.0, 0.9)))
+        );
         // Noise is not blur, and without a level above nothing is known.
-        assert!(!shows_blur(1.5, &above(0.8, 0.9)) && !shows_blur(9.0, &LevelFit::NONE));
+        assert!(!shows_blur(1.5, Some(&above(0.8, 0.9))) && !shows_blur(9.0, None));
     }
 }

@@ -33,11 +33,11 @@ impl FrameProblem<'_> {
         let mut is_close = found.is_some_and(|f| self.is_close(&f));
         // Residuals beyond `hopeless_sigma` mean blur, not occlusion.
         let may_fit = !is_close && found.is_some_and(|f| f.scale < TUNING.hopeless_sigma);
-        if may_fit && self.is_trusted && !self.known.is_sure && self.buffers.fine.may_be_covered() {
+        if may_fit && self.was_reported && !self.known.is_sure && self.buffers.fine.may_be_covered() {
             found = self.settle_by_what_fits();
             is_close = found.is_some_and(|f| f.scale < TUNING.clear_fit_sigma);
         }
-        if !is_close && !self.begins_nearby && !self.wanders && self.begins_above(near, far) {
+        if !is_close && !self.is_nearby_only && !self.wanders && self.begins_above(near, far) {
             found = self.descend_from_far(far, found, coarsest);
         }
         let found = found?;
@@ -69,7 +69,7 @@ impl FrameProblem<'_> {
     /// one, the first one's solution is restored. `nearby` and `met`: the first descent's solution,
     /// and its coarsest level with the motion found there.
     fn descend_from_far(&mut self, far: usize, nearby: Option<Corrected>, met: Option<(usize, Motion)>) -> Option<Corrected> {
-        let Self { last_step, last_moved_px, above, .. } = *self;
+        let progress = self.progress;
         let is_sure = std::mem::replace(&mut self.known.is_sure, self.is_followed);
         self.buffers.trial_light.clone_from(&self.buffers.light);
         let Descent { found, has_met, .. } = self.descend(far, met);
@@ -77,7 +77,7 @@ impl FrameProblem<'_> {
             return found;
         }
         // The coarse levels have not touched the finest, so its solution is still there.
-        (self.last_step, self.last_moved_px, self.above, self.known.is_sure) = (last_step, last_moved_px, above, is_sure);
+        (self.progress, self.known.is_sure) = (progress, is_sure);
         self.buffers.light.clone_from(&self.buffers.trial_light);
         nearby
     }
@@ -87,7 +87,7 @@ impl FrameProblem<'_> {
     /// there, it stops.
     fn descend(&mut self, from: usize, other: Option<(usize, Motion)>) -> Descent {
         self.buffers.has_kept = false;
-        self.above = LevelFit::NONE;
+        self.progress.above = None;
         self.buffers.light.clone_from(&self.slow.light);
         let mut motion = *self.known.motion;
         let mut descent = Descent::default();
@@ -103,7 +103,7 @@ impl FrameProblem<'_> {
                 break;
             }
             let fit = |corrected: Corrected| LevelFit { scale: corrected.scale, open_share: self.buffers.coarse.open_share() };
-            self.above = solved.converged.map_or(LevelFit::NONE, fit);
+            self.progress.above = solved.converged.map(fit);
             (motion, is_first) = (solved.motion, false);
             descent.coarsest.get_or_insert((level, motion));
             let meets =
@@ -123,6 +123,7 @@ mod tests {
     use nalgebra::{Vector3, Vector6};
 
     use super::super::super::learned::slow_estimates::SlowEstimates;
+    use super::super::super::request::AlignRequest;
     use super::super::super::{AlignSurface, CameraRays};
     use super::super::Buffers;
     use super::*;
@@ -134,7 +135,7 @@ mod tests {
 
     /// Solves for a cloth, visible in the first `open_columns` and occluded by another cloth
     /// elsewhere, from a start that is `off_m` metres to the side.
-    fn with_problem(open_columns: u32, off_m: f64, ask: impl FnOnce(&mut FrameProblem)) {
+    fn with_problem(open_columns: u32, off_m: f64, since_s: Option<f64>, ask: impl FnOnce(&mut FrameProblem)) {
         let truth = facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4));
         let [stage, other] = [1, 2].map(|seed| view(&cloth(seed), &truth, &lens(480, 360)));
         let covered = GrayImage::from_fn(480, 360, |x, y| *if x < open_columns { &stage } else { &other }.get_pixel(x, y));
@@ -146,14 +147,14 @@ mod tests {
         let start = perturbed(&truth, &(Vector6::x() * off_m)).inverse();
         let expected = MotionEstimate::unseen(start, 3.4, 0.1, 0.03);
         let information = expected.covariance.cholesky().expect("positive").inverse();
-        let mut problem = FrameProblem::new(&surfaces, &slow, &mut buffers, &mut levels, &rays, &expected, &information);
-        problem.follows(true, true);
+        let request = AlignRequest { since_s, was_reported: true, ..AlignRequest::new(&expected) };
+        let mut problem = FrameProblem::new(&surfaces, &slow, &mut buffers, &mut levels, &rays, &request, &information);
         ask(&mut problem);
     }
 
     #[test]
     fn a_descent_stops_where_it_meets_the_earlier_one() {
-        with_problem(165, 0.01, |problem| {
+        with_problem(165, 0.01, Some(1.0 / 30.0), |problem| {
             let nearby = problem.descend(FINEST + 1, None);
             let (found, kept) = (nearby.found.expect("the picture agrees in a third"), problem.verify().expect("solved").0);
             let met = problem.descend(FINEST + 3, nearby.coarsest);
@@ -173,7 +174,7 @@ mod tests {
     #[test]
     fn a_descent_that_leads_elsewhere_is_completed() {
         // Off by twenty pixels of the frame: five pixels of the level above the finest.
-        with_problem(480, 0.14, |problem| {
+        with_problem(480, 0.14, Some(1.0 / 30.0), |problem| {
             let nearby = problem.descend(FINEST + 1, None);
             let found = problem.descend_from_far(FINEST + 3, nearby.found, nearby.coarsest).expect("reached");
             assert!(
@@ -195,10 +196,10 @@ mod tests {
         let (slow, mut buffers) = (SlowEstimates::new(shutter), Buffers::with_room_for(&surfaces));
         let expected = MotionEstimate::unseen(truth.pose, 3.4, 0.1, 0.03);
         let information = expected.covariance.cholesky().expect("positive").inverse();
-        let mut problem = FrameProblem::new(&surfaces, &slow, &mut buffers, &mut levels, &rays, &expected, &information);
-        problem.follows(false, true);
+        let request = AlignRequest { was_reported: true, ..AlignRequest::new(&expected) };
+        let mut problem = FrameProblem::new(&surfaces, &slow, &mut buffers, &mut levels, &rays, &request, &information);
         let found = problem.descend(FINEST + 1, None).found.expect("the picture agrees");
-        let LevelFit { scale, open_share } = problem.above;
+        let LevelFit { scale, open_share } = problem.progress.above.expect("solved");
         assert!(
             scale < TUNING.clear_fit_sigma && open_share > 0.9 && found.scale < TUNING.clear_fit_sigma,
             "{scale} {open_share} {}",
@@ -209,16 +210,15 @@ mod tests {
     #[test]
     fn an_occluded_body_converges_once_its_inliers_are_known() {
         for open_columns in [160, 180, 200] {
-            with_problem(open_columns, 0.01, |problem| {
-                problem.follows(false, true);
+            with_problem(open_columns, 0.01, None, |problem| {
                 let found = problem.coarse_to_fine().expect("the picture agrees in a third");
-                let left_px = problem.last_moved_px;
+                let left_px = problem.progress.last_moved_px;
                 assert!(
                     found.scale < TUNING.clear_fit_sigma && (TUNING.fine_converged_px..TUNING.max_last_step_px).contains(&left_px),
                     "{left_px} px"
                 );
                 assert_eq!(problem.settle_uncovered(), Some(true));
-                assert!(problem.last_moved_px < TUNING.fine_converged_px, "{} px", problem.last_moved_px);
+                assert!(problem.progress.last_moved_px < TUNING.fine_converged_px, "{} px", problem.progress.last_moved_px);
                 assert_eq!(problem.settle_uncovered(), Some(false));
             });
         }

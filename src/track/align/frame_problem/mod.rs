@@ -24,6 +24,7 @@ use super::learned::slow_estimates::{Lessons, SlowEstimates};
 use super::picture::surface::{AlignSurface, distance_m};
 use super::pixels::level_spec::LevelSpec;
 use super::pixels::selection::Selector;
+use super::request::AlignRequest;
 use super::solve::jump_instant::{Expectation, RowBands};
 use super::solve::level_problem::solution::Conclusion;
 use super::solve::level_problem::{Corrected, Expected, LevelProblem};
@@ -80,23 +81,30 @@ pub struct FrameProblem<'a> {
     is_followed: bool,
     /// Whether a pose of it was reported before. Then whatever differs from the body is in front of
     /// it, wherever it is found.
-    is_trusted: bool,
-    /// See [`Aligner::begin_nearby`](super::aligner::Aligner::begin_nearby).
-    pub begins_nearby: bool,
+    was_reported: bool,
+    /// See [`AlignRequest::is_nearby_only`].
+    is_nearby_only: bool,
     /// The tiles' equations, gathered by the exposure times of their rows.
     bands: RowBands,
-    /// The pose part of the last step, from where the tiles were predicted.
-    last_step: Vector6<f64>,
-    /// The maximum movement of a tile in the finest level's last step, pixels of the level.
-    last_moved_px: f64,
-    /// The fit of the level above the finest; `NONE` where it was not solved.
-    above: LevelFit,
+    progress: Progress,
     /// Whether the finest level's pose wandered where little of the body fits; then a coarser start
     /// does not find it either.
     wanders: bool,
     /// See [`Alignment::has_opposite`].
     has_opposite: bool,
     lessons: Lessons,
+}
+
+/// How far the solution has come. A descent that leads to the same solution as an earlier one
+/// restores the earlier one's.
+#[derive(Clone, Copy)]
+struct Progress {
+    /// The pose part of the last step, from where the tiles were predicted.
+    last_step: Vector6<f64>,
+    /// The maximum movement of a tile in the finest level's last step, pixels of the level.
+    last_moved_px: f64,
+    /// The fit of the level above the finest, where it was solved.
+    above: Option<LevelFit>,
 }
 
 /// How well a level fits.
@@ -108,11 +116,6 @@ struct LevelFit {
     open_share: f64,
 }
 
-impl LevelFit {
-    /// The fit of a level that was not solved.
-    const NONE: Self = Self { scale: f64::INFINITY, open_share: 0.0 };
-}
-
 /// Result of a level's last linearisation.
 struct Iterated {
     motion: Motion,
@@ -121,20 +124,20 @@ struct Iterated {
 }
 
 impl<'a> FrameProblem<'a> {
-    /// Prepares a frame for solving. `information`: inverse covariance of `expected`, the predicted
-    /// motion.
+    /// Prepares a frame for solving. `information`: inverse covariance of the predicted motion.
     pub fn new(
         surfaces: &'a [AlignSurface],
         slow: &'a SlowEstimates,
         buffers: &'a mut Buffers,
         levels: &'a mut FrameLevels,
         rays: &'a CameraRays,
-        expected: &'a MotionEstimate,
+        request: &AlignRequest<'a>,
         information: &'a MotionMatrix,
     ) -> Self {
         buffers.light.clone_from(&slow.light);
-        let (motion, psf_variance) = (&expected.motion, slow.psf_variance);
-        let known = Expected { motion, information, psf_variance, psf_variance_sigma: TUNING.psf_variance_sigma, is_sure: false };
+        let AlignRequest { expected, since_s, was_reported, is_nearby_only, .. } = *request;
+        let (motion, psf_variance, is_followed) = (&expected.motion, slow.psf_variance, since_s.is_some());
+        let known = Expected { motion, information, psf_variance, psf_variance_sigma: TUNING.psf_variance_sigma, is_sure: is_followed };
         let (bands, lessons) = (RowBands::new(slow.shutter), Lessons::none(slow));
         let mut frame = Self {
             surfaces,
@@ -144,13 +147,11 @@ impl<'a> FrameProblem<'a> {
             rays,
             expected,
             known,
-            is_followed: false,
-            is_trusted: false,
-            begins_nearby: false,
+            is_followed,
+            was_reported,
+            is_nearby_only,
             bands,
-            last_step: Vector6::zeros(),
-            last_moved_px: 0.0,
-            above: LevelFit::NONE,
+            progress: Progress { last_step: Vector6::zeros(), last_moved_px: 0.0, above: None },
             wanders: false,
             has_opposite: false,
             lessons,
@@ -162,12 +163,6 @@ impl<'a> FrameProblem<'a> {
         frame
     }
 
-    /// Sets whether the body was seen in the frame before, and whether it is trusted (see
-    /// [`Aligner::trust`](super::aligner::Aligner::trust)).
-    pub fn follows(&mut self, is_followed: bool, is_trusted: bool) {
-        (self.is_followed, self.known.is_sure, self.is_trusted) = (is_followed, is_followed, is_trusted);
-    }
-
     fn spec(&self, level: usize, motion: &Motion) -> LevelSpec<'a> {
         let spec = LevelSpec::new(self.surfaces, self.slow, self.rays, self.lessons.is_enlarged, level, motion);
         // A start found by features may lead nowhere. Filling up the pixels would then take as long
@@ -177,7 +172,7 @@ impl<'a> FrameProblem<'a> {
 
     /// Whether the body was reported before but not seen in the frame before.
     fn is_found_again(&self) -> bool {
-        self.is_trusted && !self.is_followed
+        self.was_reported && !self.is_followed
     }
 
     /// Finds the motion that the frame shows. `None` where too little of the body is in view or
@@ -241,7 +236,7 @@ impl<'a> FrameProblem<'a> {
             let moved = problem.moved_px(spec, &motion, &solved.motion);
             let open_share = problem.open_share();
             tracing::trace!(level = spec.level, moved, pixels = problem.pixels().len(), scale = solved.scale, open_share);
-            (self.last_step, self.last_moved_px) = (motion.pose_error_to(&solved.motion), moved);
+            (self.progress.last_step, self.progress.last_moved_px) = (motion.pose_error_to(&solved.motion), moved);
             motion = solved.motion;
             converged = Some(solved).filter(|_| moved < TUNING.max_last_step_px);
             let is_half_open = is_finest && open_share < TUNING.hopeless_inlier_ratio;
@@ -350,7 +345,7 @@ impl<'a> FrameProblem<'a> {
             fine.predict(&spec, &motion);
             let solved = fine.solve(&spec, known, light, false, 2)?.motion;
             let moved = fine.moved_px(&spec, &motion, &solved);
-            (self.last_step, self.last_moved_px) = (motion.pose_error_to(&solved), moved);
+            (self.progress.last_step, self.progress.last_moved_px) = (motion.pose_error_to(&solved), moved);
             motion = solved;
             if moved < TUNING.fine_converged_px {
                 break;
@@ -362,7 +357,7 @@ impl<'a> FrameProblem<'a> {
     /// Finishes the iterations that [`Self::solve`] left to [`Self::solve_with_blur`], where that
     /// was not tried or showed no velocity. `None` if no solution remains.
     pub fn settle_rest(&mut self) -> Option<()> {
-        if !self.may_ask_blur() || self.last_moved_px < TUNING.fine_converged_px {
+        if !self.may_ask_blur() || self.progress.last_moved_px < TUNING.fine_converged_px {
             return Some(());
         }
         self.settle_found()
@@ -381,13 +376,13 @@ impl<'a> FrameProblem<'a> {
     pub fn settle_by_what_fits(&mut self) -> Option<Corrected> {
         self.known.is_sure = true;
         self.settle_found()?;
-        self.buffers.fine.solution().map(|solution| solution.found).filter(|_| self.last_moved_px < TUNING.max_last_step_px)
+        self.buffers.fine.solution().map(|solution| solution.found).filter(|_| self.progress.last_moved_px < TUNING.max_last_step_px)
     }
 
     /// Finishes the iterations that [`Self::solve`] skipped because the body looked occluded;
     /// returns whether any ran. `None` if no solution remains.
     pub fn settle_uncovered(&mut self) -> Option<bool> {
-        let is_unsettled = self.is_found_again() && !self.may_ask_blur() && self.last_moved_px >= TUNING.fine_converged_px;
+        let is_unsettled = self.is_found_again() && !self.may_ask_blur() && self.progress.last_moved_px >= TUNING.fine_converged_px;
         if is_unsettled {
             self.settle_found()?;
         }
@@ -413,7 +408,7 @@ impl<'a> FrameProblem<'a> {
         let found = Alignment {
             estimate,
             pose: motion.pose,
-            covariance: covariance + self.last_step * self.last_step.transpose() * TUNING.missing_step_ratio.powi(2),
+            covariance: covariance + self.progress.last_step * self.progress.last_step.transpose() * TUNING.missing_step_ratio.powi(2),
             scale,
             inliers,
             rms_px: (squared_px / inliers.max(1.0)).sqrt() * spec.frame_px(),

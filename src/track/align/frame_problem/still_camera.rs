@@ -43,7 +43,7 @@ impl FrameProblem<'_> {
         self.buffers.has_kept = true;
         let solved = self.solve_kept(&spec)?;
         let predicted_at = self.buffers.fine.predicted_at()?;
-        self.last_step = predicted_at.pose_error_to(&solved.motion);
+        self.progress.last_step = predicted_at.pose_error_to(&solved.motion);
         Some(solved)
     }
 

@@ -6,6 +6,7 @@ use nalgebra::{Vector2, Vector3, Vector6};
 use super::turn_by_velocity;
 use crate::camera::Shutter;
 use crate::motion::{Motion, MotionEstimate, MotionMatrix};
+use crate::track::align::AlignRequest;
 use crate::track::align::{Aligner, Alignment, CameraRays};
 use crate::track::frame::frame_levels::FrameLevels;
 use crate::track::synthetic::{cloth, facing, lens, moving_view, prepared};
@@ -39,7 +40,10 @@ fn found_from(frame: &GrayImage, expected: &MotionEstimate, shutter: &Shutter, e
     let mut levels = FrameLevels::default();
     levels.update(frame);
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { exposure_s, ..*shutter });
-    aligner.align(&mut levels, &CameraRays::new(lens(SIZE[0], SIZE[1]), None), expected, None).expect("the picture agrees").alignment
+    aligner
+        .align(&mut levels, &CameraRays::new(lens(SIZE[0], SIZE[1]), None), &AlignRequest::new(expected))
+        .expect("the picture agrees")
+        .alignment
 }
 
 /// Returns how fast the middle of the picture moves, rad/s: across and down the frame.

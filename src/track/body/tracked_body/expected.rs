@@ -84,6 +84,6 @@ impl TrackedBody {
     pub fn before_at(&self, timestamp: Timestamp) -> Option<(Pose<Camera, Body>, f64, Option<Twist>)> {
         let (pose, then, twist) = self.before?;
         let dt_s = timestamp.seconds_since(then);
-        (dt_s > 1e-4 && dt_s <= TUNING.max_motion_gap_s.max(self.to_next_s)).then_some((pose, dt_s, twist))
+        (dt_s > 1e-4 && dt_s <= TUNING.max_motion_gap_s.max(self.attempt.to_next_s)).then_some((pose, dt_s, twist))
     }
 }

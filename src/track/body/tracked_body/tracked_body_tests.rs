@@ -1,5 +1,10 @@
+use nalgebra::Vector3;
+
 use super::*;
+use crate::frame::Frame;
 use crate::motion::Motion;
+use crate::track::align::{CameraRays, FrameLevels};
+use crate::track::patches::verify::Refusal;
 use crate::track::synthetic::{cloth, facing, lens, view};
 
 fn truth() -> Pose<Camera, Body> {
@@ -51,8 +56,8 @@ fn is_found(covered_share: f64) -> [bool; 2] {
     let mut levels = FrameLevels::default();
     levels.update(&frame.image);
     let expected = body.unseen(truth().inverse(), [0.01, 0.003], None);
-    let found = body.align_found(&frame, &mut levels, &CameraRays::new(camera, None), &expected);
-    [found.is_some(), body.is_seen_in_part]
+    let found = body.align_found(&frame, &mut levels, &CameraRays::new(camera, None), &Start::found(&expected));
+    [found.is_some(), body.attempt.is_seen_in_part]
 }
 
 #[test]
@@ -83,14 +88,14 @@ fn with_small_prop(
     levels.update(&frame.image);
     let off = MotionEstimate::off_by_readout(readout_s, 3.4);
     let expected = body.unseen(truth().inverse(), [0.01 + off[0], 0.003 + off[1]], None);
-    let found = body.align_found(&frame, &mut levels, &rays, &expected);
+    let found = body.align_found(&frame, &mut levels, &rays, &Start::found(&expected));
     ask(&mut body, found, &frame, &mut levels, &rays);
 }
 
 #[test]
 fn an_uncertain_pose_is_followed_until_the_next_frame() {
     with_small_prop(0.06, false, |body, found, frame, levels, rays| {
-        assert!(found.is_none() && body.refusal == Some(Refusal::Uncertain), "{:?}", body.refusal);
+        assert!(found.is_none() && body.attempt.refusal == Some(Refusal::Uncertain), "{:?}", body.attempt.refusal);
         let open = body.motion_at(frame.timestamp).expect("followed from there").covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
         let next = Frame::new(frame.image.clone(), Timestamp::from_seconds(1.0 + 1.0 / 30.0), 2);
         let verified = body.follow(&next, levels, rays).expect("two frames tell the motion");
