@@ -9,7 +9,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use stagepose::diagnostics::simulate::{artwork_surface, grey, paint, upright};
-use stagepose::diagnostics::track::{Alignment, Matcher};
+use stagepose::diagnostics::track::{Alignment, BodyTracker};
 use stagepose::{
     Body, BodySpec, Camera, CameraModel, CameraPath, ComputeClock, Frame, Intrinsics, LightKey, Occluder, Pose, Renderer, SensorNoise,
     TrackerSettings, VirtualStage,
@@ -69,7 +69,7 @@ fn main() {
         let frame = Frame::new(Renderer::new(scene).render(0.0, 0), Default::default(), 0);
         let other_stage = BodySpec::new("stage", vec![surface(seed + 1000, stage.surfaces[0].size_m)]);
         for (is_shown, stage) in [(true, &stage), (false, &other_stage)] {
-            let mut matcher = Matcher::new(
+            let mut matcher = BodyTracker::new(
                 camera,
                 stagepose::Shutter::default().into(),
                 None,

@@ -21,7 +21,7 @@ pub mod features {
 
 /// The tracker's matcher, the hot loops of alignment, and surface shapes.
 pub mod track {
-    pub use crate::track::{AlignKernels, Alignment, BentShape, Matcher, ShapeWay, SurfaceShape, TUNING, UsedPixel, UsedPixels};
+    pub use crate::track::{AlignKernels, Alignment, BentShape, BodyTracker, ShapeWay, SurfaceShape, TUNING, UsedPixel, UsedPixels};
 }
 
 /// The virtual stage: pictures on the cloth and camera paths through the hall.

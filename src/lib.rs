@@ -3,7 +3,7 @@
 //!
 //! ```text
 //!  clip on disk ┐
-//!  virtual stage┴> capture ─Entry──> matcher ──Sighting──> pose ──PoseSample──> crossbeam channels
+//!  virtual stage┴> capture ─Entry──> matcher ──FrameObservation──> pose ──PoseSample──> crossbeam channels
 //!                  thread           (features, matches,   (stage frame,        (one a subscriber)
 //!                                   candidates, verified) prediction)
 //! ```
@@ -32,8 +32,10 @@
 //! - `features`: pyramid, corners, binary descriptors
 //! - `matching`: which features correspond
 //! - `motion`: the motion model: following, coasting, prediction, resampling
-//! - `track`: surfaces and bodies; acquire, register, verify, align: turns a frame into a sighting
-//! - `pose`: turns a sighting into poses in the stage frame, with covariance, or into a prediction
+//! - `track`: surfaces and bodies; acquire, register, verify, align: turns a frame into an
+//!   observation
+//! - `pose`: turns an observation into poses in the stage frame, with covariance, or into a
+//!   prediction
 //! - `record`: [`PoseSample`] and its JSON line (contract C3)
 //! - `tracker`: [`Tracker`]: a frame in, a sample out
 //!

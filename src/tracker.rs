@@ -11,7 +11,7 @@ use crate::compute_clock::ComputeClock;
 use crate::frame::{Frame, Timestamp};
 use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
-use crate::track::{BodySpec, LearntCamera, Matcher, Sighting, SurfaceError, TrackerSettings, UsedPixels, ViewStore};
+use crate::track::{BodySpec, BodyTracker, FrameObservation, LearntCamera, SurfaceError, TrackerSettings, UsedPixels, ViewStore};
 
 /// Everything needed to build a tracker.
 #[derive(Debug, Clone)]
@@ -154,7 +154,7 @@ pub enum FrameError {
 /// # }
 /// ```
 pub struct Tracker {
-    pub(crate) matcher: Matcher,
+    pub(crate) matcher: BodyTracker,
     pub(crate) poses: PoseRecorder,
     /// Stamp of the last frame of [`Tracker::track`].
     last: Option<Timestamp>,
@@ -177,7 +177,7 @@ impl Tracker {
         setup.checked()?;
         let names = setup.objects.iter().map(|o| o.name.clone()).collect();
         let bodies: Vec<&BodySpec> = std::iter::once(&setup.stage).chain(&setup.objects).collect();
-        let mut matcher = Matcher::new(setup.camera, setup.shutter, setup.mask, &bodies, setup.settings, setup.clock, setup.store);
+        let mut matcher = BodyTracker::new(setup.camera, setup.shutter, setup.mask, &bodies, setup.settings, setup.clock, setup.store);
         matcher.begin_with(&setup.learnt);
         Ok(Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names, clock: setup.clock }, last: None })
     }
@@ -220,38 +220,38 @@ impl Tracker {
             return Err(FrameError::Stamp { timestamp: frame.timestamp, last });
         }
         self.last = Some(frame.timestamp);
-        let sighting = self.matcher.look(frame);
-        Ok(self.poses.sample(&sighting, 0.0))
+        let observation = self.matcher.track_frame(frame);
+        Ok(self.poses.sample(&observation, 0.0))
     }
 }
 
 impl PoseRecorder {
-    /// Turns a sighting into a sample.
-    pub(crate) fn sample(&mut self, sighting: &Sighting, decode_ms: f64) -> PoseSample {
-        let _span = tracing::debug_span!("pose", sequence = sighting.sequence).entered();
+    /// Turns an observation into a sample.
+    pub(crate) fn sample(&mut self, observation: &FrameObservation, decode_ms: f64) -> PoseSample {
+        let _span = tracing::debug_span!("pose", sequence = observation.sequence).entered();
         let start = self.clock.start();
-        let PoseEstimate { camera, objects } = self.stage.estimate(sighting);
-        let measurement = measurement(sighting, &camera);
+        let PoseEstimate { camera, objects } = self.stage.estimate(observation);
+        let measurement = measurement(observation, &camera);
         let objects = self.names.iter().zip(objects).map(|(name, o)| object_sample(name, o)).collect();
         let pose_ms = start.elapsed_ms();
         PoseSample {
-            sequence: sighting.sequence,
-            timestamp: sighting.timestamp,
+            sequence: observation.sequence,
+            timestamp: observation.timestamp,
             state: camera.state,
             pose: camera.pose,
             measurement,
             objects,
-            reason: sighting.stage.reason.filter(|_| camera.state != State::Tracking),
-            learnt: sighting.learnt,
-            times: StageTimes { decode_ms, acquire_ms: sighting.acquire_ms, align_ms: sighting.align_ms, pose_ms, age_ms: None },
+            reason: observation.stage.reason.filter(|_| camera.state != State::Tracking),
+            learnt: observation.learnt,
+            times: StageTimes { decode_ms, acquire_ms: observation.acquire_ms, align_ms: observation.align_ms, pose_ms, age_ms: None },
         }
     }
 }
 
-fn measurement(sighting: &Sighting, camera: &BodyEstimate<crate::geometry::Camera>) -> Option<Measurement> {
+fn measurement(observation: &FrameObservation, camera: &BodyEstimate<crate::geometry::Camera>) -> Option<Measurement> {
     let (pose, covariance) = camera.measured.map(|m| (m.pose, m.covariance()))?;
-    let verified = sighting.stage.verified.as_ref()?;
-    let two_view = sighting.two_view.as_ref()?;
+    let verified = observation.stage.verified.as_ref()?;
+    let two_view = observation.two_view.as_ref()?;
     let essential = two_view.essential.map(|(motion, inliers)| EssentialMotion {
         rotation: motion.rotation,
         translation_direction: motion.direction,
@@ -264,7 +264,7 @@ fn measurement(sighting: &Sighting, camera: &BodyEstimate<crate::geometry::Camer
         homography: two_view.homography,
         essential,
         inliers: verified.inliers,
-        rms_px: sighting.stage.rms_px?,
+        rms_px: observation.stage.rms_px?,
     })
 }
 

@@ -15,7 +15,7 @@ use crate::capture::timestamping::monotonic_now;
 use crate::capture::{ClipEntry, EntryContent, EntryOrder, FrameSource};
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::PoseSample;
-use crate::track::{Matcher, Mixture, ModelNews, Reason, ShutterNews, Sighting};
+use crate::track::{BodyTracker, FrameObservation, Mixture, ModelNews, Reason, ShutterNews};
 use crate::tracker::{PoseRecorder, Tracker};
 
 /// What happens when a stage is slower than the one before it.
@@ -135,7 +135,7 @@ impl Daemon {
         let Self { source, tracker, delivery, subscribers, observers, stop, dropped, live } = self;
         let Tracker { matcher, poses, .. } = tracker;
         let (to_matcher, rows) = row_channel(delivery);
-        let (to_pose, sightings) = bounded(QUEUE);
+        let (to_pose, observations) = bounded(QUEUE);
         let unseen = Unseen { count: dropped.clone(), live: live.clone() };
         let is_over = Arc::<AtomicBool>::default();
         let capture = Capture { source, to_matcher, stop: stop.clone(), is_over: is_over.clone(), unseen: unseen.clone() };
@@ -145,7 +145,7 @@ impl Daemon {
         // Start the last stage first: a stage without input ends by itself, while a source that is
         // being read may not.
         let stages: [(&'static str, Run); 3] = [
-            ("pose", Box::new(move || publish(poses, &sightings, observers, subscribers, watch))),
+            ("pose", Box::new(move || publish(poses, &observations, observers, subscribers, watch))),
             ("matcher", Box::new(move || match_rows(matcher, order, end.as_ref(), &rows, &to_pose))),
             ("capture", Box::new(move || capture.run())),
         ];
@@ -288,13 +288,19 @@ impl Capture {
 /// A row, the matcher's result, and the row's age when matching started.
 struct Seen {
     row: ClipEntry,
-    sighting: Sighting,
+    observation: FrameObservation,
     age_ms: Option<f64>,
 }
 
 /// Runs the matcher. `order` numbers a camera's rows as they are tracked, after drops. Without
 /// `end` every row is tracked.
-fn match_rows(mut matcher: Matcher, mut order: Option<EntryOrder>, end: Option<&End>, rows: &Receiver<ClipEntry>, to_pose: &Sender<Seen>) {
+fn match_rows(
+    mut matcher: BodyTracker,
+    mut order: Option<EntryOrder>,
+    end: Option<&End>,
+    rows: &Receiver<ClipEntry>,
+    to_pose: &Sender<Seen>,
+) {
     for row in rows {
         if let Some(end) = end.filter(|end| end.has_come()) {
             end.unseen.add(&row);
@@ -305,8 +311,8 @@ fn match_rows(mut matcher: Matcher, mut order: Option<EntryOrder>, end: Option<&
             Some(order) => order.admit(row),
             None => row,
         };
-        let sighting = sight(&mut matcher, &row);
-        if to_pose.send(Seen { row, sighting, age_ms }).is_err() {
+        let observation = sight(&mut matcher, &row);
+        if to_pose.send(Seen { row, observation, age_ms }).is_err() {
             return;
         }
     }
@@ -314,7 +320,7 @@ fn match_rows(mut matcher: Matcher, mut order: Option<EntryOrder>, end: Option<&
 
 fn publish(
     mut poses: PoseRecorder,
-    sightings: &Receiver<Seen>,
+    observations: &Receiver<Seen>,
     mut observers: Vec<Observer>,
     mut subscribers: Vec<Subscriber>,
     mut watch: Option<StaleWatch>,
@@ -322,20 +328,20 @@ fn publish(
     let mut reasons = ReasonWatch::default();
     loop {
         let next = match &watch {
-            Some(watch) => sightings.recv_timeout(watch.wait()),
-            None => sightings.recv().map_err(RecvTimeoutError::from),
+            Some(watch) => observations.recv_timeout(watch.wait()),
+            None => observations.recv().map_err(RecvTimeoutError::from),
         };
         match next {
-            Ok(Seen { row, sighting, age_ms }) => {
-                let mut sample = sample(&mut poses, &sighting, &row);
+            Ok(Seen { row, observation, age_ms }) => {
+                let mut sample = sample(&mut poses, &observation, &row);
                 sample.times.age_ms = age_ms;
-                if let Some(news) = sighting.misfit {
+                if let Some(news) = observation.misfit {
                     tell(news, watch.as_ref().map(StaleWatch::link));
                 }
-                if let Some(mixture) = sighting.mixture {
+                if let Some(mixture) = observation.mixture {
                     tell_mixture(mixture, watch.as_ref().map(StaleWatch::link));
                 }
-                if let Some(news) = sighting.shutter_news {
+                if let Some(news) = observation.shutter_news {
                     tell_shutter(&news, watch.as_ref().map(StaleWatch::link));
                 }
                 if let Some(watch) = &mut watch {

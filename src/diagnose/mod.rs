@@ -24,7 +24,7 @@ pub use plausible::{Travel, of_layout, of_lens, of_shutter};
 use crate::camera::{CameraModel, LensGuess, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::frame::{Frame, Timestamp};
-use crate::track::{BodySpec, Matcher, Reason, SurfaceView};
+use crate::track::{BodySpec, BodyTracker, Reason, SurfaceView};
 use crate::tracker::TrackerSetup;
 
 /// Minimum number of matches in a view of a surface; fewer may be chance. Chosen, not tuned.
@@ -39,7 +39,7 @@ const TRIED_FRAMES: usize = 8;
 
 /// A trial setup, similar to the config's, to be tested on the frames.
 pub struct Trial {
-    matcher: Matcher,
+    matcher: BodyTracker,
     stamp: Timestamp,
 }
 
@@ -47,7 +47,7 @@ impl Trial {
     /// Prepares the pictures of a stage for a camera; the rest is as configured.
     pub fn new(camera: CameraModel, mask: Option<GrayImage>, stage: &BodySpec, setup: &TrackerSetup) -> Self {
         let (settings, store) = (setup.clone().as_trial().settings, setup.store.clone());
-        let matcher = Matcher::new(camera, Shutter::default().into(), mask, &[stage], settings, ComputeClock::default(), store);
+        let matcher = BodyTracker::new(camera, Shutter::default().into(), mask, &[stage], settings, ComputeClock::default(), store);
         Self { matcher, stamp: Timestamp::default() }
     }
 
@@ -75,15 +75,15 @@ impl Trial {
         self.count(frames, |matcher| matcher.study().fitting_patches(surface) >= MIN_PATCHES)
     }
 
-    fn count(&mut self, frames: &[Frame], is_so: impl Fn(&mut Matcher) -> bool) -> (usize, usize) {
+    fn count(&mut self, frames: &[Frame], is_so: impl Fn(&mut BodyTracker) -> bool) -> (usize, usize) {
         let step = frames.len().div_ceil(TRIED_FRAMES).max(1);
         let (mut counted, mut asked) = (0, 0);
         for frame in frames.iter().step_by(step) {
             // Stamps far apart, so that no frame depends on the one before.
             self.stamp = self.stamp.after_s(10.0);
-            let sighting = self.matcher.look(&Frame { timestamp: self.stamp, ..frame.clone() });
+            let observation = self.matcher.track_frame(&Frame { timestamp: self.stamp, ..frame.clone() });
             asked += 1;
-            counted += usize::from(sighting.stage.reason.is_none_or(Reason::is_verified) && is_so(&mut self.matcher));
+            counted += usize::from(observation.stage.reason.is_none_or(Reason::is_verified) && is_so(&mut self.matcher));
         }
         (counted, asked)
     }

@@ -1,4 +1,4 @@
-//! The pose stage: turns sightings into reported poses in the stage frame with their covariance,
+//! The pose stage: turns observations into reported poses in the stage frame with their covariance,
 //! applies the filter if configured, and predicts while coasting.
 
 mod filter;

@@ -7,7 +7,7 @@ use crate::frame::Timestamp;
 use crate::geometry::covariance::covariance_of_object;
 use crate::geometry::{Body, Camera, Pose, Stage};
 use crate::motion::MotionHistory;
-use crate::track::{BodySighting, Sighting, State, Verified};
+use crate::track::{BodyObservation, FrameObservation, State, Verified};
 
 /// The estimate of one body after a frame.
 #[derive(Debug, Clone)]
@@ -48,7 +48,7 @@ pub struct PoseEstimate {
     pub objects: Vec<BodyEstimate<Body>>,
 }
 
-/// Turns sightings into estimates; keeps the motion history for predictions.
+/// Turns observations into estimates; keeps the motion history for predictions.
 #[derive(Debug)]
 pub struct PoseStage {
     filter: FilterSettings,
@@ -82,11 +82,11 @@ impl PoseStage {
         Self { filter, camera: BodyMotion::new(filter), objects: Vec::new() }
     }
 
-    /// Processes the sighting of the next frame.
-    pub fn estimate(&mut self, sighting: &Sighting) -> PoseEstimate {
+    /// Processes the observation of the next frame.
+    pub fn estimate(&mut self, observation: &FrameObservation) -> PoseEstimate {
         let filter = self.filter;
-        self.objects.resize_with(sighting.objects.len(), || BodyMotion::new(filter));
-        if !sighting.is_timed {
+        self.objects.resize_with(observation.objects.len(), || BodyMotion::new(filter));
+        if !observation.is_timed {
             return PoseEstimate {
                 camera: unseen(&self.camera.history),
                 objects: self.objects.iter().map(|o| unseen(&o.history)).collect(),
@@ -94,13 +94,13 @@ impl PoseStage {
         }
         // The stage's body frame is the stage frame.
         let measured = |v: &Verified| Measured { pose: v.pose.renamed(), noise: v.covariance, by_model: v.by_model };
-        let seen = sighting.stage.verified.as_ref().map(measured);
-        let camera = settle(sighting.stage.state, seen, sighting.timestamp, &mut self.camera);
-        let objects = sighting
+        let seen = observation.stage.verified.as_ref().map(measured);
+        let camera = settle(observation.stage.state, seen, observation.timestamp, &mut self.camera);
+        let objects = observation
             .objects
             .iter()
             .zip(&mut self.objects)
-            .map(|(object, motion)| object_estimate(object, &camera, sighting.timestamp, motion))
+            .map(|(object, motion)| object_estimate(object, &camera, observation.timestamp, motion))
             .collect();
         PoseEstimate { camera, objects }
     }
@@ -118,7 +118,7 @@ const MAX_SHIFT: f64 = 0.01;
 /// An object is not tracked while the stage is not, because its stage pose needs the camera's; nor
 /// while noise leaves its pose uncertain.
 fn object_estimate(
-    object: &BodySighting,
+    object: &BodyObservation,
     camera: &BodyEstimate<Camera>,
     timestamp: Timestamp,
     motion: &mut BodyMotion<Body>,

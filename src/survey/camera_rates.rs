@@ -14,7 +14,7 @@ use nalgebra::Vector3;
 use super::stage_model::distance_m;
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose};
-use crate::track::{KnownRates, Matcher};
+use crate::track::{BodyTracker, KnownRates};
 use crate::tracker::TrackerSetup;
 
 /// Maximum relative deviation of the time steps between five frames from their mean. Raised,
@@ -142,12 +142,13 @@ where
     let TrackerSetup { camera, shutter, mask, stage, settings, clock, store, .. } = setup.as_trial();
     let (mut rates, mut number) = (Vec::new(), 0);
     for clip in clips {
-        let mut matcher = Matcher::new(camera, shutter.or_zero().into(), mask.clone(), &[&stage], settings.clone(), clock, store.clone());
+        let mut matcher =
+            BodyTracker::new(camera, shutter.or_zero().into(), mask.clone(), &[&stage], settings.clone(), clock, store.clone());
         let mut recent = RecentPoses::as_surveyed();
         for frame in clip.into_iter().take_while(|_| goes_on()) {
             number += 1;
             progress(number);
-            let Some(pose) = matcher.look(&frame).stage.verified.map(|verified| verified.pose) else { continue };
+            let Some(pose) = matcher.track_frame(&frame).stage.verified.map(|verified| verified.pose) else { continue };
             rates.extend(recent.add(number, pose, frame.timestamp, distance_m(&stage.surfaces, &pose)));
         }
     }

@@ -10,7 +10,7 @@
 use crate::camera::Shutter;
 use crate::frame::{Frame, Timestamp};
 use crate::track::agreement::{Agreement, Said, agreement, weighted_median};
-use crate::track::{Clue, Matcher, TUNING};
+use crate::track::{BodyTracker, Clue, TUNING};
 use crate::tracker::Tracker;
 
 /// Maximum number of frames used, from the clip's start: eight seconds at 30 per second. Raised,
@@ -87,14 +87,14 @@ struct Pass {
 
 impl Pass {
     /// Tracks the clip's first frames with an assumed shutter.
-    fn over(clip: impl IntoIterator<Item = Frame>, matcher: &mut Matcher, shutter: Shutter) -> Self {
+    fn over(clip: impl IntoIterator<Item = Frame>, matcher: &mut BodyTracker, shutter: Shutter) -> Self {
         matcher.study().ask_shutter(shutter);
         let mut pass = Self::default();
         for frame in clip.into_iter().take(MAX_FRAMES) {
             pass.frames += 1;
             pass.first.get_or_insert(frame.timestamp);
             pass.last = frame.timestamp;
-            matcher.look(&frame);
+            matcher.track_frame(&frame);
             let Some(clue) = matcher.study().shutter_clue() else { continue };
             pass.aligned += 1;
             pass.readout.push(clue.readout.clue);

@@ -16,7 +16,7 @@ use super::stage_model::distance_m;
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
-use crate::track::{BodySpec, KnownRates, Matcher, SurfaceMatch};
+use crate::track::{BodySpec, BodyTracker, KnownRates, SurfaceMatch};
 use crate::tracker::TrackerSetup;
 
 /// Maximum time between two poses that give a velocity, seconds. Raised, the velocity may span a
@@ -90,7 +90,7 @@ impl Walk {
         let (mut keyframes, mut lively) = (Keyframes::default(), LivelyPart::default());
         let (mut frames, mut found) = (0, 0);
         for clip in clips {
-            let mut finder = StageFinder::new(Matcher::new(
+            let mut finder = StageFinder::new(BodyTracker::new(
                 camera,
                 shutter.or_zero().into(),
                 mask.clone(),
@@ -212,7 +212,7 @@ impl KeyframeRecord {
 
 /// Finds the stage in the frames of a clip, even if lens or layout differ from the config.
 struct StageFinder {
-    matcher: Matcher,
+    matcher: BodyTracker,
     pause: TrackingPause,
 }
 
@@ -243,7 +243,7 @@ impl TrackingPause {
 }
 
 impl StageFinder {
-    fn new(matcher: Matcher) -> Self {
+    fn new(matcher: BodyTracker) -> Self {
         Self { matcher, pause: TrackingPause::default() }
     }
 
@@ -262,7 +262,7 @@ impl StageFinder {
         if !self.pause.tracks_next() {
             return None;
         }
-        let verified = self.matcher.look(frame).stage.verified;
+        let verified = self.matcher.track_frame(frame).stage.verified;
         self.pause.take(verified.is_some());
         verified.map(|verified| verified.pose)
     }

@@ -73,6 +73,27 @@ pub struct Spent {
     pub align_ms: f64,
 }
 
+/// A frame at half size, copied when it is first needed.
+#[derive(Default)]
+struct HalfSize {
+    picture: GrayImage,
+    is_current: bool,
+}
+
+impl HalfSize {
+    /// Begins a frame: the picture is that of an earlier one.
+    fn begin_frame(&mut self) {
+        self.is_current = false;
+    }
+
+    /// Copies the frame, unless that was done.
+    fn fill(&mut self, levels: &FrameLevels) {
+        if !std::mem::replace(&mut self.is_current, true) {
+            levels.half_into(&mut self.picture);
+        }
+    }
+}
+
 /// Searches for bodies; keeps its buffers between frames.
 pub struct BodySearch {
     camera: CameraModel,
@@ -85,7 +106,7 @@ pub struct BodySearch {
     features: FeatureSearch,
     unexplained: Unexplained,
     verify_buffers: VerifyBuffers,
-    half: GrayImage,
+    half: HalfSize,
     /// Rotates which missing body is tried first once the stage is known, so that each has its
     /// turn.
     turn: usize,
@@ -118,7 +139,7 @@ impl BodySearch {
             features,
             unexplained: Unexplained::default(),
             verify_buffers: VerifyBuffers::default(),
-            half: GrayImage::default(),
+            half: HalfSize::default(),
             turn: 0,
             is_beside: false,
             tries: 0,
@@ -140,10 +161,11 @@ impl BodySearch {
     /// no pose. Returns the compute spent.
     pub fn find_missing(&mut self, scene: &mut Scene) -> Spent {
         self.spent = Spent::default();
+        self.half.begin_frame();
         if scene.is_complete() {
             return self.spent;
         }
-        scene.levels.half_into(&mut self.half);
+        self.half.fill(scene.levels);
         if let [stage, objects @ ..] = &mut *scene.bodies {
             let missing = objects.iter_mut().zip(&scene.verified[1..]).filter(|(_, verified)| verified.is_none());
             missing.for_each(|(object, _)| object.aligner.take_camera(&stage.aligner));
@@ -403,10 +425,12 @@ impl BodySearch {
         aligned.or(best.filter(|_| !tracked.repeats()))
     }
 
-    /// Returns the frame as verification of a body needs it; its half size must be that of this
-    /// frame.
+    /// Returns the frame as verification of a body needs it, once its half size is filled.
     fn view<'a>(&'a self, frame: &'a Frame, tracked: &TrackedBody) -> View<'a> {
-        View { full: self.full_view(frame, tracked), half: SearchPicture { image: &self.half, scale: 2.0, mask: self.mask.as_ref() } }
+        View {
+            full: self.full_view(frame, tracked),
+            half: SearchPicture { image: &self.half.picture, scale: 2.0, mask: self.mask.as_ref() },
+        }
     }
 
     /// Returns the frame at full size, as a study of a body needs it.
@@ -452,7 +476,7 @@ impl BodySearch {
         let (found, _) = candidates(&tracked.body, &own, &own, &self.camera, self.seed);
         self.spent.acquire_ms += start.elapsed_ms() + self.workers.take_extra_ms();
         let start = self.clock.start();
-        scene.levels.half_into(&mut self.half);
+        self.half.fill(scene.levels);
         let mut buffers = std::mem::take(&mut self.verify_buffers);
         let view = self.view(scene.frame, tracked);
         let full = FullView {
@@ -483,7 +507,7 @@ impl BodySearch {
     fn give_reasons(&self, scene: &mut Scene) {
         let mut look = None;
         for (tracked, _) in scene.bodies.iter_mut().zip(&*scene.verified).filter(|(_, verified)| verified.is_none()) {
-            let look = look.get_or_insert_with(|| FrameLook::at(&self.half));
+            let look = look.get_or_insert_with(|| FrameLook::at(&self.half.picture));
             let reason = Reason::of_failure(&tracked.recognition, tracked.attempt.refusal, look, self.camera.width());
             debug!(body = %tracked.body.name, ?reason, seen = ?tracked.recognition, refusal = ?tracked.attempt.refusal, ?look, "no pose");
             tracked.attempt.reason = Some(reason);
@@ -535,4 +559,32 @@ fn first_off(readout_s: f64, distance_m: f64, noise: [f64; 2]) -> [f64; 2] {
         ACQUIRE_TUNING.feature_pose_shift_sigma * distance_m + shift + 2.0 * noise[0],
         ACQUIRE_TUNING.feature_pose_rotation_sigma + turn + 2.0 * noise[1],
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use image::Luma;
+
+    use super::*;
+
+    fn levels(grey: u8) -> FrameLevels {
+        let mut levels = FrameLevels::default();
+        levels.update(&GrayImage::from_pixel(64, 48, Luma([grey])));
+        levels
+    }
+
+    #[test]
+    fn the_half_size_is_that_of_the_current_frame() {
+        let mut half = HalfSize::default();
+        half.begin_frame();
+        half.fill(&levels(10));
+        // Needed twice in a frame, it is copied once.
+        half.fill(&levels(20));
+        assert_eq!(half.picture, GrayImage::from_pixel(32, 24, Luma([10])));
+        // A frame that does not need it leaves an old picture, which the next one replaces.
+        half.begin_frame();
+        half.begin_frame();
+        half.fill(&levels(30));
+        assert_eq!(half.picture, GrayImage::from_pixel(32, 24, Luma([30])));
+    }
 }

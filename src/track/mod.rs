@@ -10,9 +10,9 @@
 //! - `acquire`: candidates for a body's pose, within a work budget
 //! - `body`: what is remembered of a body; with `align::learned` the only memory
 //!
-//! The files in this folder define the order of a frame: `matcher` runs it, `body_search` finds
-//! missing bodies, `failure` says why a frame has no pose, `two_view` describes the frame by a
-//! homography and an essential matrix, `tile_observer` measures single frames for the survey,
+//! The files in this folder define the order of a frame: `body_tracker` runs it, `body_search`
+//! finds missing bodies, `failure` says why a frame has no pose, `two_view` describes the frame by
+//! a homography and an essential matrix, `tile_observer` measures single frames for the survey,
 //! `settings` holds what is configured, `tuning` what is tuned.
 
 #[macro_use]
@@ -22,9 +22,9 @@ mod acquire;
 mod align;
 mod body;
 mod body_search;
+mod body_tracker;
 mod failure;
 mod frame;
-mod matcher;
 mod model_error;
 mod patches;
 mod scene;
@@ -43,9 +43,9 @@ pub use body::pixel_watch::{Displaced, UsedPixels};
 pub use body::reason::Reason;
 pub use body::shutter_news::ShutterNews;
 pub use body::track_state::State;
+pub use body_tracker::{BodyObservation, BodyTracker, FrameObservation};
 #[cfg(feature = "calibrate")]
 pub(crate) use frame::frame_look::{FrameLook, PictureFault};
-pub use matcher::{BodySighting, Matcher, Sighting};
 pub use model_error::lens_doubt::covariance_by_lens;
 pub use model_error::misfit::{ModelNews, ModelReport, Part};
 pub use model_error::moments::Mixture;

@@ -3,7 +3,7 @@
 
 use nalgebra::Vector3;
 use stagepose::diagnostics::capture::VirtualCamera;
-use stagepose::diagnostics::track::Matcher;
+use stagepose::diagnostics::track::BodyTracker;
 use stagepose::{
     CameraModel, CameraPath, ClipEntry, ComputeClock, Draught, EntryContent, FrameSource, Intrinsics, PoseSample, Reason, Spline, State,
     VirtualStage, Wave,
@@ -114,13 +114,14 @@ fn a_moved_flat_is_reported_once_and_the_others_track_on() {
     let path = CameraPath { position: Spline::new(&keys).unwrap(), target: Spline::fixed(Vector3::zeros()), roll_rad: 0.02, shake: None };
     let scene = quiet(camera(480, 360), path, flats(Vector3::new(0.008, 0.0, 0.006)));
     let told = flats(Vector3::zeros());
-    let mut matcher = Matcher::new(scene.camera, scene.shutter.into(), None, &[&told], Default::default(), ComputeClock::default(), None);
+    let mut matcher =
+        BodyTracker::new(scene.camera, scene.shutter.into(), None, &[&told], Default::default(), ComputeClock::default(), None);
     let (mut news, mut followed, mut worst_m) = (Vec::new(), 0, 0.0_f64);
     for entry in rows(&scene, 230) {
         let EntryContent::Frame(frame) = &entry.content else { panic!("a virtual camera loses no frame") };
-        let sighting = matcher.look(frame);
-        news.extend(sighting.misfit);
-        if let Some(verified) = sighting.stage.verified {
+        let observation = matcher.track_frame(frame);
+        news.extend(observation.misfit);
+        if let Some(verified) = observation.stage.verified {
             followed += 1;
             worst_m = worst_m.max((verified.pose.translation - scene.truth(frame.timestamp.seconds()).translation).norm());
         }
@@ -143,8 +144,8 @@ fn a_moved_flat_is_reported_once_and_the_others_track_on() {
 fn a_correctly_configured_stage_reports_no_misfit() {
     let scene = quiet(camera(480, 360), from_the_side(), backdrop());
     let mut matcher =
-        Matcher::new(scene.camera, scene.shutter.into(), None, &[&backdrop()], Default::default(), ComputeClock::default(), None);
+        BodyTracker::new(scene.camera, scene.shutter.into(), None, &[&backdrop()], Default::default(), ComputeClock::default(), None);
     let all = rows(&scene, 230);
     let frames = all.iter().filter_map(|entry| if let EntryContent::Frame(frame) = &entry.content { Some(frame) } else { None });
-    assert!(frames.map(|frame| matcher.look(frame).misfit).all(|news| news.is_none()));
+    assert!(frames.map(|frame| matcher.track_frame(frame).misfit).all(|news| news.is_none()));
 }

@@ -5,7 +5,7 @@ use image::GrayImage;
 use image::codecs::jpeg::JpegEncoder;
 use nalgebra::Vector3;
 use stagepose::diagnostics::capture::VirtualCamera;
-use stagepose::diagnostics::track::Matcher;
+use stagepose::diagnostics::track::BodyTracker;
 use stagepose::{CameraPath, ClipEntry, ComputeClock, EntryContent, FrameSource, PoseSample, Reason, Shake, Spline, State, VirtualStage};
 
 use super::scene::{FPS, aside, backdrop, backdrop_art, body, camera, errors, quiet, rows, setup, surface, track_rows};
@@ -89,13 +89,13 @@ fn interlaced_frames_are_withheld_and_reported_once() {
     let fields: Vec<ClipEntry> = std::iter::from_fn(|| camera.next_entry()).collect();
     let mixed = mixed(&fields, weave);
     let mut matcher =
-        Matcher::new(scene.camera, scene.shutter.into(), None, &[&scene.stage], Default::default(), ComputeClock::default(), None);
+        BodyTracker::new(scene.camera, scene.shutter.into(), None, &[&scene.stage], Default::default(), ComputeClock::default(), None);
     let (mut news, mut refused) = (Vec::new(), 0);
     for entry in mixed.iter().step_by(2) {
         let EntryContent::Frame(frame) = &entry.content else { panic!("a virtual camera loses no frame") };
-        let sighting = matcher.look(frame);
-        refused += usize::from(sighting.stage.reason == Some(Reason::Mixed));
-        news.extend(sighting.mixture);
+        let observation = matcher.track_frame(frame);
+        refused += usize::from(observation.stage.reason == Some(Reason::Mixed));
+        news.extend(observation.mixture);
     }
     let [one] = &news[..] else { panic!("{news:?}") };
     assert!(one.text().contains("interlaced"), "{}", one.text());

@@ -98,7 +98,7 @@ const TRACK: [&str; 15] = [
     "two_view",
     "tile_observer",
     "body_search",
-    "matcher",
+    "body_tracker",
     "synthetic",
 ];
 /// The rooms of `track::align`, likewise.

@@ -15,9 +15,9 @@
 //! - `solve`: one level: all tiles together
 //! - `hypotheses`: motions that the prediction does not contain
 //!
-//! `request` is what a caller asks for, `frame_problem` takes one frame through all of it, `aligner`
-//! is what the rest of `track` uses,
-//! `lanes` has the vector registers of the inner loops, and `kernels` opens these to benches.
+//! `request` is what a caller asks for, `frame_problem` takes one frame through all of it,
+//! `aligner` is what the rest of `track` uses, `lanes` has the vector registers of the inner loops,
+//! and `kernels` opens these to benches.
 //!
 //! Source: direct alignment in the manner of Lucas and Kanade (1981) and Baker and Matthews (2004),
 //! iteratively reweighted; the joint state follows the continuous-time rolling-shutter literature

@@ -37,7 +37,7 @@ tuning! {
         /// reported as the reason.
         max_geometry_misfit: f64 = 0.6,
 
-        // matcher.rs
+        // body_tracker/
         /// Maximum sigma of an object's direction by residual tile displacements, radians (one
         /// degree). Raised, false poses of small pictures are reported; lowered, blurred objects
         /// are given up.

@@ -12,7 +12,7 @@ use crate::track::two_view::TwoView;
 
 /// What a frame shows of one body.
 #[derive(Debug, Clone)]
-pub struct BodySighting {
+pub struct BodyObservation {
     /// The track state's verdict.
     pub state: State,
     /// The verified pose; present while tracking.
@@ -24,7 +24,7 @@ pub struct BodySighting {
     pub reason: Option<Reason>,
 }
 
-impl BodySighting {
+impl BodyObservation {
     /// Returns a body without a pose.
     pub(super) fn without_pose(state: State, reason: Reason) -> Self {
         Self { state, verified: None, rms_px: None, reason: Some(reason) }
@@ -33,7 +33,7 @@ impl BodySighting {
 
 /// What a frame shows of all bodies.
 #[derive(Debug, Clone)]
-pub struct Sighting {
+pub struct FrameObservation {
     /// Row number of the record.
     pub sequence: u64,
     /// Timestamp of the frame.
@@ -42,11 +42,11 @@ pub struct Sighting {
     /// track.
     pub is_timed: bool,
     /// The stage.
-    pub stage: BodySighting,
+    pub stage: BodyObservation,
     /// Homography and essential matrix of the stage; present while tracking.
     pub two_view: Option<TwoView>,
     /// The objects, in the order of the config.
-    pub objects: Vec<BodySighting>,
+    pub objects: Vec<BodyObservation>,
     /// A part of the stage's model that the frames contradict; each is reported once.
     pub misfit: Option<ModelNews>,
     /// How frames that show two moments at once are composed; reported once.
@@ -61,8 +61,8 @@ pub struct Sighting {
     pub align_ms: f64,
 }
 
-impl Sighting {
-    /// Returns the sighting of a row without a picture. `states`: the stage's first, then the
+impl FrameObservation {
+    /// Returns the observation of a row without a picture. `states`: the stage's first, then the
     /// objects'.
     pub(super) fn without_picture(
         sequence: u64,
@@ -71,9 +71,9 @@ impl Sighting {
         reason: Reason,
         states: impl IntoIterator<Item = State>,
     ) -> Self {
-        let mut bodies = states.into_iter().map(|state| BodySighting::without_pose(state, reason));
+        let mut bodies = states.into_iter().map(|state| BodyObservation::without_pose(state, reason));
         // There is always a stage; the fallback only avoids a panic.
-        let stage = bodies.next().unwrap_or(BodySighting::without_pose(State::Searching, reason));
+        let stage = bodies.next().unwrap_or(BodyObservation::without_pose(State::Searching, reason));
         Self {
             sequence,
             timestamp,

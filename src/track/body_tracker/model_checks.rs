@@ -4,7 +4,7 @@
 use nalgebra::Vector6;
 use tracing::debug;
 
-use super::Matcher;
+use super::BodyTracker;
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::resection::perturbed;
 use crate::motion::Motion;
@@ -19,7 +19,7 @@ use crate::track::model_error::moments::{Found, Verdict};
 use crate::track::patches::row_motion::RowMotion;
 use crate::track::tuning::frame_order::TUNING;
 
-impl Matcher {
+impl BodyTracker {
     /// Withholds the stage's pose if the camera moves and the frame shows two moments at once. If
     /// the camera hardly moves, the pose is kept, with a covariance for the unknown moment within
     /// the frame interval before it.

@@ -1,17 +1,17 @@
-//! The matcher takes a frame and returns what it shows of every body, the stage and the objects.
+//! The tracker takes a frame and returns what it shows of every body, the stage and the objects.
 //!
 //! Per frame it runs in this order: [`TrackedBody::follow`] aligns each body that was aligned
 //! lately, starting at its predicted pose; [`BodySearch`] searches for the others; model checks may
 //! then refuse or withhold poses and widen their covariance; each body's track state turns the
-//! result into a [`BodySighting`]; last, the matcher learns the shutter. It may use all rooms of
+//! result into a [`BodyObservation`]; last, the tracker learns the shutter. It may use all rooms of
 //! `track`.
 //!
-//! - `sighting`: what it returns
+//! - `observation`: what it returns
 //! - `model_checks`: refuses and withholds poses that the model does not explain
 //! - `stage_study`: for survey and diagnosis, what one frame shows of the stage
 
 mod model_checks;
-mod sighting;
+mod observation;
 mod stage_study;
 
 use std::sync::Arc;
@@ -22,7 +22,7 @@ use image::GrayImage;
 use nalgebra::Matrix6;
 use tracing::{debug, debug_span};
 
-pub use self::sighting::{BodySighting, Sighting};
+pub use self::observation::{BodyObservation, FrameObservation};
 pub use self::stage_study::StageStudy;
 use super::acquire::feature_search::FeatureSearch;
 use super::acquire::view_bank::ViewStore;
@@ -52,7 +52,7 @@ use crate::features::Workers;
 use crate::frame::{Frame, Timestamp};
 
 /// Finds all bodies in every frame; needs no starting pose.
-pub struct Matcher {
+pub struct BodyTracker {
     camera: CameraModel,
     settings: TrackerSettings,
     clock: ComputeClock,
@@ -82,11 +82,11 @@ pub struct Matcher {
     camera_rays: CameraRays,
     levels: FrameLevels,
     watcher: Option<PixelWatch>,
-    /// See [`has_given`](Self::has_given).
-    has_given: bool,
+    /// See [`has_reported`](Self::has_reported).
+    has_reported: bool,
 }
 
-impl Matcher {
+impl BodyTracker {
     /// Prepares the reference pictures of all bodies, the stage first. Takes a fraction of a second
     /// per surface whose views `store` does not have.
     pub fn new(
@@ -116,7 +116,7 @@ impl Matcher {
             camera_rays: CameraRays::new(camera, mask),
             levels: FrameLevels::default(),
             watcher: None,
-            has_given: false,
+            has_reported: false,
             camera,
             clock,
             shutter,
@@ -138,7 +138,7 @@ impl Matcher {
         }
     }
 
-    /// Converts a row's timestamp into the matcher's own time, which never runs backwards. Use it
+    /// Converts a row's timestamp into the tracker's own time, which never runs backwards. Use it
     /// for all rows where the source's clock may be set back.
     pub fn own_time(&mut self, stamp: Timestamp) -> Timestamp {
         self.clock_steps.own(stamp)
@@ -146,10 +146,10 @@ impl Matcher {
 
     /// Searches for every body in a frame. A frame whose size differs from the camera's is reported
     /// as skipped.
-    pub fn look(&mut self, frame: &Frame) -> Sighting {
+    pub fn track_frame(&mut self, frame: &Frame) -> FrameObservation {
         let _span = debug_span!("match", sequence = frame.sequence).entered();
         if !self.fits(&frame.image) {
-            return self.look_away(frame.sequence, frame.timestamp, Reason::Skipped);
+            return self.miss_frame(frame.sequence, frame.timestamp, Reason::Skipped);
         }
         self.note_pixels();
         self.interval.update(frame.timestamp);
@@ -178,9 +178,9 @@ impl Matcher {
         let lens = self.watch_lens(frame);
         let (misfit, extra_ms) = self.study_stage(frame, lens).unwrap_or_default();
         align_ms += start.elapsed_ms() + extra_ms;
-        let stage = self.sighting_of(0, frame.timestamp, lens);
-        let objects = (1..self.bodies.len()).map(|k| self.sighting_of(k, frame.timestamp, lens)).collect();
-        self.has_given = stage.state == State::Tracking;
+        let stage = self.observe_body(0, frame.timestamp, lens);
+        let objects = (1..self.bodies.len()).map(|k| self.observe_body(k, frame.timestamp, lens)).collect();
+        self.has_reported = stage.state == State::Tracking;
         let start = self.clock.start();
         self.learn_readout();
         let two_view = stage.verified.as_ref().zip(stage.rms_px).map(|observed| {
@@ -189,7 +189,7 @@ impl Matcher {
             two_view(body, observed, anchors.fitting(), &self.camera, self.settings.seed, &mut self.two_view_buffers)
         });
         align_ms += start.elapsed_ms();
-        Sighting {
+        FrameObservation {
             sequence: frame.sequence,
             timestamp: frame.timestamp,
             is_timed: true,
@@ -304,7 +304,7 @@ impl Matcher {
     }
 
     /// Updates the track state of body `k` with the frame's pose and returns what the frame shows.
-    fn sighting_of(&mut self, k: usize, timestamp: Timestamp, lens: LensState) -> BodySighting {
+    fn observe_body(&mut self, k: usize, timestamp: Timestamp, lens: LensState) -> BodyObservation {
         let (tracked, mut verified) = (&mut self.bodies[k], self.verified[k]);
         if let Some(v) = &verified {
             tracked.remember(timestamp, &v.pose);
@@ -313,7 +313,7 @@ impl Matcher {
             tracked.attempt.reason = Some(Reason::LensMoved);
         }
         if lens == LensState::Moved {
-            return BodySighting::without_pose(tracked.track.withhold(), tracked.attempt.reason.unwrap_or(Reason::LensMoved));
+            return BodyObservation::without_pose(tracked.track.withhold(), tracked.attempt.reason.unwrap_or(Reason::LensMoved));
         }
         // A conclusive frame confirms itself, unless model misfit leaves the pose uncertain.
         let is_known = |v: &Verified| is_sharp(&(v.covariance + tracked.model.covariance_by_misfit()), tracked.aligner.distance_m(&v.pose));
@@ -328,7 +328,7 @@ impl Matcher {
         if let Some(v) = &mut verified {
             v.by_model = self.covariance_by_model(k, v);
         }
-        BodySighting { state, verified, rms_px, reason }
+        BodyObservation { state, verified, rms_px, reason }
     }
 
     /// Returns the covariance of [δp, δθ], body axes, of a verified pose of body `k` from the
@@ -353,27 +353,28 @@ impl Matcher {
     }
 
     /// Whether the last frame resulted in a tracked pose of the stage.
-    pub fn has_given(&self) -> bool {
-        self.has_given
+    pub fn has_reported(&self) -> bool {
+        self.has_reported
     }
 
-    /// Advances the time by a row without a picture and returns its sighting.
-    pub fn look_away(&mut self, sequence: u64, timestamp: Timestamp, reason: Reason) -> Sighting {
+    /// Advances the time by a row without a picture and returns its observation.
+    pub fn miss_frame(&mut self, sequence: u64, timestamp: Timestamp, reason: Reason) -> FrameObservation {
         self.interval.update(timestamp);
         let (coast_s, confirm) = (longest_coast_s(&self.settings, &self.interval), self.settings.confirm_frames);
         let learnt = self.learnt();
         let states = self.bodies.iter_mut().map(|b| b.track.update(timestamp, None, coast_s, confirm));
-        Sighting { learnt, ..Sighting::without_picture(sequence, timestamp, true, reason, states) }
+        FrameObservation { learnt, ..FrameObservation::without_picture(sequence, timestamp, true, reason, states) }
     }
 
-    /// Returns the sighting of a row whose timestamp is unusable (out of order); changes no state.
-    pub fn look_past(&self, sequence: u64, timestamp: Timestamp) -> Sighting {
+    /// Returns the observation of a row whose timestamp is unusable (out of order); changes no
+    /// state.
+    pub fn skip_row(&self, sequence: u64, timestamp: Timestamp) -> FrameObservation {
         let idle = |b: &TrackedBody| if b.track.state() == State::Searching { State::Searching } else { State::Lost };
-        let sighting = Sighting::without_picture(sequence, timestamp, false, Reason::Skipped, self.bodies.iter().map(idle));
-        Sighting { learnt: self.learnt(), ..sighting }
+        let observation = FrameObservation::without_picture(sequence, timestamp, false, Reason::Skipped, self.bodies.iter().map(idle));
+        FrameObservation { learnt: self.learnt(), ..observation }
     }
 
-    /// Starts sending the pixels that poses rest on: per frame, before the frame's sighting is
+    /// Starts sending the pixels that poses rest on: per frame, before the frame's observation is
     /// returned.
     pub fn watch_pixels(&mut self) -> Receiver<UsedPixels> {
         self.watch(None)
@@ -410,7 +411,7 @@ impl Matcher {
 
     /// Opens a study of the stage, for survey and diagnosis.
     pub fn study(&mut self) -> StageStudy<'_> {
-        StageStudy { matcher: self }
+        StageStudy { tracker: self }
     }
 
     /// Whether a picture has the camera's size.

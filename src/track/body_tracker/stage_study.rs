@@ -3,7 +3,7 @@
 
 use image::GrayImage;
 
-use super::Matcher;
+use super::BodyTracker;
 use crate::camera::Shutter;
 use crate::frame::Frame;
 use crate::geometry::{Body, Camera, Pose};
@@ -11,44 +11,44 @@ use crate::track::acquire::candidate::{SurfaceMatch, SurfaceView};
 use crate::track::align::{AlignRequest, Alignment, ShutterClue};
 use crate::track::model_error::misfit::ModelReport;
 
-/// A study of the stage with a matcher's pictures.
+/// A study of the stage with a tracker's pictures.
 pub struct StageStudy<'a> {
-    pub(super) matcher: &'a mut Matcher,
+    pub(super) tracker: &'a mut BodyTracker,
 }
 
 impl StageStudy<'_> {
     /// Fixes the shutter to this one; from now on every frame is asked what it says about it (see
     /// [`shutter_clue`](Self::shutter_clue)).
     pub fn ask_shutter(&mut self, shutter: Shutter) {
-        (self.matcher.shutter, self.matcher.is_shutter_given) = (shutter, true);
-        self.matcher.search.set_shutter(shutter, 0.0);
-        self.matcher.bodies.iter_mut().for_each(|body| body.ask_shutter(shutter));
+        (self.tracker.shutter, self.tracker.is_shutter_given) = (shutter, true);
+        self.tracker.search.set_shutter(shutter, 0.0);
+        self.tracker.bodies.iter_mut().for_each(|body| body.ask_shutter(shutter));
     }
 
     /// From now on checks every frame against the stage's model, for
     /// [`model_report`](Self::model_report).
     pub fn study_model(&mut self) {
-        self.matcher.bodies.iter_mut().take(1).for_each(|stage| stage.model.study_thoroughly(&stage.body));
+        self.tracker.bodies.iter_mut().take(1).for_each(|stage| stage.model.study_thoroughly(&stage.body));
     }
 
     /// Returns how well the stage's model fitted the frames.
     pub fn model_report(&self) -> ModelReport {
-        self.matcher.bodies.first().map_or_else(ModelReport::default, |stage| stage.model.report(&stage.body, &self.matcher.camera))
+        self.tracker.bodies.first().map_or_else(ModelReport::default, |stage| stage.model.report(&stage.body, &self.tracker.camera))
     }
 
     /// Returns what the last frame says about the shutter, estimated on the stage; `None` if the
     /// shutter is not asked or the stage was not aligned.
     pub fn shutter_clue(&self) -> Option<ShutterClue> {
-        self.matcher.bodies.first()?.attempt.clue
+        self.tracker.bodies.first()?.attempt.clue
     }
 
     /// Aligns the stage from a start with the given uncertainty (one sigma, metres and radians) and
     /// returns the result; `None` if nothing converges. Leaves track state and motion unchanged.
     pub fn try_start(&mut self, frame: &Frame, start: &Pose<Body, Camera>, shift_m: f64, turn_rad: f64) -> Option<Alignment> {
-        if !self.matcher.fits(&frame.image) {
+        if !self.tracker.fits(&frame.image) {
             return None;
         }
-        let Matcher { levels, bodies, camera_rays, .. } = &mut *self.matcher;
+        let BodyTracker { levels, bodies, camera_rays, .. } = &mut *self.tracker;
         levels.update(&frame.image);
         let stage = bodies.first_mut()?;
         let expected = stage.unseen(*start, [shift_m, turn_rad], None);
@@ -59,10 +59,10 @@ impl StageStudy<'_> {
     /// Returns the stage's surfaces that are recognised in a picture, without using any configured
     /// size; for diagnosing a config that does not fit. Leaves track state and motion unchanged.
     pub fn recognise(&mut self, image: &GrayImage) -> Vec<SurfaceView> {
-        if !self.matcher.fits(image) {
+        if !self.tracker.fits(image) {
             return Vec::new();
         }
-        let Matcher { bodies, search, .. } = &mut *self.matcher;
+        let BodyTracker { bodies, search, .. } = &mut *self.tracker;
         bodies.first().map_or(Vec::new(), |stage| search.recognise(image, stage))
     }
 
@@ -70,26 +70,26 @@ impl StageStudy<'_> {
     /// support it; for diagnosing a model that does not fit yet. Leaves track state and motion
     /// unchanged.
     pub fn recognised_pose(&mut self, image: &GrayImage) -> Option<(Pose<Body, Camera>, Vec<SurfaceMatch>)> {
-        if !self.matcher.fits(image) {
+        if !self.tracker.fits(image) {
             return None;
         }
-        let Matcher { bodies, search, .. } = &mut *self.matcher;
+        let BodyTracker { bodies, search, .. } = &mut *self.tracker;
         search.recognised_pose(image, bodies.first()?)
     }
 
     /// Like [`recognised_pose`](Self::recognised_pose), but uses only the strongest features, in a
     /// fifth of the time. May return `None` where that one finds a pose.
     pub fn quickly_recognised_pose(&mut self, image: &GrayImage) -> Option<Pose<Body, Camera>> {
-        if !self.matcher.fits(image) {
+        if !self.tracker.fits(image) {
             return None;
         }
-        let Matcher { bodies, search, .. } = &mut *self.matcher;
+        let BodyTracker { bodies, search, .. } = &mut *self.tracker;
         search.quickly_recognised_pose(image, bodies.first()?)
     }
 
     /// Returns the number of patches of one of the stage's surfaces that fitted the last verified
     /// pose.
     pub fn fitting_patches(&self, surface: usize) -> usize {
-        self.matcher.bodies.first().map_or(0, |stage| stage.anchors.fitting().iter().filter(|a| a.surface as usize == surface).count())
+        self.tracker.bodies.first().map_or(0, |stage| stage.anchors.fitting().iter().filter(|a| a.surface as usize == surface).count())
     }
 }
