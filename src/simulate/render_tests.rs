@@ -292,3 +292,27 @@ fn the_roll_turns_the_picture() {
     // The two computations round differently.
     assert!(ours.iter().zip(theirs.iter()).all(|(a, b)| a.abs_diff(*b) <= 1));
 }
+
+/// The tests of `track` come before this module and have a plain sampler of their own.
+#[test]
+fn the_sampler_of_tracks_tests_renders_the_same_picture() {
+    use crate::track::synthetic::{cloth, lens, view};
+    let surface = SurfaceSpec { pose: upright(Vector3::zeros(), 0.1), ..cloth(1) };
+    let path = CameraPath::fixed(Point3::new(0.9, -3.6, 0.4), Point3::new(0.1, 0.0, 0.1));
+    let mut scene = VirtualStage::new(lens(240, 180), path, BodySpec::new("stage", vec![surface.clone()]));
+    (scene.samples, scene.background) = (16, 30.0);
+    let plain = view(&surface, &scene.truth(0.0).inverse().renamed(), &scene.camera);
+    let differences = |rendered: &GrayImage| -> Vec<f64> {
+        let mut all: Vec<f64> = rendered.pixels().zip(plain.pixels()).map(|(a, b)| f64::from(a[0].abs_diff(b[0]))).collect();
+        all.sort_by(f64::total_cmp);
+        all
+    };
+    let same = differences(&Renderer::new(scene.clone()).render(0.0, 0));
+    let (mean, p95) = (same.iter().sum::<f64>() / same.len() as f64, same[same.len() * 95 / 100]);
+    // A fifth of a pixel to the side.
+    scene.camera_path = CameraPath::fixed(Point3::new(0.903, -3.6, 0.4), Point3::new(0.103, 0.0, 0.1));
+    let moved = differences(&Renderer::new(scene).render(0.0, 0));
+    let of_moved = moved.iter().sum::<f64>() / moved.len() as f64;
+    println!("mean {mean:.3}, 95th percentile {p95}, moved {of_moved:.3}");
+    assert!(mean < 0.6 && p95 <= 2.0 && of_moved > 3.0 * mean, "mean {mean}, 95th percentile {p95}, moved {of_moved}");
+}

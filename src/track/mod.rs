@@ -30,7 +30,7 @@ mod patches;
 mod scene;
 mod settings;
 #[cfg(test)]
-mod synthetic;
+pub(crate) mod synthetic;
 mod tile_observer;
 mod two_view;
 
