@@ -8,7 +8,7 @@ tuning! {
     pub struct AlignTuning {
         // kernel/noise_sums.rs
         /// Maximum squared residual that counts as noise, in squared robust sigmas. Raised, pixels
-        /// that show something else count as noise; lowered, `KEPT_VARIANCE` falls too.
+        /// that show something else count as noise; lowered, `TRUNCATED_VARIANCE` falls too.
         max_squared_noise_residual: f32 = 9.0,
 
         // kernel/normal.rs
