@@ -21,6 +21,10 @@ const MAX_ERROR_RATIO: f64 = 1.05;
 /// Maximum ratio of NEES/6 to its baseline, or of the baseline to it. It is a mean of squares, so
 /// it changes twice as much as errors do.
 const MAX_NEES_RATIO: f64 = 1.10;
+/// Maximum ratio of the mean number of rounds to its baseline, and of the number that 95 % of the
+/// frames keep. Raised, slower alignment passes. The second is a small integer, hence wider.
+const MAX_ROUNDS_RATIO: f64 = 1.05;
+const MAX_P95_ROUNDS_RATIO: f64 = 1.25;
 
 /// Figures by the name of the scene.
 #[derive(Default)]
@@ -109,6 +113,14 @@ impl Verdict {
             // A covariance that grew is as dishonest as one that shrank.
             let ratio = (after / before).max(before / after);
             self.note(row, "NEES/6", change(ratio > MAX_NEES_RATIO, false), before, after);
+        }
+        let rounds = [
+            ("rounds", baseline.mean_rounds, now.mean_rounds, MAX_ROUNDS_RATIO),
+            ("p95 rounds", baseline.p95_rounds, now.p95_rounds, MAX_P95_ROUNDS_RATIO),
+        ];
+        for (what, before, after, ratio) in rounds {
+            let (Some(before), Some(after)) = (before, after) else { continue };
+            self.note(row, what, change(after > before * ratio, after * ratio < before), before, after);
         }
     }
 

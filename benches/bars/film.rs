@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use stagepose::diagnostics::simulate::through_jpeg;
+use stagepose::diagnostics::track::rounds;
 use stagepose::{Frame, LightModel, PoseSample, Renderer, SensorNoise, State, Timestamp, Tracker, TrackerSetup, VirtualStage};
 
 use crate::score::{Figures, Found, figures};
@@ -14,6 +15,15 @@ pub struct Film {
     pub frames: u64,
     /// JPEG quality of the camera; `None` if it sends raw pictures.
     pub jpeg: Option<u8>,
+}
+
+/// What a tracker made of a film.
+pub struct Tracked {
+    samples: Vec<PoseSample>,
+    /// Rounds of alignment, by frame and body: the stage first, then the objects.
+    rounds: Vec<Vec<u64>>,
+    /// Mean time per frame, milliseconds.
+    pub ms: f64,
 }
 
 impl Film {
@@ -43,34 +53,40 @@ impl Film {
         (0..self.frames).map(frame).collect()
     }
 
-    /// Tracks the frames with the true stage configured. Returns the samples and the mean
-    /// milliseconds per frame.
-    pub fn track(&self, frames: &[Frame]) -> Result<(Vec<PoseSample>, f64), String> {
+    /// Tracks the frames with the true stage configured.
+    pub fn track(&self, frames: &[Frame]) -> Result<Tracked, String> {
         let mut tracker = Tracker::new(TrackerSetup::from(&self.stage)).map_err(|e| e.to_string())?;
+        let mut counts = vec![rounds(&tracker)];
         let start = Instant::now();
-        let samples: Result<Vec<_>, _> = frames.iter().map(|frame| tracker.track(frame)).collect();
+        let samples = frames.iter().map(|frame| {
+            let sample = tracker.track(frame);
+            counts.push(rounds(&tracker));
+            sample
+        });
+        let samples = samples.collect::<Result<Vec<_>, _>>().map_err(|e| e.to_string())?;
         let ms = 1e3 * start.elapsed().as_secs_f64() / frames.len() as f64;
-        Ok((samples.map_err(|e| e.to_string())?, ms))
+        let of_frame = |pair: &[Vec<u64>]| pair[1].iter().zip(&pair[0]).map(|(after, before)| after - before).collect();
+        Ok(Tracked { samples, rounds: counts.windows(2).map(of_frame).collect(), ms })
     }
 
-    pub fn score_camera(&self, samples: &[PoseSample]) -> Figures {
-        let found = samples.iter().filter(|sample| sample.state == State::Tracking).filter_map(|sample| {
-            let measured = sample.measurement.as_ref()?;
+    pub fn score_camera(&self, tracked: &Tracked) -> Figures {
+        let found = tracked.samples.iter().zip(&tracked.rounds).filter_map(|(sample, rounds)| {
+            let measured = sample.measurement.as_ref().filter(|_| sample.state == State::Tracking)?;
             let truth = self.stage.truth(sample.timestamp.seconds());
-            Some(Found::new(&truth, &measured.pose, Some(&measured.covariance), truth.translation.norm()))
+            Some(Found::new(&truth, &measured.pose, Some(&measured.covariance), truth.translation.norm(), rounds[0]))
         });
-        figures(samples.len(), found.collect())
+        figures(tracked.samples.len(), found.collect())
     }
 
     /// Scores an object; position errors are relative to its distance from the camera.
-    pub fn score_object(&self, object: usize, samples: &[PoseSample]) -> Figures {
-        let found = samples.iter().filter_map(|sample| {
+    pub fn score_object(&self, object: usize, tracked: &Tracked) -> Figures {
+        let found = tracked.samples.iter().zip(&tracked.rounds).filter_map(|(sample, rounds)| {
             let ours = sample.objects.get(object).filter(|ours| ours.state == State::Tracking)?;
             let time_s = sample.timestamp.seconds();
             let truth = self.stage.object_truth(object, time_s)?;
             let distance_m = (truth.translation - self.stage.truth(time_s).translation).norm();
-            Some(Found::new(&truth, ours.pose.as_ref()?, ours.covariance.as_ref(), distance_m))
+            Some(Found::new(&truth, ours.pose.as_ref()?, ours.covariance.as_ref(), distance_m, rounds[1 + object]))
         });
-        figures(samples.len(), found.collect())
+        figures(tracked.samples.len(), found.collect())
     }
 }

@@ -101,11 +101,11 @@ fn run() -> Result<ExitCode, String> {
 /// A row for the camera, and one for each object.
 fn film_rows(name: &str, film: &Film) -> Result<Vec<Row>, String> {
     let frames = film.render()?;
-    let (samples, ms) = film.track(&frames)?;
-    let mut rows = vec![Row { name: name.to_owned(), figures: film.score_camera(&samples), ms: Some(ms) }];
+    let tracked = film.track(&frames)?;
+    let mut rows = vec![Row { name: name.to_owned(), figures: film.score_camera(&tracked), ms: Some(tracked.ms) }];
     for (k, object) in film.stage.objects.iter().enumerate() {
         let name = format!("{name}/{}", object.body.name);
-        rows.push(Row { name, figures: film.score_object(k, &samples), ms: None });
+        rows.push(Row { name, figures: film.score_object(k, &tracked), ms: None });
     }
     Ok(rows)
 }

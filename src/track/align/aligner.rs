@@ -63,6 +63,11 @@ impl Aligner {
         self.surfaces.len() * FRAME_TUNING.max_tiles[0] * FRAME_TUNING.max_tiles[1]
     }
 
+    /// Returns how many rounds of all levels were solved since the start.
+    pub fn rounds(&self) -> u64 {
+        self.buffers.coarse.rounds + self.buffers.fine.rounds
+    }
+
     /// Updates the surfaces' places and shapes; their pictures stay. The noise learnt so far keeps
     /// little weight, as it includes the residuals of the former model.
     pub fn take_places(&mut self, surfaces: &[SurfaceSpec]) {

@@ -138,6 +138,11 @@ impl BodyTracker {
         }
     }
 
+    /// Returns how many rounds each body's alignment solved since the start, the stage's first.
+    pub fn rounds(&self) -> Vec<u64> {
+        self.bodies.iter().map(|body| body.aligner.rounds()).collect()
+    }
+
     /// Converts a row's timestamp into the tracker's own time, which never runs backwards. Use it
     /// for all rows where the source's clock may be set back.
     pub fn own_time(&mut self, stamp: Timestamp) -> Timestamp {

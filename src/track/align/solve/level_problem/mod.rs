@@ -103,6 +103,8 @@ pub struct LevelProblem {
     system: System,
     predicted_change: PredictedChange,
     sorted: Vec<f32>,
+    /// Linearisations that were solved since the start.
+    pub rounds: u64,
 }
 
 /// Whether tiles with these correlations show a body of which more than half may be occluded:
@@ -262,6 +264,7 @@ impl LevelProblem {
     /// Returns the robust standard deviation of the residuals that it leaves, in sigmas.
     /// `same_time`: the time of all tiles, where it is the same.
     fn reweight(&mut self, spec: &LevelSpec, prior: &Prior, same_time: Option<TileTime>, is_first: bool, passes: usize) -> Option<f64> {
+        self.rounds += 1;
         self.residuals_all(&spec.noise);
         let mut scale = self.scale();
         for pass in 0..passes {
