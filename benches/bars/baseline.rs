@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::PathBuf;
 
+use crate::readme;
 use crate::score::{Figures, Row};
 
 /// Where the baseline is, from the project's folder.
@@ -71,7 +72,13 @@ impl Baseline {
         std::fs::write(Self::path(), text + "\n").map_err(|e| format!("{FILE}: {e}"))
     }
 
-    pub fn judge(&self, rows: &[Row]) -> Verdict {
+    /// Returns the README's table of these figures.
+    pub fn table(&self) -> String {
+        readme::table(|name| self.0.get(name))
+    }
+
+    /// Compares a run with the baseline, and the README's table as well.
+    pub fn judge(&self, rows: &[Row]) -> Result<Verdict, String> {
         let mut verdict = Verdict::default();
         for row in rows {
             match self.0.get(&row.name) {
@@ -79,7 +86,10 @@ impl Baseline {
                 None => verdict.regressions.push(format!("{}: not in the baseline; `-- --write` adds it", row.name)),
             }
         }
-        verdict
+        if !readme::has(&self.table())? {
+            verdict.regressions.push(format!("{}: its table is not that of {FILE}; `-- --write` renews both", readme::FILE));
+        }
+        Ok(verdict)
     }
 }
 

@@ -12,21 +12,26 @@ use stagepose::{
 
 use crate::film::Film;
 
-/// What makes a scene.
-type Scene = fn() -> Film;
+/// A scene by its name.
+pub struct Scene {
+    pub name: &'static str,
+    /// What happens, for the README.
+    pub what: &'static str,
+    pub film: fn() -> Film,
+}
 
 /// All scenes in the order of the table.
-pub const SCENES: [(&str, Scene); 10] = [
-    ("dolly", dolly),
-    ("still", still),
-    ("handheld", handheld),
-    ("whip", whip),
-    ("steep", steep),
-    ("actors", actors),
-    ("blackout", blackout),
-    ("relief", relief),
-    ("props", props),
-    ("cloth", cloth::cloth),
+pub const SCENES: [Scene; 10] = [
+    Scene { name: "dolly", what: "past the backdrop and nearer, 4.7 to 3.4 m away", film: dolly },
+    Scene { name: "still", what: "nothing moves but the sensor's noise, 3 m", film: still },
+    Scene { name: "handheld", what: "a shaking hand, rolling shutter (12 ms), motion blur", film: handheld },
+    Scene { name: "whip", what: "pans so fast that the blur is a dozen pixels, with rests between them", film: whip },
+    Scene { name: "steep", what: "around to the side, up to 76 degrees, while the camera rolls by 140", film: steep },
+    Scene { name: "actors", what: "three people in front, two moving spots, light down to 30 %", film: actors },
+    Scene { name: "blackout", what: "the lens is covered twice, for 9 frames each, while the camera goes elsewhere", film: blackout },
+    Scene { name: "relief", what: "three flats in front of the backdrop, all configured", film: relief },
+    Scene { name: "props", what: "three moving objects, and a person who walks in front", film: props },
+    Scene { name: "cloth", what: "a backdrop of folded cloth, its folds configured", film: cloth::cloth },
 ];
 
 /// Frame width and height, pixels. Larger frames cost more time to render than they add.
@@ -36,7 +41,7 @@ const SIZE: (u32, u32) = (960, 540);
 const TEXELS_A_METRE: f64 = 400.0;
 
 pub fn names() -> String {
-    SCENES.map(|(name, _)| name).join(", ")
+    SCENES.map(|scene| scene.name).join(", ")
 }
 
 /// A key of a camera's path: when, where, and what it looks at.
