@@ -86,7 +86,7 @@ test("the lock stays where it is, whatever the state and whatever is refused", a
 
 test("a lock that another page puts on is known here, and what is tried before that is refused with its sentence", async () => {
   const { page, close } = await opened();
-  await page.getByText("Nothing is being recorded.").waitFor();
+  await page.getByText("Not recording.").waitFor();
   await fetch(`${on.place.address}api/v1/lock`, { method: "POST" });
   await page.getByText("The show lock is on: nothing can be changed.").waitFor();
   await fetch(`${on.place.address}api/v1/unlock`, { method: "POST" });
@@ -97,7 +97,7 @@ test("a lock that another page puts on is known here, and what is tried before t
 test("a browser on another machine looks on, and changes nothing until it is paired", { skip: own ? false : "this machine has no address but loopback" }, async () => {
   const address = on.place.address.replace("127.0.0.1", own);
   const { page, complaints, close } = await pageOf(on.browser, address, { view: "recordings", bypassCSP: true });
-  await page.getByText("This browser is not paired: it can look, and change nothing.").waitFor();
+  await page.getByText("This browser is not paired: it can show everything, but change nothing.").waitFor();
   assert.equal(await page.getByRole("button", { name: "Record", exact: true }).isDisabled(), true);
   // What only a paired browser gets asks for the code, too.
   await page.goto(`${address}#health`);
@@ -121,7 +121,7 @@ test("a browser on another machine looks on, and changes nothing until it is pai
   // It stays paired.
   await page.reload();
   await page.getByRole("button", { name: "Stop recording", disabled: false }).click();
-  await page.getByText("Nothing is being recorded.").waitFor();
+  await page.getByText("Not recording.").waitFor();
   assert.deepEqual(complaints.filter((one) => !one.includes("401")), []);
   await close();
 });

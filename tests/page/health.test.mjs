@@ -69,7 +69,7 @@ test("each part has a card, and packets are decoded", async () => {
 
 test("the log is read, and diagnostics are copied", async () => {
   const { page, close } = await opened({ permissions: ["clipboard-read", "clipboard-write"] });
-  await page.getByRole("button", { name: "Read anew" }).click();
+  await page.getByRole("button", { name: "Refresh" }).click();
   await page.locator("pre.log", { hasText: /stagepose|tracking|camera/i }).waitFor();
   await page.getByRole("button", { name: "Copy diagnostics" }).click();
   await page.getByText("Copied.").waitFor();
@@ -86,14 +86,14 @@ test("a backup is downloaded; what a restore would change is said before it is d
   const choose = (name, buffer) => page.locator("input[type=file]").setInputFiles({ name, mimeType: "application/zip", buffer });
   await choose("same.zip", readFileSync(path));
   // The daemon's own backups give what the config names a number.
-  await page.getByText(/Restoring same\.zip takes the place of the config, and adds .*backdrop\.png.* In the config this changes:/).waitFor();
+  await page.getByText(/Restoring same\.zip replaces the config, and adds .*backdrop\.png.* Changes in the config:/).waitFor();
   await page.locator(".planned pre", { hasText: '+ calibration = "0-camera.toml"' }).waitFor();
-  await page.getByRole("button", { name: "Leave it as it is" }).click();
+  await page.getByRole("button", { name: "Cancel" }).click();
   // What is none is refused with a sentence.
   for (const [name, buffer, sentence] of [
-    ["text.zip", Buffer.from("no zip at all, but longer than the end of one"), "This is no zip"],
+    ["text.zip", Buffer.from("no zip at all, but longer than the end of one"), "This is not a complete zip file."],
     ["other.zip", zipOf({ "a.txt": Buffer.from("a") }), "other.zip has no stage.toml"],
-    ["cut.zip", readFileSync(path).subarray(0, 2000), "This is no zip, or it is cut short."],
+    ["cut.zip", readFileSync(path).subarray(0, 2000), "This is not a complete zip file."],
   ]) {
     await choose(name, buffer);
     await page.getByText(sentence).waitFor();
@@ -102,11 +102,11 @@ test("a backup is downloaded; what a restore would change is said before it is d
   const before = readFileSync(file, "utf8");
   const given = (text) => zipOf({ "stage.toml": Buffer.from(text), ...Object.fromEntries(["backdrop.png", "flat.png", "camera.toml"].map((name) => [name, readFileSync(join(on.place.folder, name))])) });
   await choose("equal.zip", given(before));
-  await page.getByText("The config stays as it is.").waitFor();
+  await page.getByText("The config does not change.").waitFor();
   // A config that cannot be used changes nothing.
   await choose("wrong.zip", given(before.replace("ring_s = 5", "ring_s = -5")));
   // It is tried before it is offered.
-  await page.locator("[role=status]", { hasText: /wrong\.zip cannot be restored, and nothing was changed\. Line \d+: .*ring_s/i }).waitFor();
+  await page.locator("[role=status]", { hasText: /wrong\.zip cannot be restored\. Nothing was changed\. Line \d+: .*ring_s/i }).waitFor();
   assert.equal(await page.getByRole("button", { name: "Restore", exact: true }).count(), 0);
   assert.equal(readFileSync(file, "utf8"), before);
   await choose("seven.zip", given(before.replace("ring_s = 5", "ring_s = 7")));
@@ -114,7 +114,7 @@ test("a backup is downloaded; what a restore would change is said before it is d
   await lines.filter({ hasText: "+ ring_s = 7" }).waitFor();
   assert.equal((await lines.textContent()).trim(), "− ring_s = 5\n+ ring_s = 7");
   await page.getByRole("button", { name: "Restore", exact: true }).click();
-  await page.getByText("seven.zip is in place, and the config was read anew.").waitFor();
+  await page.getByText("seven.zip is restored, and the config was reloaded.").waitFor();
   assert.ok(readFileSync(file, "utf8").includes("ring_s = 7"));
   const ring = async () => (await (await fetch(`${on.place.address}api/v1/recordings`)).json()).ring_s;
   assert.equal(await until(ring, (ring_s) => ring_s === 7), 7);
@@ -141,17 +141,17 @@ test("a camera that is not there is bad, with what to do; a daemon that is gone 
     await card(page, "Camera").locator(".mend").waitFor();
     await card(page, "Camera").getByText("Bad").waitFor();
     await card(page, "Tracker").getByText("No frame has come yet.").waitFor();
-    await page.getByText("The config has no [[output]]: poses go to this page alone.").waitFor();
+    await page.getByText("The config has no [[output]]: only this page shows the poses.").waitFor();
     await page.screenshot({ path: join(out, "health-no-camera.png") });
     await page.goto(`${place.address}#live`);
     await page.locator(".says").waitFor();
     await page.screenshot({ path: join(out, "live-no-camera.png") });
     await page.goto(`${place.address}#recordings`);
-    await page.getByText("Nothing has been recorded yet.").waitFor();
+    await page.getByText("There are no recordings yet.").waitFor();
     await page.goto(`${place.address}#health`);
     await daemon.end();
     await says(page, "No contact");
-    await page.getByText("What is below is what it said last.").waitFor();
+    await page.getByText("Below is its last report.").waitFor();
     await page.screenshot({ path: join(out, "health-no-contact.png") });
   } finally {
     await close();

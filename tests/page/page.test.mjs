@@ -112,7 +112,7 @@ test("the stage in 3D turns by keys, buttons and the mouse, and its projections 
   await page.keyboard.press("+");
   const second = await at();
   assert.ok(second.azimuth > first.azimuth && second.zoom > first.zoom, JSON.stringify(second));
-  await page.getByRole("button", { name: "turn left" }).click();
+  await page.getByRole("button", { name: "rotate left" }).click();
   assert.ok(Math.abs((await at()).azimuth - first.azimuth) < 1e-9);
   await canvas.scrollIntoViewIfNeeded();
   const { x, y, width, height } = await canvas.boundingBox();
@@ -182,7 +182,7 @@ test("the floor is drawn where the lens shows it, and the last minute has every 
   const counted = await page.evaluate(async () => (await import("/minute.js")).minute.length);
   assert.ok(counted > 0);
   await page.locator(".strip .note", { hasText: `Of ${counted} frames shown: ` }).waitFor();
-  await page.locator(".strip .note", { hasText: /tracking \d+\s%.*fits to \d\.\d\d\spx at worst/ }).waitFor();
+  await page.locator(".strip .note", { hasText: /tracking \d+\s%.*largest residual \d\.\d\d\spx/ }).waitFor();
   assert.ok((await share(await page.locator(".strip canvas").screenshot(), "g > r + 40 && g > b + 20")) > 0);
   assert.deepEqual(complaints, []);
   await close();
@@ -402,7 +402,7 @@ test("used pixels and residuals are drawn to the scale that is said, and asked f
   console.log(`residuals of ${found.count} tiles: median ${found.median} px, rms ${found.rms.toFixed(3)} px (the record says ${found.told.toFixed(3)}), drawn ${found.scale} times as long`);
   assert.ok(found.inside && found.dots > 0.99 && found.ends > 0.99, JSON.stringify(found));
   assert.ok(found.dark > 0.3, "what is between them stays free");
-  await page.locator(".picture .scale", { hasText: `Arrows ${found.scale} × as long: half of ${found.count} tiles lie within ${found.median.toFixed(2)}` }).waitFor();
+  await page.locator(".picture .scale", { hasText: `Arrows enlarged ${found.scale} ×. Half of ${found.count} tiles lie within ${found.median.toFixed(2)}` }).waitFor();
   await page.screenshot({ path: join(out, "live-residuals.png") });
   await page.keyboard.press("u");
   const covered = () => page.evaluate(() => {
@@ -418,7 +418,7 @@ test("used pixels and residuals are drawn to the scale that is said, and asked f
   await close();
 });
 
-test("a config that is refused is named on every view by its line with the mend; the one before stays in force", async () => {
+test("a config that is refused is named on every view by its line, with a hint; the previous one stays active", async () => {
   const { page, close } = await opened({ bypassCSP: true });
   const file = join(on.place.folder, "stage.toml");
   const good = readFileSync(file, "utf8");
@@ -427,7 +427,7 @@ test("a config that is refused is named on every view by its line with the mend;
     writeFileSync(file, bad);
     on.daemon.reload();
     const fault = page.locator(".barred.config");
-    await fault.getByText(/The config in the file is not used; the one before stays in force\./).waitFor();
+    await fault.getByText(/The config file has an error\. The previous config stays active\./).waitFor();
     const said = await fault.textContent();
     const line = 1 + bad.split("\n").indexOf("response_z = 3");
     assert.match(said, new RegExp(`Line ${line}:.*stage\\.toml.*response_z`));
@@ -436,7 +436,7 @@ test("a config that is refused is named on every view by its line with the mend;
     assert.ok((await goesOn(page, await frame(page))) > 0);
     await page.goto(`${on.place.address}#health`);
     await fault.waitFor();
-    await page.locator(".card.warn", { hasText: "the config of before stays in force" }).waitFor();
+    await page.locator(".card.warn", { hasText: "the previous config stays active" }).waitFor();
     await looksWell(on.browser, page, "config-refused");
   } finally {
     writeFileSync(file, good);

@@ -31,8 +31,8 @@ async function records() {
 
 test("nothing is said plainly; a recording is begun, marked and ended, and the last seconds are saved", async () => {
   const { page, complaints, close } = await opened();
-  await page.getByText("Nothing has been recorded yet.").waitFor();
-  await page.getByText("Nothing is being recorded.").waitFor();
+  await page.getByText("There are no recordings yet.").waitFor();
+  await page.getByText("Not recording.").waitFor();
   await button(page, "Record").click();
   await page.getByText(/^Recording clip-/).waitFor();
   await page.getByLabel("Mark this moment").fill("cue 12 – Ophélie");
@@ -42,7 +42,7 @@ test("nothing is said plainly; a recording is begun, marked and ended, and the l
   // Two rounds, so that there are two losses between tracked frames.
   await until(list, ({ recordings }) => recordings[0]?.frames > 2 * on.place.round + 60);
   await button(page, "Stop recording").click();
-  await page.getByText("Nothing is being recorded.").waitFor();
+  await page.getByText("Not recording.").waitFor();
   await page.locator(".recordings li").first().waitFor();
   await page.getByRole("button", { name: /^Save the last 5 s/ }).click();
   await until(() => page.locator(".recordings li").count(), (count) => count === 2);
@@ -211,7 +211,7 @@ test("a recording is tracked again with today's config and compared with what wa
   const both = await until(() => shown(page), ({ today }) => today !== null);
   assert.deepEqual([both.record.sequence, both.today.sequence, both.today.pose], [all[k].sequence, today[k].sequence, today[k].pose]);
   const apart = 1000 * Math.hypot(...all[k].pose.position_m.map((value, axis) => value - today[k].pose.position_m[axis]));
-  await page.locator(".facts div", { hasText: `Apart${apart.toFixed(2)}` }).waitFor();
+  await page.locator(".facts div", { hasText: `Distance${apart.toFixed(2)}` }).waitFor();
   await page.keyboard.press("b");
   assert.equal(await page.getByRole("radio", { name: "today" }).isChecked(), true);
   await page.keyboard.press("b");

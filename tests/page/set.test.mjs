@@ -194,8 +194,8 @@ test("a model that names other files, or is none, is refused with a sentence", a
   const asset = { version: "2.0" };
   for (const [name, buffer, says] of [
     ["text.glb", Buffer.from("this is a text, not a model"), "text.glb is not a glTF binary file. Export it as .glb."],
-    ["short.glb", glb({ asset }, 4000), "short.glb is cut short. Copy it again."],
-    ["far.glb", glb({ asset, buffers: [{ uri: "http://example.com/a.bin", byteLength: 4 }] }), "far.glb names other files."],
+    ["short.glb", glb({ asset }, 4000), "short.glb is incomplete. Copy it again."],
+    ["far.glb", glb({ asset, buffers: [{ uri: "http://example.com/a.bin", byteLength: 4 }] }), "far.glb refers to other files."],
     ["old.glb", glb({ asset: { version: "1.0" } }), "old.glb cannot be read"],
   ]) {
     await give(name, buffer);
@@ -245,13 +245,13 @@ test("the set is kept by the daemon for every browser; what cannot be saved now 
   // Under the lock it stays in the browser, and is saved when the lock is released.
   await fetch(`${route}lock`, { method: "POST" });
   await first.page.getByRole("button", { name: "+ cube" }).click();
-  await first.page.getByText("Not saved yet; it is kept in this browser.").waitFor();
+  await first.page.getByText("Not saved yet; this browser keeps it.").waitFor();
   assert.deepEqual(await kept(), ["Cone", "A-door"]);
   await fetch(`${route}unlock`, { method: "POST" });
   await isKept(["Cone", "A-door", "Cube"]);
   // The second has not seen that, and changes the set as well.
   await second.page.getByRole("button", { name: "+ grid" }).click();
-  await second.page.getByText("Not saved: the set was changed in another browser meanwhile.").waitFor();
+  await second.page.getByText("Not saved: another browser changed the set.").waitFor();
   assert.deepEqual(await kept(), ["Cone", "A-door", "Cube"]);
   await second.page.getByRole("button", { name: "Keep mine" }).click();
   await isKept(["Cone", "A-door", "Grid"]);

@@ -81,7 +81,7 @@ pub(super) fn probes(statistics: &Arc<Statistics>, clock: &Arc<FrameClock>) -> [
 fn parts(supervisor: &Supervisor) -> Vec<Part> {
     let statistics = &supervisor.link.statistics;
     // If a config is in force, tracking continues with it.
-    let (level, goes_on) = if supervisor.settings().is_some() { ("warn", "; the config of before stays in force") } else { ("bad", "") };
+    let (level, goes_on) = if supervisor.settings().is_some() { ("warn", "; the previous config stays active") } else { ("bad", "") };
     let of_config = of_refused(supervisor).into_iter().map(|finding| {
         let place = finding.line.map_or_else(String::new, |line| format!("line {line}: "));
         part("config", level, format!("{place}{}{goes_on}", finding.sentence), finding.mend.as_deref())
@@ -100,40 +100,37 @@ fn parts(supervisor: &Supervisor) -> Vec<Part> {
 fn camera(statistics: &Statistics, mode: Mode) -> Part {
     let (name, rate) = (statistics.camera_name(), statistics.rate());
     if mode != Mode::Track {
-        return part("camera", "off", "the camera is lent to the set-up", Some("go back to tracking when it is done"));
+        return part("camera", "off", "the set-up is using the camera", Some("return to tracking when it is done"));
     }
     match statistics.camera() {
-        CameraState::Streaming => part("camera", "good", format!("{name} gives {rate:.1} pictures a second"), None),
+        CameraState::Streaming => part("camera", "good", format!("{name} sends {rate:.1} pictures a second"), None),
         CameraState::Silent => {
-            part("camera", "bad", format!("{name} gives no pictures"), Some("check its cable, and that nothing else uses it"))
+            part("camera", "bad", format!("{name} sends no pictures"), Some("check its cable, and that no other program uses it"))
         }
         CameraState::Waiting => part(
             "camera",
             "bad",
-            "the camera is not there",
-            Some("plug it in; `stagepose devices` lists what is there, [camera] device names it"),
+            "the camera is missing",
+            Some("plug it in; `stagepose devices` lists the cameras, [camera] device selects one"),
         ),
     }
 }
 
 fn tracker(statistics: &Statistics) -> Part {
     let (frames, dropped) = (statistics.frames(), statistics.dropped.get());
-    let late = format!("{dropped} of {} frames came too late for it", frames + dropped);
+    let late = format!("{dropped} of {} frames arrived too late", frames + dropped);
     let slow = dropped * 100 > (frames + dropped).max(1);
     match statistics.last_state() {
         _ if frames == 0 => part("tracker", "off", "no frame has come yet", None),
-        State::Tracking if slow => part(
-            "tracker",
-            "warn",
-            format!("it tracks, but {late}"),
-            Some("give it more threads ([tracker] threads), or the camera a lower rate"),
-        ),
+        State::Tracking if slow => {
+            part("tracker", "warn", format!("it tracks, but {late}"), Some("raise [tracker] threads, or lower the camera's frame rate"))
+        }
         State::Tracking => part("tracker", "good", format!("it tracks, to {:.2} px", statistics.rms_px()), None),
-        State::Coasting => part("tracker", "warn", "it predicts the pose for a moment", None),
+        State::Coasting => part("tracker", "warn", "it briefly predicts the pose", None),
         State::Stale => part("tracker", "bad", "it gets no pictures", Some("check the camera")),
         state => {
             let sentence = format!("it does not find the stage ({})", state.word());
-            part("tracker", "bad", sentence, Some("the events say why; `stagepose check --clip` tries what would help"))
+            part("tracker", "bad", sentence, Some("the events say why; `stagepose check --clip` suggests fixes"))
         }
     }
 }
@@ -154,8 +151,8 @@ fn shutter(configured: &KnownShutter, learnt: &LearntCamera) -> Part {
         (None, Some(readout)) => ("good", format!("rows are read in {}, learnt from motion", time(readout)), None),
         (None, None) => (
             "off",
-            "how fast rows are read is not known yet; poses are less sure while the camera moves".to_owned(),
-            Some("move the camera quickly for three seconds with the stage in view; it is learnt and kept"),
+            "the readout time is not known yet; poses are less certain while the camera moves".to_owned(),
+            Some("move the camera quickly for three seconds with the stage in view: it is then learnt and kept"),
         ),
     };
     part("shutter", level, rows + &exposure, mend)
@@ -178,14 +175,14 @@ fn recorder(statistics: &Statistics, supervisor: &Supervisor) -> Part {
     match statistics.recorder() {
         RecorderState::Off => part("recorder", "off", "nothing is recorded", None),
         RecorderState::Recording if supervisor.recording().is_none() => {
-            part("recorder", "good", format!("the last {ring_s} s are kept; nothing else is recorded"), None)
+            part("recorder", "good", format!("the last {ring_s} s are kept; no recording runs"), None)
         }
         RecorderState::Recording => part("recorder", "good", format!("{} frames are recorded", statistics.recorded.get()), None),
         RecorderState::Stopped => part(
             "recorder",
             "bad",
-            "recording stopped, tracking goes on",
-            Some("the last event of the recorder says why; fix that, then start a new recording"),
+            "recording stopped, tracking continues",
+            Some("see the recorder's last event; fix the cause, then start a new recording"),
         ),
     }
 }

@@ -26,7 +26,7 @@ export const unturned = signal("");
 /** Why nothing can be changed just now; null where it can. */
 export const barred = computed(() => {
   if (contact.value === false) return "stagepose does not answer: nothing can be changed.";
-  if (session.value?.needs_pairing) return "This browser is not paired: it can look, and change nothing.";
+  if (session.value?.needs_pairing) return "This browser is not paired: it can show everything, but change nothing.";
   if (session.value?.locked) return "The show lock is on: nothing can be changed. Hold “Locked” in the top bar for a second to release it.";
   return null;
 });
@@ -136,7 +136,7 @@ export function ConfigFault() {
   if (findings.length === 0) return null;
   return html`<section class="barred config" role="alert">
     <p>
-      ${session.value?.has_config ? "The config in the file is not used; the one before stays in force." : "There is no config to track with."}
+      ${session.value?.has_config ? "The config file has an error. The previous config stays active." : "No usable config: nothing is tracked."}
       ${findings.map(({ line, sentence: words, mend }) => ` ${[line ? `Line ${line}: ${words}` : words, mend].filter(Boolean).map((part) => sentence(`${part}`)).join(" ")}`)}
     </p>
   </section>`;
@@ -167,7 +167,7 @@ export function Pairing() {
   const into = (/** @type {Signal<string>} */ kept) => (/** @type {Event} */ event) => (kept.value = typed(event));
   return html`<section class="pairing" aria-labelledby="pairing">
     <h2 id="pairing">Pair this browser</h2>
-    <p>On the daemon's machine, <code>stagepose pair</code> prints a code of eight digits. It is used once.</p>
+    <p>On the daemon's machine, <code>stagepose pair</code> prints a code of eight digits. It works once.</p>
     <form onSubmit=${pair}>
       <label class="field"><span>Code</span><input inputmode="numeric" autocomplete="one-time-code" maxlength="20" required value=${code.value} onInput=${into(code)} /></label>
       <label class="field"><span>Name of this browser</span><input maxlength=${LONGEST_NAME} placeholder="Anna's tablet" value=${name.value} onInput=${into(name)} /></label>

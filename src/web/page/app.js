@@ -52,11 +52,11 @@ const toggleKeys = switching(keysShown);
 
 /** What single keys do. */
 const KEYS = [
-  { key: " ", name: "Space", does: "freeze the picture, or go on", act: toggleFrozen },
+  { key: " ", name: "Space", does: "freeze the picture, or continue", act: toggleFrozen },
   { key: "o", name: "o", does: "outlines on and off", act: toggleOutlines },
-  { key: "g", name: "g", does: "a metre grid on the floor on and off", act: toggleFloor },
-  { key: "x", name: "x", does: "which parts of the artwork are seen", act: toggleParts },
-  { key: "u", name: "u", does: "the pixels used, and how far they lie off", act: toggleResiduals },
+  { key: "g", name: "g", does: "metre grid on the floor on and off", act: toggleFloor },
+  { key: "x", name: "x", does: "seen and hidden parts of the stage on and off", act: toggleParts },
+  { key: "u", name: "u", does: "pixels used and their residuals on and off", act: toggleResiduals },
   { key: "r", name: "r", does: "mark this moment", act: mark },
   { key: "n", name: "n", does: "stage colours on and off", act: toggleStage },
   { key: "?", name: "?", does: "this list", act: toggleKeys },
@@ -108,7 +108,7 @@ function Foot() {
 function View() {
   const view = loaded.value[shown.value];
   if (view) return html`<${view} />`;
-  return html`<main><p role="status">${view === null ? "This view could not be loaded. See that stagepose runs, and load the page anew." : "This view is being loaded."}</p></main>`;
+  return html`<main><p role="status">${view === null ? "This view could not be loaded. Check that stagepose runs, then reload the page." : "Loading this view."}</p></main>`;
 }
 
 function Page() {

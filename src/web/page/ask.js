@@ -49,7 +49,7 @@ export async function ask(path, how = {}) {
     answer = await fetch(`./api/v1/${path}`, { cache: "no-store", ...how });
   } catch (why) {
     if (how.signal?.aborted) throw why;
-    throw new Refused(0, "stagepose does not answer. See that it runs.");
+    throw new Refused(0, "stagepose does not answer. Check that it runs.");
   }
   if (answer.ok) return answer;
   for (const told of whenRefused) told(answer.status, how.method !== undefined);
@@ -63,7 +63,7 @@ async function refusal(answer) {
     const { findings } = /** @type {{findings: Finding[]}} */ (parsed(text));
     return findings.map((found) => [found.line ? `line ${found.line}: ${found.sentence}` : found.sentence, found.mend ?? ""].filter(Boolean).map(sentence).join(" ")).join(" ");
   } catch {
-    return sentence(text) || `stagepose answers with ${answer.status}.`;
+    return sentence(text) || `stagepose returned HTTP status ${answer.status}.`;
   }
 }
 

@@ -27,14 +27,14 @@ async function choose(event) {
   try {
     const found = await entries(file);
     const config = found.find(({ name }) => name === CONFIG);
-    if (config === undefined) throw new Error(`${file.name} has no ${CONFIG}, so it is no backup. Choose a backup of this page.`);
+    if (config === undefined) throw new Error(`${file.name} has no ${CONFIG}, so it is not a backup. Choose a backup from this page.`);
     // The daemon tries it: what it would refuse is not offered.
     /** @type {Pick<Plan, "replaces" | "adds" | "findings">} */
     const { replaces, adds, findings } = await content(await post("restore?try=1", new Blob([file], { type: "application/zip" })));
     const [now, then] = await Promise.all([ask("config").then((answer) => answer.text(), () => null), textOf(file, config)]);
     plan.value = { file, replaces, adds, findings, ...differing(now ?? "", then), isKnown: now !== null };
   } catch (why) {
-    said.value = why instanceof Refused && why.status === 422 ? `${file.name} cannot be restored, and nothing was changed. ${reason(why)}` : reason(why);
+    said.value = why instanceof Refused && why.status === 422 ? `${file.name} cannot be restored. Nothing was changed. ${reason(why)}` : reason(why);
   }
   input.value = "";
 }
@@ -44,7 +44,7 @@ async function restore({ file }) {
   try {
     /** @type {{findings?: Finding[]}} */
     const { findings = [] } = await content(await post("restore", new Blob([file], { type: "application/zip" })));
-    said.value = [`${file.name} is in place, and the config was read anew.`, ...findings.map((found) => sentence(found.sentence))].join(" ");
+    said.value = [`${file.name} is restored, and the config was reloaded.`, ...findings.map((found) => sentence(found.sentence))].join(" ");
     plan.value = null;
   } catch (why) {
     said.value = reason(why);
@@ -58,14 +58,14 @@ function Planned({ of }) {
   const lines = [...goes.map((line) => `− ${line}`), ...comes.map((line) => `+ ${line}`)];
   return html`<div class="planned">
     <p>
-      Restoring ${file.name} takes the place of the config${others.length > 0 ? ` and of ${others.join(", ")}` : ""}${adds.length > 0 ? `, and adds ${adds.join(", ")}` : ""}. The former ones are kept in “former” beside the config.
-      ${!isKnown ? " The config of now cannot be read, so what changes in it is not known." : lines.length === 0 ? " The config stays as it is." : " In the config this changes:"}
+      Restoring ${file.name} replaces the config${others.length > 0 ? ` and ${others.join(", ")}` : ""}${adds.length > 0 ? `, and adds ${adds.join(", ")}` : ""}. The previous files are kept in “former” beside the config.
+      ${!isKnown ? " The current config cannot be read, so its changes cannot be shown." : lines.length === 0 ? " The config does not change." : " Changes in the config:"}
     </p>
-    ${isKnown && lines.length > 0 ? html`<pre tabindex="0">${lines.slice(0, SHOWN).join("\n")}${lines.length > SHOWN ? `\n… and ${lines.length - SHOWN} lines more` : ""}</pre>` : null}
+    ${isKnown && lines.length > 0 ? html`<pre tabindex="0">${lines.slice(0, SHOWN).join("\n")}${lines.length > SHOWN ? `\n… and ${lines.length - SHOWN} more lines` : ""}</pre>` : null}
     ${findings.length > 0 ? html`<ul class="findings">${findings.map((one, k) => html`<li key=${k}>${[one.sentence, one.mend].filter(Boolean).map((words) => sentence(`${words}`)).join(" ")}</li>`)}</ul>` : null}
     <div class="row">
       <${Change} act=${() => restore(of)}>Restore<//>
-      <button type="button" onClick=${() => (plan.value = null)}>Leave it as it is</button>
+      <button type="button" onClick=${() => (plan.value = null)}>Cancel</button>
     </div>
   </div>`;
 }
@@ -74,7 +74,7 @@ function Planned({ of }) {
 export function Backup() {
   return html`<section aria-labelledby="backup">
     <h2 id="backup">Backup</h2>
-    <p class="note">The config, all that it names, and the set, as one zip.</p>
+    <p class="note">The config, every file it names, and the set, as one zip.</p>
     <${Barred} />
     <div class="row">
       <${Download} path="backup">Download backup<//>

@@ -47,13 +47,13 @@ export function composeOn(canvas) {
   try {
     compositor = new Compositor(canvas);
   } catch {
-    fault.value = "This browser has no WebGL2, which the set is drawn with. Use another browser, or switch its graphics acceleration on.";
+    fault.value = "This browser has no WebGL2, which the Set view needs. Use another browser, or turn on graphics acceleration.";
     return () => {};
   }
   fault.value = null;
   const lost = (/** @type {Event} */ event) => {
     event.preventDefault();
-    fault.value = "The graphics card was lost. The set comes back by itself.";
+    fault.value = "The graphics card was reset. The set will return on its own.";
   };
   const back = () => (fault.value = null);
   canvas.addEventListener("webglcontextlost", lost);

@@ -48,7 +48,7 @@ const clock = new Intl.DateTimeFormat(undefined, { hour: "2-digit", minute: "2-d
 /** The list of what happened. */
 export function Happened() {
   return html`<section class="happened" aria-labelledby="happened">
-    <h2 id="happened">What happened</h2>
+    <h2 id="happened">Events</h2>
     <ol tabindex="0">
       ${happened.value.map(
         ({ unix_ms, level, says }, k) => html`<li key=${happened.value.length - k} class=${level}>

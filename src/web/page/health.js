@@ -15,7 +15,7 @@ const LINES = 200;
 /** The words for how a part is, and their marks within a square of 16: told apart by shape, not by colour alone. */
 const LEVELS = {
   good: { word: "Good", shape: "M6.300 13.400L1.200 8.300 2.700 6.800 6.300 10.400 13.300 3.400 14.800 4.900z" },
-  warn: { word: "Look at it", shape: "M8 1l7.500 14H.5z" },
+  warn: { word: "Check", shape: "M8 1l7.500 14H.5z" },
   bad: { word: "Bad", shape: "M2.400 1L8 6.600 13.600 1 15 2.400 9.400 8 15 13.600 13.600 15 8 9.400 2.400 15 1 13.600 6.600 8 1 2.400z" },
   off: { word: "Off", shape: "M2 7h12v2H2z" },
 };
@@ -43,7 +43,7 @@ async function look() {
 
 async function readLog() {
   if (session.peek()?.needs_pairing) {
-    log.value = "This browser is not paired: the log is for those that are.";
+    log.value = "This browser is not paired. Pair it to read the log.";
     return;
   }
   log.value = await ask(`log?lines=${LINES}`).then((answer) => answer.text(), reason);
@@ -89,7 +89,7 @@ async function copy(text, field) {
   field.hidden = false;
   field.select();
   const isCopied = await (navigator.clipboard?.writeText(text).then(() => true, () => false) ?? Promise.resolve(document.execCommand("copy")));
-  said.value = isCopied ? "Copied." : "The browser copies nothing by itself here: copy the selected text with Ctrl and C.";
+  said.value = isCopied ? "Copied." : "This browser does not allow copying here. Press Ctrl+C to copy the selected text.";
   if (isCopied) field.hidden = true;
 }
 
@@ -105,7 +105,7 @@ function Diagnostics() {
   };
   return html`<section aria-labelledby="diagnostics">
     <h2 id="diagnostics">Diagnostics</h2>
-    <p class="note">All of this page as text, with the numbers and the log: for whoever helps.</p>
+    <p class="note">This page as text, with all numbers and the log, to send to support.</p>
     <div class="row"><button type="button" onClick=${diagnose}>Copy diagnostics</button></div>
     <p role="status">${said.value}</p>
     <textarea ref=${field} hidden readonly rows="8" aria-label="Diagnostics"></textarea>
@@ -115,8 +115,8 @@ function Diagnostics() {
 function Log() {
   return html`<section class="wide" aria-labelledby="log">
     <h2 id="log">Log</h2>
-    <div class="row"><button type="button" onClick=${readLog}>Read anew</button></div>
-    <pre class="log" tabindex="0">${log.value === null ? "Asking." : log.value || "Nothing has been logged: [log] level in the config says what is."}</pre>
+    <div class="row"><button type="button" onClick=${readLog}>Refresh</button></div>
+    <pre class="log" tabindex="0">${log.value === null ? "Loading." : log.value || "Nothing has been logged. [log] level in the config sets what is logged."}</pre>
   </section>`;
 }
 
@@ -139,14 +139,14 @@ export function Health() {
   return html`<main class=${isOld ? "health silent" : "health"}>
     <section class="wide" aria-labelledby="parts">
       <h2 id="parts">Parts</h2>
-      ${isOld ? html`<p role="alert">stagepose does not answer. See that it runs.${parts.value ? " What is below is what it said last." : ""}</p>` : html`<p role="status">${fault.value}</p>`}
-      ${parts.value === null ? (isOld || fault.value ? null : html`<p>Asking.</p>`) : html`<ul class="cards">${parts.value.map((part, k) => html`<${Card} key=${`${k} ${part.part}`} ...${part} />`)}</ul>`}
+      ${isOld ? html`<p role="alert">stagepose does not answer. Check that it runs.${parts.value ? " Below is its last report." : ""}</p>` : html`<p role="status">${fault.value}</p>`}
+      ${parts.value === null ? (isOld || fault.value ? null : html`<p>Loading.</p>`) : html`<ul class="cards">${parts.value.map((part, k) => html`<${Card} key=${`${k} ${part.part}`} ...${part} />`)}</ul>`}
     </section>
     <section class="wide" aria-labelledby="outputs">
       <h2 id="outputs">Outputs</h2>
       ${outputs.value.length > 0
         ? html`<ul class="cards outputs">${outputs.value.map((output) => html`<${Sent} key=${output.name} ...${output} />`)}</ul>`
-        : html`<p>${parts.value === null ? "" : "The config has no [[output]]: poses go to this page alone."}</p>`}
+        : html`<p>${parts.value === null ? "" : "The config has no [[output]]: only this page shows the poses."}</p>`}
     </section>
     <${Diagnostics} />
     <${Backup} />

@@ -53,7 +53,7 @@ async function load() {
   const tag = answer.headers.get("ETag");
   const found = asSet(await content(answer));
   if (found === null) {
-    saved.value = "Not saved: the daemon has a set that this page does not know. Put set.json beside its config away.";
+    saved.value = "Not saved: the daemon has a set that this page cannot read. Move set.json away from the folder of the config.";
     return;
   }
   const of = { text: JSON.stringify(found), tag };
@@ -71,7 +71,7 @@ async function load() {
 function tear(of) {
   theirs = of;
   isTorn.value = true;
-  saved.value = "Not saved: the set was changed in another browser meanwhile.";
+  saved.value = "Not saved: another browser changed the set.";
 }
 
 /** Saves what is not saved. */
@@ -82,7 +82,7 @@ async function save() {
     if (agreed === null) await load();
     while (agreed !== null && !isTorn.value && agreed.text !== text()) {
       const now = text();
-      saved.value = "Being saved …";
+      saved.value = "Saving …";
       /** @type {Record<string, string>} */
       const held = agreed.tag === null ? {} : { "If-Match": agreed.tag };
       const answer = await send("PUT", "set", parsed(now), held);
@@ -91,7 +91,7 @@ async function save() {
     if (agreed?.text === text()) saved.value = "Saved beside the config.";
   } catch (why) {
     if (why instanceof Refused && why.status === 412) await meet();
-    else saved.value = `Not saved yet; it is kept in this browser. ${reason(why)}`;
+    else saved.value = `Not saved yet; this browser keeps it. ${reason(why)}`;
   }
   isBusy = false;
 }
@@ -102,7 +102,7 @@ async function meet() {
     const answer = await ask("set");
     tear({ text: JSON.stringify(asSet(await content(answer))), tag: answer.headers.get("ETag") });
   } catch (why) {
-    saved.value = `Not saved yet; it is kept in this browser. ${reason(why)}`;
+    saved.value = `Not saved yet; this browser keeps it. ${reason(why)}`;
   }
 }
 

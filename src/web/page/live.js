@@ -20,26 +20,26 @@ const WAITS = 8000;
 /** What is to be said where no frame tells more. */
 const SENTENCES = {
   tracking: "The camera's pose is measured in every frame.",
-  coasting: "The stage is not seen just now; the pose is predicted for a moment.",
+  coasting: "The stage is briefly not seen; the pose is predicted.",
   searching: "The stage has not been found yet.",
-  lost: "The stage was tracked and is not seen any more.",
-  stale: "The camera gives no pictures.",
+  lost: "The stage was tracked, but is no longer seen.",
+  stale: "The camera sends no pictures.",
   none: "stagepose does not answer.",
 };
 /** @type {Partial<Record<Account["state"], string>>} */
 const MENDS = {
-  stale: "See that the camera is plugged in and that no other program has it.",
-  none: "See that it runs. This page goes on by itself when it is back.",
+  stale: "Check that the camera is plugged in and that no other program uses it.",
+  none: "Check that it runs. This page continues on its own when it is back.",
 };
 
 /** @returns {Account} */
 function account() {
   if (contact.value === false) return of("none");
-  if (contact.value === null) return { state: "searching", sentence: "Asking stagepose how things stand.", mend: null };
+  if (contact.value === null) return { state: "searching", sentence: "Connecting to stagepose.", mend: null };
   if (standing.value !== null) {
     const { state } = standing.value;
     if ((state === null || state === "stale") && trouble.value !== null) return { state: state ?? "stale", sentence: trouble.value, mend: null };
-    return state === null ? { state: "searching", sentence: "No picture has come from the camera yet.", mend: MENDS.stale ?? null } : of(state);
+    return state === null ? { state: "searching", sentence: "The camera has not sent a picture yet.", mend: MENDS.stale ?? null } : of(state);
   }
   const { says, mend, record } = head.value ?? {};
   return record && says ? { state: record.state, sentence: `${says[0].toUpperCase()}${says.slice(1)}.`, mend: asked(mend) } : withHidden(of(record?.state ?? "searching"));
@@ -125,7 +125,7 @@ function Picture() {
     <canvas ref=${below} role="img" aria-label="What the camera sees" />
     <canvas ref=${above} class="marks ${outlined.value || floored.value || parted.value || rested.value ? "" : "off"}" aria-hidden="true" />
     ${rested.value ? html`<p class="scale">${rests}</p>` : null}
-    ${frozen.value ? html`<figcaption>Frozen. Space goes on.</figcaption>` : null}
+    ${frozen.value ? html`<figcaption>Frozen. Press Space to continue.</figcaption>` : null}
   </figure>`;
 }
 
@@ -138,7 +138,7 @@ const FACTS = [
   { name: "Right", value: position(0) },
   { name: "Upstage", value: position(1) },
   { name: "Up", value: position(2) },
-  { name: "Fits to", value: computed(() => amount(record.value?.rms_px, 2, "px")) },
+  { name: "Residual", value: computed(() => amount(record.value?.rms_px, 2, "px")) },
   { name: "Frame", value: computed(() => `${record.value?.sequence ?? "–"}`) },
   { name: "Shown", value: computed(() => amount(rate.value, 1, "/s")) },
 ];

@@ -20,7 +20,7 @@ function keptName(name) {
 /** Reads a model, and gives it to the daemon to keep; the promise fails with a sentence for people where it cannot be used. Returns the name that it is kept by,
  * and why it is not kept. @param {File} file @returns {Promise<{name: string, unkept: string | null}>} */
 export async function load(file) {
-  if (file.size > LARGEST) throw new Error(`${file.name} has ${Math.ceil(file.size / 1048576)} MB; at most 64 MB are taken. Make its pictures smaller.`);
+  if (file.size > LARGEST) throw new Error(`${file.name} has ${Math.ceil(file.size / 1048576)} MB; the maximum is 64 MB. Make its pictures smaller.`);
   const name = keptName(file.name);
   await take(file.name, name, await file.arrayBuffer());
   const content = new Blob([file], { type: "model/gltf-binary" });
@@ -65,16 +65,16 @@ function refuseOthers(name, bytes) {
   // "glTF", then the version, the length, and the first chunk: JSON.
   if (bytes.byteLength < 20 || view.getUint32(0, true) !== 0x46546c67) throw new Error(`${name} is not a glTF binary file. Export it as .glb.`);
   const length = view.getUint32(12, true);
-  if (20 + length > bytes.byteLength) throw new Error(`${name} is cut short. Copy it again.`);
+  if (20 + length > bytes.byteLength) throw new Error(`${name} is incomplete. Copy it again.`);
   /** @type {{buffers?: {uri?: string}[], images?: {uri?: string}[]}} */
   let said;
   try {
     said = /** @type {typeof said} */ (parsed(new TextDecoder().decode(new Uint8Array(bytes, 20, length))));
   } catch {
-    throw new Error(`${name} does not say what is in it. Export it again.`);
+    throw new Error(`${name} has no table of contents. Export it again.`);
   }
   const named = [...(said.buffers ?? []), ...(said.images ?? [])].filter(({ uri }) => uri !== undefined);
-  if (named.length > 0) throw new Error(`${name} names other files. Export it as one file (.glb) with everything in it.`);
+  if (named.length > 0) throw new Error(`${name} refers to other files. Export everything as one .glb file.`);
 }
 
 /** glTF is y up and of any size: turned, scaled to a metre, set on its origin. @param {import("./vendor/three.js").Object3D} model */

@@ -14,10 +14,10 @@ const LEAST_ZOOM = 0.2;
 
 /** What buttons and keys do with the view. */
 export const STEPS = [
-  { key: "ArrowLeft", sign: "←", does: "turn left", by: { azimuth: -TURN } },
-  { key: "ArrowRight", sign: "→", does: "turn right", by: { azimuth: TURN } },
-  { key: "ArrowUp", sign: "↑", does: "from higher up", by: { elevation: TURN } },
-  { key: "ArrowDown", sign: "↓", does: "from lower down", by: { elevation: -TURN } },
+  { key: "ArrowLeft", sign: "←", does: "rotate left", by: { azimuth: -TURN } },
+  { key: "ArrowRight", sign: "→", does: "rotate right", by: { azimuth: TURN } },
+  { key: "ArrowUp", sign: "↑", does: "view from higher up", by: { elevation: TURN } },
+  { key: "ArrowDown", sign: "↓", does: "view from lower down", by: { elevation: -TURN } },
   { key: "+", sign: "+", does: "nearer", by: { zoom: NEARER } },
   { key: "-", sign: "−", does: "farther", by: { zoom: 1 / NEARER } },
 ];

@@ -122,9 +122,9 @@ const apart = computed(() => {
 
 /** What there is to be said where no recording is open. */
 function nothing() {
-  if (list.value === null) return listFault.value || "Asking for the recordings.";
+  if (list.value === null) return listFault.value || "Loading the list of recordings.";
   if (list.value.recordings.length > 0) return "Choose a recording to see it.";
-  return `Nothing has been recorded yet. Press Record, or save the last seconds; recordings go to ${list.value.folder}.`;
+  return `There are no recordings yet. Press Record, or save the last seconds. They are stored in ${list.value.folder}.`;
 }
 
 function Player() {
@@ -151,14 +151,14 @@ function Player() {
       <div><dt>Time</dt><dd>${time}</dd></div>
       <div><dt>Row</dt><dd>${place}</dd></div>
       <div><dt>State</dt><dd>${state.value === null ? "–" : html`<${StateMark} state=${state.value} />`}</dd></div>
-      <div><dt>Fits to</dt><dd>${fits}</dd></div>
+      <div><dt>Residual</dt><dd>${fits}</dd></div>
       ${retracked.value === null
         ? null
         : html`<div><dt>State, today</dt><dd>${todayState.value === null ? "–" : html`<${StateMark} state=${todayState.value} />`}</dd></div>
-            <div><dt>Fits to, today</dt><dd>${todayFits}</dd></div>
-            <div><dt>Apart</dt><dd>${apart}</dd></div>`}
+            <div><dt>Residual, today</dt><dd>${todayFits}</dd></div>
+            <div><dt>Distance</dt><dd>${apart}</dd></div>`}
     </dl>
-    <p class="note">${losses === 0 ? "The stage was never lost in it." : `The stage was lost ${losses === 1 ? "once" : `${losses} times`}.`} Outlines are those of today's stage and lens.</p>
+    <p class="note">${losses === 0 ? "The stage was never lost." : `The stage was lost ${losses === 1 ? "once" : `${losses} times`}.`} Outlines show today's stage and lens.</p>
   </div>`;
 }
 
@@ -167,15 +167,15 @@ function Recorder() {
   const isOn = now?.recording != null;
   return html`<section class="recorder" aria-labelledby="recorder">
     <h2 id="recorder">Recorder</h2>
-    <p>${now === null ? "Not known yet." : isOn ? `Recording ${now.recording}.` : "Nothing is being recorded."}</p>
+    <p>${now === null ? "Loading." : isOn ? `Recording ${now.recording}.` : "Not recording."}</p>
     <${Barred} />
     <div class="row">
       ${isOn
-        ? html`<${Change} act=${() => wish("recordings/stop", "The recording ends.")}>Stop recording<//>`
-        : html`<${Change} off=${now === null} act=${() => wish("recordings/start", "A recording begins.")}>Record<//>`}
+        ? html`<${Change} act=${() => wish("recordings/stop", "Recording stopped.")}>Stop recording<//>`
+        : html`<${Change} off=${now === null} act=${() => wish("recordings/start", "Recording started.")}>Record<//>`}
       <${Change} off=${!now?.ring_s} act=${() => wish("ring/save", `The last ${now?.ring_s} s are being saved.`)}>Save the last ${now?.ring_s ? `${now.ring_s} s` : "seconds"}<//>
     </div>
-    ${now !== null && !now.ring_s ? html`<p class="note">The last seconds are not kept: [recorder] ring_s in the config says how many shall be.</p>` : null}
+    ${now !== null && !now.ring_s ? html`<p class="note">The last seconds are not kept. Set [recorder] ring_s in the config to keep them.</p>` : null}
     <form class="row" onSubmit=${addMark}>
       <label class="field wide"><span>Mark this moment</span><input maxlength=${LONGEST_MARK} value=${mark.value} placeholder="cue 12" onInput=${(/** @type {Event} */ event) => (mark.value = typed(event))} /></label>
       <${Change} act=${addMark}>Mark<//>
@@ -193,7 +193,7 @@ function Choice() {
       ${now.recordings.map(
         (one) => html`<li key=${one.id}>
           <button type="button" aria-pressed=${clip.value?.id === one.id ? "true" : "false"} onClick=${() => open(one.id)}>
-            ${date.format(one.begun_unix_ms)}<br /><small>${clock(one.seconds)}, ${one.frames} rows${one.open ? ", still going on" : ""}</small>
+            ${date.format(one.begun_unix_ms)}<br /><small>${clock(one.seconds)}, ${one.frames} rows${one.open ? ", still recording" : ""}</small>
           </button>
           <${Download} path=${`recordings/${one.id}/download`} name=${`Download ${one.id}`}>Download<//>
         </li>`,
@@ -210,8 +210,8 @@ function Bundle() {
   const of = clip.value;
   if (of === null) return null;
   return html`<section aria-labelledby="bundle">
-    <h2 id="bundle">Report of a fault</h2>
-    <p class="note">The recording's records and events, the config, diagnostics and the log as one zip, as “stagepose report” makes it. Pictures show whoever was on stage.</p>
+    <h2 id="bundle">Fault report</h2>
+    <p class="note">Records, events, config, diagnostics and log as one zip, like “stagepose report”. Pictures show the people on stage.</p>
     <div class="row">
       <${Download} path=${`recordings/${of.id}/report`}>Without pictures<//>
       <${Download} path=${`recordings/${of.id}/report?pictures=${PICTURES_S}`}>With the last ${PICTURES_S} s of pictures<//>
@@ -224,7 +224,7 @@ function Events() {
   const of = clip.value;
   if (of === null || of.events.length === 0) return null;
   return html`<section class="happened" aria-labelledby="inside">
-    <h2 id="inside">What happened in it</h2>
+    <h2 id="inside">Events</h2>
     <ol>
       ${of.events.map(
         (one, k) => html`<li key=${k} class=${one.level}><button type="button" class="plain" onClick=${() => go(one.row)}><time>${clock(secondsOf(of, one.row))}</time> ${sentence(one.says)}</button></li>`,
@@ -235,14 +235,14 @@ function Events() {
 
 /** Keys of this view. */
 const KEYS = [
-  { key: " ", name: "Space, k", does: "play, or stop", act: togglePlaying },
+  { key: " ", name: "Space, k", does: "play or stop", act: togglePlaying },
   { key: "k", name: "", does: "", act: togglePlaying },
-  { key: "j", name: "j", does: "to the loss before", act: () => goToLoss(-1) },
-  { key: "l", name: "l", does: "to the next loss", act: () => goToLoss(1) },
+  { key: "j", name: "j", does: "previous loss", act: () => goToLoss(-1) },
+  { key: "l", name: "l", does: "next loss", act: () => goToLoss(1) },
   { key: ",", name: ",", does: "one row back", act: () => go(row.value - 1) },
-  { key: "b", name: "b", does: "outlines of the recorded, and of today's config", act: swap },
-  { key: "d", name: "d", does: "to the next difference", act: goToDifference },
-  { key: ".", name: ".", does: "one row on", act: () => go(row.value + 1) },
+  { key: "b", name: "b", does: "outlines: recorded or today's config", act: swap },
+  { key: "d", name: "d", does: "next difference", act: goToDifference },
+  { key: ".", name: ".", does: "one row forward", act: () => go(row.value + 1) },
 ];
 
 /** The view. */

@@ -26,7 +26,7 @@ async function begin() {
   try {
     const begun = /** @type {{job: number}} */ (await content(await post(`recordings/${clip.value.id}/retrack`)));
     wanted.value = begun.job;
-    said.value = "It is being tracked again; what was recorded stays.";
+    said.value = "Tracking again. The recording does not change.";
   } catch (why) {
     said.value = reason(why);
   }
@@ -61,7 +61,7 @@ export async function goToDifference() {
       if (clip.value?.id !== of.id) return;
       if (next) return go(next.row);
     }
-    fault.value = "No row after this one differs.";
+    fault.value = "There is no difference after this row.";
   } catch (why) {
     fault.value = reason(why);
   }
@@ -81,15 +81,15 @@ function Comparison() {
       <thead><tr><td></td><th scope="col">Recorded</th><th scope="col">Today</th></tr></thead>
       <tbody>
         <tr><th scope="row">Rows tracked</th><td>${tracked(of.states.recorded, of.rows)}</td><td>${tracked(of.states.retracked, of.rows)}</td></tr>
-        <tr><th scope="row">Fits to, half of them</th><td>${amount(a?.median, 2, "px")}</td><td>${amount(b?.median, 2, "px")}</td></tr>
-        <tr><th scope="row">95 of 100</th><td>${amount(a?.p95, 2, "px")}</td><td>${amount(b?.p95, 2, "px")}</td></tr>
+        <tr><th scope="row">Residual, median</th><td>${amount(a?.median, 2, "px")}</td><td>${amount(b?.median, 2, "px")}</td></tr>
+        <tr><th scope="row">Residual, 95th percentile</th><td>${amount(a?.p95, 2, "px")}</td><td>${amount(b?.p95, 2, "px")}</td></tr>
       </tbody>
     </table>
     <p class="note">
       ${of.same_record === of.rows
-        ? "Today's config gives the same records, to the last digit."
+        ? "Today's config gives identical records."
         : of.both_tracked === 0
-          ? "In no row were both tracked."
+          ? "No row was tracked by both."
           : `In ${of.both_tracked} rows both were tracked; there the camera's places differ by ${amount(of.position_mm?.median, 2, "mm")} (half of them) and ${amount(of.position_mm?.max, 2, "mm")} at most, the directions by ${amount(of.angle_deg?.max, 3, "°")} at most.`}
     </p>`;
 }
@@ -105,7 +105,7 @@ export function Retracking() {
         if (last.state === "running" && last.text === clip.value?.id) wanted.value = last.job;
         if (last.state === "running" || last.job !== wanted.peek()) return;
         wanted.value = null;
-        said.value = last.state === "done" ? "" : sentence(`it was not tracked again: ${last.text}`);
+        said.value = last.state === "done" ? "" : sentence(`tracking again failed: ${last.text}`);
         if (last.state === "done") void learnRetracked();
       }),
     [],
@@ -118,7 +118,7 @@ export function Retracking() {
     ${now === null
       ? html`<${Change} act=${begin}>Track it again<//>`
       : html`<div class="row">
-          <progress max="1" value=${now.done} aria-label="How far it is"></progress> <span class="note">${Math.round(100 * now.done)}\u00a0% of ${now.text}</span>
+          <progress max="1" value=${now.done} aria-label="Progress"></progress> <span class="note">${Math.round(100 * now.done)}\u00a0% of ${now.text}</span>
           <${Change} act=${cancel}>Stop<//>
         </div>`}
     <p class="note" role="status">${said.value}</p>
@@ -134,7 +134,7 @@ export function Retracking() {
             )}
           </fieldset>
           <div class="row"><button type="button" onClick=${goToDifference}>Next difference</button></div>`
-      : html`<p class="note">Tracks the recorded pictures with the stage, the lens and the tracker's settings of now, and compares.</p>`}
+      : html`<p class="note">Tracks the recorded pictures with the current stage, lens and settings, and compares the results.</p>`}
   </section>`;
 }
 

@@ -16,8 +16,8 @@ const SHOWS = {
   image: "The camera's picture alone.",
   set: "The set in the camera's picture.",
   mix: "The set half transparent.",
-  wipe: "The set right of the line.",
-  alone: "The set alone, on black: for a keyer, or a projector.",
+  wipe: "The set to the right of the line.",
+  alone: "The set alone on black, for a keyer or a projector.",
 };
 const KINDS = /** @type {const} */ (["cone", "cube", "grid"]);
 const AXES = { floor: ["Right", "Upstage", "Up"], surface: ["Right", "Up", "Out"] };
@@ -92,8 +92,8 @@ function Alignment() {
   const none = contact.value === false ? "stagepose does not answer." : "Nothing is measured while the stage is not tracked.";
   const words = () => {
     if (found === null) return none;
-    if (found.median === null) return "No part of the artwork is in the picture whole and plain to see.";
-    const covered = found.unlike > 0 ? ` ${found.unlike} more do not look like the artwork: something is before them.` : "";
+    if (found.median === null) return "No part of the artwork is fully visible in the picture.";
+    const covered = found.unlike > 0 ? ` ${found.unlike} more show something else: they may be hidden.` : "";
     return `Half of ${found.tiles} tiles of 32 px lie within ${amount(found.median, 2, "px")} of the camera's picture, nine of ten within ${amount(found.most, 2, "px")}; same frame (${found.sequence}).${covered}`;
   };
   return html`<section class="aligned" aria-labelledby="aligned">
@@ -140,7 +140,7 @@ function Chosen({ thing }) {
       <button type="button" aria-pressed=${thing.shown ? "true" : "false"} onClick=${() => alter(id, { shown: !thing.shown })}>Shown</button>
       <button type="button" onClick=${() => remove(id)}>Remove</button>
     </div>
-    ${thing.kind === "model" && !models.value.has(thing.file ?? "") ? html`<p class="note">Its file ${thing.file} is not here: choose it anew above.</p>` : null}
+    ${thing.kind === "model" && !models.value.has(thing.file ?? "") ? html`<p class="note">Its file ${thing.file} is missing: choose it again above.</p>` : null}
   </section>`;
 }
 
@@ -153,7 +153,7 @@ async function chosenFile({ target }) {
   try {
     const { name, unkept } = await load(file);
     if (!set.value.objects.some((thing) => thing.file === name)) add("model", { file: name, name: name.replace(/\.glb$/i, "") });
-    if (unkept !== null) refused.value = `${file.name} is here, but stagepose does not keep it: ${unkept}`;
+    if (unkept !== null) refused.value = `${file.name} is loaded, but stagepose could not save it: ${unkept}`;
   } catch (why) {
     refused.value = why instanceof Error ? why.message : String(why);
   }
@@ -171,7 +171,7 @@ function Things() {
       <button type="button" onClick=${undo}>Undo</button>
     </div>
     ${refused.value ? html`<p class="refused" role="alert">${refused.value}</p>` : null}
-    ${objects.length === 0 ? html`<p class="note">Nothing yet. Add a cone: it stands on the stage's origin.</p>` : null}
+    ${objects.length === 0 ? html`<p class="note">The set is empty. Add a cone: it appears at the stage's origin.</p>` : null}
     <ul class="list">
       ${objects.map(
         ({ id, name }) => html`<li key=${id}>
@@ -190,7 +190,7 @@ function Things() {
           <button type="button" onClick=${takeTheirs}>Take theirs</button>
         </div>`
       : null}
-    <p class="note">Surfaces and the floor take its shadows; what stands behind a surface is hidden.</p>
+    <p class="note">Surfaces and the floor receive shadows, and surfaces hide what is behind them.</p>
   </section>`;
 }
 

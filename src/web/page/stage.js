@@ -222,18 +222,18 @@ export function Stage() {
       tabindex="0"
       role="application"
       aria-roledescription="drawing in 3D"
-      aria-label="Surfaces, camera and its way. Arrows turn, plus and minus zoom, 0 shows all."
+      aria-label="Surfaces, camera and its path. Arrows rotate, plus and minus zoom, 0 shows all."
       onKeyDown=${pressed}
       onPointerDown=${(/** @type {PointerEvent} */ event) => drawn.current?.setPointerCapture(event.pointerId)}
       onPointerMove=${dragged}
     />
-    <div class="steps" role="group" aria-label="Turn and zoom">
+    <div class="steps" role="group" aria-label="Rotate and zoom">
       ${STEPS.map(
         ({ key, sign, does, by }) =>
           html`<button key=${key} type="button" aria-label=${does} title=${does} onClick=${() => (view.value = stepped(view.value, by))}>${sign}</button>`,
       )}
       <button type="button" onClick=${fit}>All</button>
     </div>
-    <p class="note">The camera's place is known to ${doubt} (1 sigma). The ellipse has ${SIGMAS} sigmas, ${ENLARGED} times enlarged.</p>
+    <p class="note">The camera's position is known to ${doubt} (1 sigma). The ellipse shows ${SIGMAS} sigmas, enlarged ${ENLARGED} times.</p>
   </section>`;
 }

@@ -16,12 +16,12 @@ const SPEAKS = 1000;
 
 /** The strip's own words: the share of each state, and the worst fit. */
 const words = computed(() => {
-  if (added.value === 0 || minute.length === 0) return "Nothing has been shown yet.";
+  if (added.value === 0 || minute.length === 0) return "No frames yet.";
   const states = Object.entries(WORDS).map(([state, word]) => ({ word, count: minute.filter((moment) => moment.state === state).length }));
   const shares = states.filter(({ count }) => count > 0).map(({ word, count }) => {
     return `${word.toLowerCase()} ${Math.round((100 * count) / minute.length)}\u00a0%`;
   });
-  return `Of ${minute.length} frames shown: ${shares.join(", ")}; fits to ${amount(worst(), 2, "px")} at worst.`;
+  return `Of ${minute.length} frames shown: ${shares.join(", ")}; largest residual ${amount(worst(), 2, "px")}.`;
 });
 
 /** The largest rms that is remembered; null where nothing was measured. */

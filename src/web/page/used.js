@@ -74,7 +74,7 @@ function mark(context, width, colour) {
   context.strokeStyle = colour("tracking");
   context.lineWidth = LINE * devicePixelRatio;
   context.stroke(arrows);
-  restsOn.value = tiles.length === 0 ? "No tile is measured." : `Arrows ${scale.peek()} × as long: half of ${tiles.length} tiles lie within ${amount(quantile(lengths, 0.5), 2, "px")}.`;
+  restsOn.value = tiles.length === 0 ? "No tile is measured." : `Arrows enlarged ${scale.peek()} ×. Half of ${tiles.length} tiles lie within ${amount(quantile(lengths, 0.5), 2, "px")}.`;
 }
 
 /** Asks for them and draws them from now on; what it returns ends it. */

@@ -14,7 +14,7 @@ export async function entries(file) {
   const tail = new DataView(await file.slice(Math.max(0, file.size - END_BYTES - LONGEST_COMMENT)).arrayBuffer());
   let end = tail.byteLength - END_BYTES;
   while (end >= 0 && tail.getUint32(end, true) !== END) end -= 1;
-  if (end < 0) throw new Error("This is no zip, or it is cut short. Choose a backup of this page.");
+  if (end < 0) throw new Error("This is not a complete zip file. Choose a backup from this page.");
   const [count, size, from] = [tail.getUint16(end + 10, true), tail.getUint32(end + 12, true), tail.getUint32(end + 16, true)];
   const view = new DataView(await file.slice(from, from + size).arrayBuffer());
   /** @type {Entry[]} */
@@ -35,7 +35,7 @@ export async function textOf(file, { packed, method, at }) {
   const from = at + 30 + head.getUint16(26, true) + head.getUint16(28, true);
   const content = file.slice(from, from + packed);
   if (method === 0) return content.text();
-  if (method !== 8) throw new Error("The zip is packed in an unknown way. Choose a backup of this page.");
+  if (method !== 8) throw new Error("The zip uses an unsupported compression. Choose a backup from this page.");
   return new Response(content.stream().pipeThrough(new DecompressionStream("deflate-raw"))).text();
 }
 
