@@ -31,9 +31,9 @@ use crate::track::{Displaced, UsedPixel, UsedPixels};
 /// Quality of JPEGs encoded here, 1 to 100. Chosen: no visible blocks, at a third of the size
 /// of 95. Raised, messages are larger.
 const QUALITY: u8 = 80;
-/// Maximum used pixels sent per frame: dots that show where the stage is seen. Raised, messages are
-/// larger.
-const MAX_USED: usize = 600;
+/// Maximum pixels sent per frame, used and hidden together: they show where the stage is seen, and
+/// where it is occluded. Raised, messages are larger.
+const MAX_PIXELS: usize = 600;
 /// Maximum displaced tiles sent per frame: arrows that do not overlap. Raised, messages are larger.
 const MAX_DISPLACED: usize = 300;
 /// Residuals beyond this many robust standard deviations have no weight in the alignment, so such
@@ -56,6 +56,8 @@ struct Taken {
 struct Shown {
     /// Columns and rows of pixels, alternating.
     pixels: Vec<u16>,
+    /// The same, of pixels whose tiles show something else.
+    hidden: Vec<u16>,
     /// Tiles, four numbers each: column, row, and the picture's displacement along both, pixels.
     displaced: Vec<f64>,
 }
@@ -237,16 +239,22 @@ impl PixelsByRow {
     }
 }
 
-/// Returns an even selection of the pixels behind the poses and of the displaced tiles; raw pixels
-/// of the frame.
+/// Returns an even selection of the pixels behind the poses, of those that are hidden, and of the
+/// displaced tiles; raw pixels of the frame.
 fn shown(used: &UsedPixels) -> Shown {
-    let counted: Vec<&UsedPixel> = used.pixels.iter().filter(|pixel| pixel.takes_part && pixel.sigmas < COUNTS_BELOW).collect();
+    let counted: Vec<&UsedPixel> = used.pixels.iter().filter(|pixel| !pixel.takes_part || pixel.sigmas < COUNTS_BELOW).collect();
+    // One selection for both keeps their ratio in each part of the picture.
+    let (used_pixels, hidden): (Vec<&UsedPixel>, Vec<&UsedPixel>) = evenly(&counted, MAX_PIXELS).partition(|pixel| pixel.takes_part);
     // A frame has fewer than 65536 columns and rows, or it would not fit a JPEG.
-    let pixels = evenly(&counted, MAX_USED).flat_map(|pixel| pixel.centre_px.map(|px| px.round().max(0.0) as u16)).collect();
+    let places = |pixels: &[&UsedPixel]| pixels.iter().flat_map(|pixel| pixel.centre_px.map(|px| px.round().max(0.0) as u16)).collect();
     // Round to thousandths of a pixel, the noise of a tile.
-    let told = |px: f64| (px * 1e3).round() / 1e3;
-    let arrow = |tile: &Displaced| [tile.centre_px.x, tile.centre_px.y, tile.shift_px.x, tile.shift_px.y].map(told);
-    Shown { pixels, displaced: evenly(&used.displaced, MAX_DISPLACED).flat_map(arrow).collect() }
+    let rounded = |px: f64| (px * 1e3).round() / 1e3;
+    let arrow = |tile: &Displaced| [tile.centre_px.x, tile.centre_px.y, tile.shift_px.x, tile.shift_px.y].map(rounded);
+    Shown {
+        pixels: places(&used_pixels),
+        hidden: places(&hidden),
+        displaced: evenly(&used.displaced, MAX_DISPLACED).flat_map(arrow).collect(),
+    }
 }
 
 /// Returns at most this many items, evenly spaced.
@@ -284,6 +292,9 @@ struct Head<'a> {
     /// The pixels behind the poses, if a viewer requested them.
     #[serde(skip_serializing_if = "Option::is_none")]
     used: Option<&'a [u16]>,
+    /// Occluded pixels, likewise.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    hidden: Option<&'a [u16]>,
     /// The displacements of the picture from the poses there, likewise.
     #[serde(skip_serializing_if = "Option::is_none")]
     displaced: Option<&'a [f64]>,
@@ -303,6 +314,7 @@ fn message(row: &Taken) -> Option<Bytes> {
         mend: reason.map(|reason| reason.mend()),
         motion: row.motion,
         used: row.used.as_ref().map(|used| &*used.pixels),
+        hidden: row.used.as_ref().map(|used| &*used.hidden),
         displaced: row.used.as_ref().map(|used| &*used.displaced),
         record: sample,
     };

@@ -30,7 +30,7 @@ pub(in crate::web) fn heads() -> Vec<serde_json::Value> {
     let [tracked, mut lost] = crate::web::api::types_tests::samples();
     lost.reason = Some(Reason::Covered);
     let motion = CameraMotion { velocity: [0.5, 0.0, 0.25], turn_rate: [0.0, 2.0, 0.0] };
-    let used = Shown { pixels: vec![1, 2], displaced: vec![1.0, 2.0, 0.1, 0.2] };
+    let used = Shown { pixels: vec![1, 2], hidden: vec![3, 4], displaced: vec![1.0, 2.0, 0.1, 0.2] };
     let whole = Taken { used: Some(used), ..taken(1, &row(1, None), &tracked, Some(motion)).unwrap() };
     [whole, taken(1, &row(2, None), &lost, None).unwrap()].iter().map(|row| parts(&message(row).unwrap()).0).collect()
 }
@@ -129,7 +129,7 @@ fn used_pixels_are_sent_with_their_frame_on_request() {
     let asking = (hub.ask_pixels(), hub.ask_pixels());
     drop(asking.0);
     assert!(wants.load(Ordering::Relaxed), "one still asks");
-    let pixel = |k: usize| UsedPixel { centre_px: [k as f32 + 0.4, 7.0], sigmas: if k == 1 { 9.0 } else { 1.0 }, takes_part: k != 2 };
+    let pixel = |k: usize| UsedPixel { centre_px: [k as f32 + 0.4, 7.0], sigmas: if k == 1 { 9.0 } else { 1.0 }, takes_part: k % 10 != 3 };
     for sequence in 4..7 {
         let tile = |k: f64| Displaced { centre_px: Vector2::new(10.0 * k, 3.00049), shift_px: Vector2::new(-0.1234, 0.25) };
         let displaced = (0..400).map(|k| tile(f64::from(k))).collect();
@@ -140,14 +140,15 @@ fn used_pixels_are_sent_with_their_frame_on_request() {
     runtime.block_on(messages.changed()).unwrap();
     let head = parts(&messages.borrow_and_update()).0;
     let numbers = |key: &str| -> Vec<f64> { head[key].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect() };
-    let (used, displaced) = (numbers("used"), numbers("displaced"));
-    // Every fourth of the 1998 with weight.
-    assert_eq!((used.len(), &used[..6]), (1000, &[0.0, 7.0, 6.0, 7.0, 10.0, 7.0][..]));
+    let (used, hidden, displaced) = (numbers("used"), numbers("hidden"), numbers("displaced"));
+    // Every fourth of 1999: all but the one without weight. One in ten is hidden.
+    assert_eq!((used.len(), &used[..6]), (800, &[0.0, 7.0, 5.0, 7.0, 9.0, 7.0][..]));
+    assert_eq!((hidden.len(), &hidden[..4]), (200, &[13.0, 7.0, 33.0, 7.0][..]));
     assert_eq!((displaced.len(), &displaced[..5]), (800, &[0.0, 3.0, -0.123, 0.25, 20.0][..]));
     drop(asking.1);
     assert!(!wants.load(Ordering::Relaxed));
     observer(&row(8, None), &sample(8, State::Tracking));
     runtime.block_on(messages.changed()).unwrap();
     let head = parts(&messages.borrow_and_update()).0;
-    assert!(head["used"].is_null() && head["displaced"].is_null(), "{head}");
+    assert!(head["used"].is_null() && head["hidden"].is_null() && head["displaced"].is_null(), "{head}");
 }

@@ -1,7 +1,8 @@
 // The page in a true browser, served by a true daemon.
 //   STAGEPOSE=target/release/stagepose PAGE_OUT=target/page node --test tests/page/page.test.mjs
-// PAGE_OUT has node_modules with what package.json names, and gets a screenshot of every theme and width. CHROMIUM names another browser.
-// PAGE_DIR=src/web/page takes the page's files from there instead of from the program, to try a change before it is built.
+// PAGE_OUT has node_modules with what package.json names, and gets a screenshot of every theme and
+// width. CHROMIUM names another browser. With PAGE_DIR=src/web/page the page's files come from
+// there, to try a change before it is built.
 import assert from "node:assert/strict";
 import { readFileSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
@@ -43,10 +44,10 @@ test("the page loads from its own server alone and shows what is tracked", async
   const list = page.locator(".happened li");
   await list.filter({ hasText: "long.mjpeg is open: MJPG 640x360" }).first().waitFor();
   await list.filter({ hasText: "Tracked after" }).first().waitFor();
-  const told = await list.allTextContents();
-  const [opening, finding] = ["is open", "Tracked after"].map((words) => told.findLastIndex((text) => text.includes(words)));
+  const listed = await list.allTextContents();
+  const [opening, finding] = ["is open", "Tracked after"].map((words) => listed.findLastIndex((text) => text.includes(words)));
   // On a busy machine more may have happened since.
-  assert.ok(finding >= 0 && finding < opening, told.join("\n"));
+  assert.ok(finding >= 0 && finding < opening, listed.join("\n"));
   assert.deepEqual(complaints, []);
   await close();
 });
@@ -59,7 +60,7 @@ test("outlines are where the lens shows the surfaces", async () => {
     const { record } = head.value;
     const camera = { ...scene.value.camera, distortion: [0, 0, 0, 0, 0], valid_radius: null };
     const corners = scene.value.stage.surfaces[0].outline_m.filter((_, k) => k % 16 === 0);
-    // Another way to the same place: the record's homography takes the artwork's corners to undistorted pixels.
+    // The record's homography must take the artwork's corners to the same undistorted pixels.
     const picture = await (await fetch("/api/v1/scene")).json();
     const [w, h] = picture.stage.surfaces[0].picture_px;
     const by = (u, v) => {
@@ -75,7 +76,7 @@ test("outlines are where the lens shows the surfaces", async () => {
   });
   assert.equal(off.length, 4);
   assert.ok(Math.max(...off) < 1.5, `${off}`);
-  // And they are drawn: marks cover some pixels of their canvas, none when they are off. A frame without a pose has none either.
+  // They are drawn: marks cover pixels of their canvas, and none when off or without a pose.
   const covered = () =>
     page.evaluate(() => {
       const marks = document.querySelector(".marks");
@@ -124,13 +125,15 @@ test("the stage in 3D turns by keys, buttons and the mouse, and its projections 
   assert.ok(dragged.azimuth > first.azimuth + 0.2 && dragged.elevation > first.elevation + 0.1, JSON.stringify(dragged));
   await page.getByRole("button", { name: "All" }).click();
   assert.deepEqual(await at(), first);
-  // Axes stand square on each other, an ellipse has the covariance's sigmas, and the lens is undone at the picture's corners.
+  // Axes are orthogonal, an ellipse has the covariance's sigmas, and the lens is inverted at the
+  // picture's corners.
   const off = await page.evaluate(async () => {
     const [{ axes, dot, ellipse }, { direction, pixel }, { scene }] = await Promise.all([import("/orbit.js"), import("/lens.js"), import("/daemon.js")]);
     const seen = axes({ azimuth: 0.7, elevation: 0.3, zoom: 1 });
     const pairs = [[seen.right, seen.up], [seen.right, seen.away], [seen.up, seen.away]].map(([a, b]) => dot(a, b));
     const front = axes({ azimuth: 0, elevation: 0, zoom: 1 });
-    // Sigmas of 3 and 1 along x turned by 30 degrees towards z, and 2 along y, which is not seen from the front.
+    // Sigmas of 3 and 1 along x and z, rotated by 30 degrees, and 2 along y, which the front view
+    // does not show.
     const [c, s] = [Math.cos(Math.PI / 6), Math.sin(Math.PI / 6)];
     const { long, short, turned } = ellipse([[9 * c * c + s * s, 0, 8 * c * s], [0, 4, 0], [8 * c * s, 0, 9 * s * s + c * c]], front);
     const { camera } = scene.value;
@@ -155,7 +158,7 @@ test("the floor is drawn where the lens shows it, and the last minute has every 
   await page.keyboard.press("g");
   await freeze(page);
   await page.getByText("Frozen.").waitFor();
-  // Points on lines of the floor that the picture shows are drawn; those between four lines are not.
+  // Points on the floor's lines are drawn; those between four lines are not.
   const { lit, off, seen } = await page.evaluate(async () => {
     const [{ pixel, within }, { head, scene }] = await Promise.all([import("/lens.js"), import("/daemon.js")]);
     const marks = document.querySelector(".marks");
@@ -224,7 +227,8 @@ test("the keyboard alone is enough, and the theme is kept", async () => {
 
 test("a daemon that stands still or dies is said to be silent within a second, and the page goes on by itself", async () => {
   const { page, close } = await opened();
-  // The page itself notes when it says so, when it last heard something, and how late its own timers are: whoever looks from outside looks a few times a second.
+  // The page itself notes when it reports the loss, when it last heard something, and how late its
+  // timers are: a look from outside is too coarse.
   const timers = await page.evaluate(async () => {
     const [{ contact, heard, SILENT_AFTER, LOOKS_EVERY }, { effect }] = await Promise.all([import("/daemon.js"), import("/vendor/signals.js")]);
     globalThis.lost = null;
@@ -239,7 +243,7 @@ test("a daemon that stands still or dies is said to be silent within a second, a
     });
     return SILENT_AFTER + LOOKS_EVERY;
   });
-  // The daemon speaks four times a second, so that even the machine's own tardiness has room within the second.
+  // The daemon sends four times a second, which leaves room for a late machine within the second.
   assert.ok(timers <= 700, `${timers} ms`);
   const span = async (act, state) => {
     const begun = Date.now();
@@ -267,24 +271,24 @@ test("a daemon that stands still or dies is said to be silent within a second, a
   await close();
 });
 
-/** Of the tiles that can be told, how many show the artwork, in the left third and in the others. */
+/** Known tiles, and how many of them are seen, in the left third and in the others. */
 const seenTiles = (page) =>
   page.evaluate(async () => {
     const { tiles, SEEN, UNKNOWN } = await import("/seen.js");
     const found = tiles.value;
     const part = (isOwn) => {
       const own = [...(found?.tiles ?? [])].filter((tile, k) => tile !== UNKNOWN && isOwn((k % found.across) / found.across));
-      return { told: own.length, seen: own.filter((tile) => tile === SEEN).length };
+      return { known: own.length, seen: own.filter((tile) => tile === SEEN).length };
     };
     return { left: part((x) => x < 0.3), right: part((x) => x >= 0.35) };
   });
 
 test("what hides a part of the stage is said and marked, and nothing is said where nothing hides it", async () => {
   const { page, complaints, close } = await opened();
-  const isKnown = ({ left, right }) => left.told + right.told > 30;
+  const isKnown = ({ left, right }) => left.known + right.known > 30;
   const { left, right } = await until(() => seenTiles(page), isKnown);
-  console.log(`artwork seen in ${left.seen + right.seen} of ${left.told + right.told} tiles`);
-  assert.ok(left.seen >= 0.9 * left.told && right.seen >= 0.9 * right.told, JSON.stringify({ left, right }));
+  console.log(`artwork seen in ${left.seen + right.seen} of ${left.known + right.known} tiles`);
+  assert.ok(left.seen >= 0.9 * left.known && right.seen >= 0.9 * right.known, JSON.stringify({ left, right }));
   await page.locator(".says", { hasText: "The camera's pose is measured in every frame." }).waitFor();
   assert.doesNotMatch(await page.locator(".says").textContent(), /hidden/);
   assert.deepEqual(complaints, []);
@@ -295,7 +299,7 @@ test("what hides a part of the stage is said and marked, and nothing is said whe
     const covered = await pageOf(on.browser, place.address);
     await covered.page.locator(".says", { hasText: "The left third is hidden." }).waitFor();
     const found = await until(() => seenTiles(covered.page), isKnown);
-    assert.ok(found.left.told > 8 && found.left.seen <= 0.1 * found.left.told && found.right.seen >= 0.9 * found.right.told, JSON.stringify(found));
+    assert.ok(found.left.known > 8 && found.left.seen <= 0.1 * found.left.known && found.right.seen >= 0.9 * found.right.known, JSON.stringify(found));
     // Marked, where they are asked for.
     await freeze(covered.page);
     const marks = (colour) => covered.page.locator(".picture").screenshot().then((png) => share(png, colour));
@@ -305,6 +309,36 @@ test("what hides a part of the stage is said and marked, and nothing is said whe
     const isThere = (count) => count > 0.001;
     assert.ok(isThere(await until(() => marks(red), isThere)));
     await covered.page.screenshot({ path: join(out, "live-covered.png") });
+    // Without a measured pose nothing is marked; hidden pixels that are not reported are not
+    // invented.
+    const marked = await covered.page.evaluate(async () => {
+      const [{ head, painters }, { tiles, SEEN, HIDDEN }, { hidden }] = await Promise.all([import("/daemon.js"), import("/seen.js"), import("/picture.js")]);
+      const { record, size } = head.value;
+      // Two pixels in the middle of each of 16 by 9 tiles: the left third hidden, the rest used.
+      const side = size[0] / 16;
+      const middles = Array.from({ length: 2 * 16 * 9 }, (_, k) => [((k % 16) + 0.5) * side, ((Math.floor(k / 16) % 9) + 0.5) * side]);
+      const [used, covered] = [1, 0].map((right) => middles.filter(([x]) => Number(3 * x > size[0]) === right).flat());
+      const shown = async (frame) => {
+        await new Promise((done) => setTimeout(done, 1100));
+        const picture = await createImageBitmap(new ImageData(size[0], size[1]));
+        for (const paint of painters) paint(picture, { ...head.value, ...frame });
+        const all = [...(tiles.value?.tiles ?? [])];
+        return [tiles.value !== null, all.includes(SEEN), all.includes(HIDDEN), hidden.value !== ""];
+      };
+      const found = {};
+      found.both = await shown({ used, hidden: covered });
+      for (const state of ["searching", "coasting", "lost"]) found[state] = await shown({ used: [], hidden: [], record: { ...record, state } });
+      found.unposed = await shown({ used, hidden: covered, record: { ...record, pose: null } });
+      found.nothing = await shown({ used: [], hidden: [] });
+      found.old = await shown({ used, hidden: undefined });
+      found.without = await shown({ used: undefined, hidden: undefined });
+      return found;
+    });
+    const none = [false, false, false, false];
+    assert.deepEqual(marked, {
+      both: [true, true, true, true], searching: none, coasting: none, lost: none, unposed: none,
+      nothing: [true, false, false, false], old: [true, true, false, false], without: [true, true, false, false],
+    });
     await covered.close();
   } finally {
     await daemon.end();
@@ -365,9 +399,13 @@ test("used pixels and residuals are drawn to the scale that is said, and asked f
   await client.send("Network.enable");
   const asked = [];
   client.on("Network.webSocketFrameSent", ({ response }) => asked.push(response.payloadData));
-  await until(async () => asked.length, (count) => count > 5);
-  assert.deepEqual([...new Set(asked)], ["n"]);
-  assert.equal(await page.evaluate(async () => (await import("/daemon.js")).head.value.used), undefined);
+  // Except about once a second, to learn what is hidden: the first such frame may have no pixels
+  // yet.
+  const isSeldom = () => asked.filter((one) => one === "u").length <= asked.length / 2;
+  await until(async () => asked.length, (count) => count > 20);
+  assert.ok(isSeldom(), `${asked}`);
+  const without = () => page.evaluate(async () => (await import("/daemon.js")).head.value.used === undefined);
+  assert.ok(await until(without, Boolean));
   await page.keyboard.press("o");
   await page.keyboard.press("u");
   const switched = page.getByRole("button", { name: "Residuals" });
@@ -397,9 +435,9 @@ test("used pixels and residuals are drawn to the scale that is said, and asked f
     const lengths = tiles.map(([, , dx, dy]) => Math.hypot(dx, dy)).sort((a, b) => a - b);
     const rms = Math.sqrt(lengths.reduce((sum, length) => sum + length * length, 0) / lengths.length);
     const dark = data.filter((_, k) => k % 4 === 3).filter((alpha) => alpha === 0).length / (data.length / 4);
-    return { dots: share(dots), ends: share(ends), inside, median: lengths[Math.floor((lengths.length - 1) / 2)], rms, told: record.rms_px, scale: scale.value, dark, count: tiles.length };
+    return { dots: share(dots), ends: share(ends), inside, median: lengths[Math.floor((lengths.length - 1) / 2)], rms, recorded: record.rms_px, scale: scale.value, dark, count: tiles.length };
   });
-  console.log(`residuals of ${found.count} tiles: median ${found.median} px, rms ${found.rms.toFixed(3)} px (the record says ${found.told.toFixed(3)}), drawn ${found.scale} times as long`);
+  console.log(`residuals of ${found.count} tiles: median ${found.median} px, rms ${found.rms.toFixed(3)} px (the record says ${found.recorded.toFixed(3)}), drawn ${found.scale} times as long`);
   assert.ok(found.inside && found.dots > 0.99 && found.ends > 0.99, JSON.stringify(found));
   assert.ok(found.dark > 0.3, "what is between them stays free");
   await page.locator(".picture .scale", { hasText: `Arrows enlarged ${found.scale} ×. Half of ${found.count} tiles lie within ${found.median.toFixed(2)}` }).waitFor();
@@ -412,8 +450,8 @@ test("used pixels and residuals are drawn to the scale that is said, and asked f
   assert.equal(await until(covered, (count) => count === 0), 0);
   await page.getByRole("button", { name: "Freeze", exact: true }).click();
   asked.length = 0;
-  await until(async () => asked.length, (count) => count > 3);
-  assert.deepEqual([...new Set(asked)], ["n"]);
+  await until(async () => asked.length, (count) => count > 20);
+  assert.ok(isSeldom(), `${asked}`);
   assert.deepEqual(complaints, []);
   await close();
 });

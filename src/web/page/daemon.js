@@ -30,8 +30,8 @@ export const head = signal(/** @type {Head | null} */ (null));
 export const rate = signal(/** @type {number | null} */ (null));
 /** Whether the picture stands still because the user wants it. */
 export const frozen = signal(false);
-/** Whether frames are asked for with the pixels that their poses rest on. */
-export const pixelsWanted = signal(false);
+/** Whether each view wants the next frame with its pixels. @type {Set<() => boolean>} */
+export const pixelsWanted = new Set();
 /** Camera and surfaces of this session, as /api/v1/scene has them. */
 export const scene = signal(/** @type {Scene | null} */ (null));
 
@@ -104,7 +104,7 @@ function watch() {
 function ask() {
   if (owesFrame || frozen.value || document.hidden || socket?.readyState !== WebSocket.OPEN) return;
   owesFrame = true;
-  socket.send(pixelsWanted.peek() ? "u" : "n");
+  socket.send([...pixelsWanted].some((wants) => wants()) ? "u" : "n");
 }
 
 /** @param {string | ArrayBuffer} data */

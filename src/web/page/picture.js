@@ -8,7 +8,7 @@ import { emptied } from "./ui.js";
 
 /** Whether the outlines are drawn. */
 export const outlined = signal(true);
-/** Whether tiles are marked that show the artwork or hide it, and what is mostly hidden, as a sentence: by seen.js, which is loaded later. */
+/** Whether tiles are marked in which the stage is seen or hidden, and what is mostly hidden, as a sentence: by seen.js, which is loaded later. */
 export const parted = signal(false);
 export const hidden = signal("");
 /** What else is drawn on the live picture. @type {Set<(context: CanvasRenderingContext2D, width: number, colour: (name: string) => string) => void>} */

@@ -1,227 +1,102 @@
-// Which parts of the stage's artwork the picture shows, tile by tile: once a second the artwork is looked up where the pose and the lens put it, and compared with
-// the camera's picture by correlation, which light and contrast do not change. It says what hides the stage.
-// The tracker decides the same for itself, tile by tile, but the daemon tells only the pixels that
-// count (used.js). Those that were asked, and left out because something else is seen there, it does
-// not tell; without them a hidden part of the stage and a plain one are alike.
+// Which parts of the stage the tracker sees and which are hidden, tile by tile. Once a second the
+// page requests the pixels of one frame: `used`, which its poses rest on, and `hidden`, whose places
+// show something else. The tracker does not look at plain parts, so nothing is marked there.
 import { computed, effect, signal } from "./vendor/signals.js";
-import { painters, scene } from "./daemon.js";
-import { direction, turn, within } from "./lens.js";
+import { head, painters, pixelsWanted } from "./daemon.js";
 import { drawAgain, extraMarks, hidden, parted } from "./picture.js";
 
-/** @import { Camera, Head, Pose, Scene, Surface } from "./types.js" */
-/** @typedef {{width: number, height: number, grey: Uint8ClampedArray}} Grey
- * @typedef {{levels: Grey[], surface: Surface}} Artwork the picture on a flat surface, each level half as large as the one before
- * @typedef {{across: number, down: number, tiles: Int8Array}} Tiles UNKNOWN, SEEN or HIDDEN, row by row */
+/** @import { Head } from "./types.js" */
+/** @typedef {{across: number, down: number, tiles: Int8Array}} Tiles UNKNOWN, SEEN or HIDDEN, row
+ *   by row */
 
-/** Tiles across the picture, and samples along a side of one: details of 1/160 of a picture are compared. Raised, slower, and a small error of the pose counts. */
+/** Tiles across the picture. Raised, each has fewer of the pixels that the daemon sends. */
 const ACROSS = 16;
-const SIDE = 10;
-/** Pixels along the largest artwork that is kept, and how often it is halved: to compare like with like from near and far. */
-const LARGEST = 1024;
-const LEVELS = 5;
-/** Milliseconds between two looks. */
+/** Milliseconds between two looks. Raised, the marks are older; lowered, the tracker records more. */
 const LOOKS_EVERY = 1000;
-/** Correlation from which on a tile is the artwork's: pictures of the fixture and of rendered stages have 0.8 and more, other things half of this and less. */
-const ALIKE = 0.5;
-/** Standard deviation in grey levels, of the artwork, below which a tile is too plain to tell. */
-const PLAIN = 8;
-/** The share of a tile's samples that must lie on one surface. */
-const COVERED = 0.7;
-/** A third of the picture is hidden where this share of its tiles is, of at least so many. */
+/** Pixels below which a tile is unknown. */
+const MIN_PIXELS = 2;
+/** A third of the picture is hidden if this share of its known tiles is, of at least this many. */
 const MOSTLY = 0.7;
-const LEAST_TILES = 4;
+const MIN_TILES = 4;
 
 export const [UNKNOWN, SEEN, HIDDEN] = [0, 1, 2];
 
-/** The last look; null where there is none. */
+/** The last look; null while the stage is not measured. */
 export const tiles = signal(/** @type {Tiles | null} */ (null));
 
-/** @type {Artwork[] | null} */
-let artworks = null;
-/** Directions of the samples, x and y at z = 1, row by row. @type {Float32Array | null} */
-let rays = null;
-/** The session that they are of. @type {Scene | null} */
-let learnt = null;
 let lookedAt = 0;
-/** @type {OffscreenCanvas | null} */
-let small = null;
+const isDue = () => performance.now() - lookedAt >= LOOKS_EVERY;
+const isTracked = (/** @type {Head | null} */ of) => of?.record.state === "tracking" && of.record.pose !== null;
+/** Whether the next frame is to come with its pixels: without a measured pose there are none. */
+const wantsPixels = () => isDue() && isTracked(head.peek());
 
-/** A picture in grey, this wide. @param {ImageBitmap} picture @param {number} width @param {number} height @returns {Grey} */
-function greyOf(picture, width, height) {
-  if (small === null || small.width !== width || small.height !== height) small = new OffscreenCanvas(width, height);
-  const context = /** @type {OffscreenCanvasRenderingContext2D} */ (small.getContext("2d", { willReadFrequently: true }));
-  context.imageSmoothingQuality = "high";
-  context.drawImage(picture, 0, 0, width, height);
-  const { data } = context.getImageData(0, 0, width, height);
-  const grey = new Uint8ClampedArray(width * height);
-  for (let k = 0; k < grey.length; k += 1) grey[k] = 0.299 * data[4 * k] + 0.587 * data[4 * k + 1] + 0.114 * data[4 * k + 2];
-  return { width, height, grey };
-}
-
-/** What hangs on the flat surfaces. @param {Scene} of */
-async function fetchArtworks({ stage }) {
-  const flat = stage.surfaces.map((surface, k) => ({ surface, k })).filter(({ surface }) => !surface.mesh_m);
-  return Promise.all(
-    flat.map(async ({ surface, k }) => {
-      const answer = await fetch(`./api/v1/surfaces/${k}/picture`, { cache: "no-store" });
-      if (!answer.ok) throw new Error(`${answer.status}`);
-      const picture = await createImageBitmap(await answer.blob());
-      const scale = Math.min(1, LARGEST / Math.max(picture.width, picture.height));
-      const levels = Array.from({ length: LEVELS }, (_, level) => {
-        return greyOf(picture, ...(/** @type {[number, number]} */ ([picture.width, picture.height].map((side) => Math.max(1, Math.round((side * scale) / 2 ** level))))));
-      });
-      picture.close();
-      return { surface, levels };
-    }),
-  );
-}
-
-/** Learns a session's stage. @param {Scene | null} known */
-async function learn(known) {
-  learnt = known;
-  artworks = rays = tiles.value = null;
-  if (known === null) return;
-  try {
-    const found = await fetchArtworks(known);
-    if (learnt === known) artworks = found;
-  } catch {
-    // The daemon may still be reading them: the next look asks again.
-    if (learnt === known) learnt = null;
-  }
-}
-
-/** @param {Camera} camera */
-function raysOf(camera) {
-  const [columns, rows] = [ACROSS * SIDE, Math.round((ACROSS * SIDE * camera.height) / camera.width)];
-  const all = new Float32Array(2 * columns * rows);
-  for (let j = 0; j < rows; j += 1) {
-    for (let i = 0; i < columns; i += 1) {
-      const [x, y] = direction(camera, [((i + 0.5) / columns) * camera.width - 0.5, ((j + 0.5) / rows) * camera.height - 0.5]);
-      all.set([x, y], 2 * (j * columns + i));
+/**
+ * The majority of the pixels in each tile.
+ * @param {number[]} used columns and rows, alternating
+ * @param {number[]} covered likewise
+ * @param {number[]} size of the picture
+ * @returns {Tiles}
+ */
+export function tilesOf(used, covered, [width, height]) {
+  const side = width / ACROSS;
+  const down = Math.ceil(height / side);
+  const count = (/** @type {number[]} */ places) => {
+    const counts = new Uint16Array(ACROSS * down);
+    for (let k = 0; k + 1 < places.length; k += 2) {
+      const [column, row] = [places[k], places[k + 1]].map((px) => Math.floor((px + 0.5) / side));
+      // A pixel beyond the picture's edge belongs to no tile.
+      if (column < ACROSS && row < down) counts[row * ACROSS + column] += 1;
     }
-  }
-  return all;
+    return counts;
+  };
+  const [seen, hides] = [count(used), count(covered)];
+  const judged = Int8Array.from(seen, (own, k) => (own + hides[k] < MIN_PIXELS ? UNKNOWN : own >= hides[k] ? SEEN : HIDDEN));
+  return { across: ACROSS, down, tiles: judged };
 }
 
-/** How a camera sees a surface: where it stands in the surface's frame, and its axes there. @param {Pose} pose @param {Surface} surface */
-function seenFrom(pose, surface) {
-  const place = within(surface.pose, pose.position_m);
-  const [x, y, z, w] = surface.pose.orientation_xyzw;
-  const axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map((axis) => turn([-x, -y, -z, w], turn(pose.orientation_xyzw, axis)));
-  return { place, axes };
-}
-
-/** Where on which artwork each sample is: its number (-1 for none), and its place across and down, 0 to 1. @param {Pose} pose */
-function lookUp(pose) {
-  const views = /** @type {Artwork[]} */ (artworks).map(({ surface }) => ({ ...seenFrom(pose, surface), size: surface.size_m }));
-  const directions = /** @type {Float32Array} */ (rays);
-  const count = directions.length / 2;
-  const [which, u, v] = [new Int8Array(count).fill(-1), new Float32Array(count), new Float32Array(count)];
-  for (let k = 0; k < count; k += 1) {
-    const [x, y] = [directions[2 * k], directions[2 * k + 1]];
-    let nearest = Infinity;
-    views.forEach(({ place: [px, py, pz], axes: [a, b, c], size: [w, h] }, number) => {
-      const far = -pz / (x * a[2] + y * b[2] + c[2]);
-      // Before the camera, and from the front.
-      if (!(far > 0 && far < nearest && pz > 0)) return;
-      const [s, t] = [(px + far * (x * a[0] + y * b[0] + c[0])) / w + 0.5, 0.5 - (py + far * (x * a[1] + y * b[1] + c[1])) / h];
-      if (s < 0 || s > 1 || t < 0 || t > 1) return;
-      nearest = far;
-      which[k] = number;
-      u[k] = s;
-      v[k] = t;
-    });
-  }
-  return { which, u, v };
-}
-
-/** Grey at a place, between pixels. @param {Grey} of @param {number} u @param {number} v */
-function at({ width, height, grey }, u, v) {
-  const [x, y] = [Math.min(width - 1.001, Math.max(0, u * width - 0.5)), Math.min(height - 1.001, Math.max(0, v * height - 0.5))];
-  const [i, j] = [Math.floor(x), Math.floor(y)];
-  const [a, b, k, down] = [x - i, y - j, j * width + i, height > 1 ? width : 0];
-  return (1 - b) * ((1 - a) * grey[k] + a * grey[k + 1]) + b * ((1 - a) * grey[k + down] + a * grey[k + down + 1]);
-}
-
-/** Looks at a picture. @param {ImageBitmap} picture @param {Camera} by its lens @param {Pose} pose @returns {Tiles} */
-function look(picture, by, pose) {
-  const columns = ACROSS * SIDE;
-  rays ??= raysOf(by);
-  const rows = rays.length / 2 / columns;
-  const camera = greyOf(picture, columns, rows);
-  const { which, u, v } = lookUp(pose);
-  const down = Math.floor(rows / SIDE);
-  const found = new Int8Array(ACROSS * down);
-  for (let tile = 0; tile < found.length; tile += 1) {
-    const first = Math.floor(tile / ACROSS) * SIDE * columns + (tile % ACROSS) * SIDE;
-    const samples = Array.from({ length: SIDE * SIDE }, (_, k) => first + Math.floor(k / SIDE) * columns + (k % SIDE));
-    found[tile] = judged(samples, camera, which, u, v);
-  }
-  return { across: ACROSS, down, tiles: found };
-}
-
-/** @param {number[]} samples @param {Grey} camera @param {Int8Array} which @param {Float32Array} u @param {Float32Array} v */
-function judged(samples, camera, which, u, v) {
-  const number = which[samples[samples.length / 2 + SIDE / 2]];
-  const own = samples.filter((k) => which[k] === number);
-  if (number < 0 || own.length < COVERED * samples.length) return UNKNOWN;
-  const { levels } = /** @type {Artwork[]} */ (artworks)[number];
-  // The level of which a pixel is as large as a sample.
-  const [from, to] = [own[0], own[own.length - 1]];
-  const step = Math.hypot((u[to] - u[from]) * levels[0].width, (v[to] - v[from]) * levels[0].height) / (SIDE * Math.SQRT2);
-  const level = levels[Math.min(LEVELS - 1, Math.max(0, Math.round(Math.log2(Math.max(step, 1e-6)))))];
-  let [n, a, b, aa, bb, ab] = [own.length, 0, 0, 0, 0, 0];
-  for (const k of own) {
-    const [x, y] = [camera.grey[k], at(level, u[k], v[k])];
-    a += x;
-    b += y;
-    aa += x * x;
-    bb += y * y;
-    ab += x * y;
-  }
-  const [va, vb] = [aa / n - (a / n) ** 2, bb / n - (b / n) ** 2];
-  if (vb < PLAIN * PLAIN) return UNKNOWN;
-  return (ab / n - (a / n) * (b / n)) / Math.sqrt(Math.max(va, 1) * vb) >= ALIKE ? SEEN : HIDDEN;
-}
-
-/** The parts of the picture that are mostly hidden, as a sentence; empty where none is. @param {Tiles | null} of */
+/**
+ * The parts of the picture that are mostly hidden, as a sentence; empty if none is.
+ * @param {Tiles | null} of
+ */
 export function hiddenParts(of) {
   if (of === null) return "";
   const parts = ["left", "middle", "right"].map((name, third) => {
-    const own = [...of.tiles].filter((_, k) => Math.floor((3 * (k % of.across)) / of.across) === third && of.tiles[k] !== UNKNOWN);
-    return { name, isTold: own.length >= LEAST_TILES, isHidden: own.filter((tile) => tile === HIDDEN).length >= MOSTLY * own.length };
+    const own = [...of.tiles].filter((tile, k) => Math.floor((3 * (k % of.across)) / of.across) === third && tile !== UNKNOWN);
+    return { name, isKnown: own.length >= MIN_TILES, isHidden: own.filter((tile) => tile === HIDDEN).length >= MOSTLY * own.length };
   });
-  const told = parts.filter(({ isTold }) => isTold);
-  const names = told.filter(({ isHidden }) => isHidden).map(({ name }) => name);
+  const known = parts.filter(({ isKnown }) => isKnown);
+  const names = known.filter(({ isHidden }) => isHidden).map(({ name }) => name);
   if (names.length === 0) return "";
-  if (names.length === told.length && told.length > 1) return "Most of the stage is hidden.";
+  if (names.length === known.length && known.length > 1) return "Most of the stage is hidden.";
   return names.length === 1 ? `The ${names[0]} third is hidden.` : `The ${names[0]} and the ${names[1]} third are hidden.`;
 }
 
 const now = computed(() => hiddenParts(tiles.value));
-/** What the look before found: two must agree, for somebody who walks by is not worth a sentence. */
+/** The sentence of the last look. It is shown if two looks agree: not for someone who walks by. */
 let before = "";
 
-/** @param {ImageBitmap} picture @param {Head} said */
-function paint(picture, said) {
-  const { record } = said;
-  if (record.state !== "tracking" || !record.pose) {
+/** @param {ImageBitmap} _picture @param {Head} of */
+function paint(_picture, of) {
+  if (!isTracked(of)) {
     tiles.value = null;
     hidden.value = before = "";
     return;
   }
-  const time = performance.now();
-  if (time - lookedAt < LOOKS_EVERY) return;
-  lookedAt = time;
-  if (learnt !== scene.value) void learn(scene.value);
-  if (!artworks?.length || !scene.value) return;
-  tiles.value = look(picture, scene.value.camera, record.pose);
+  // The tracker had begun this frame when the pixels were requested: the next one has them.
+  if (!isDue() || !of.used) return;
+  lookedAt = performance.now();
+  // A daemon that does not report hidden pixels still reports where it sees the stage.
+  tiles.value = tilesOf(of.used, of.hidden ?? [], of.size);
   if (now.value === before) hidden.value = before;
   before = now.value;
 }
 
-/** A dot on each tile that shows the artwork, a cross on each that hides it. @param {CanvasRenderingContext2D} context @param {number} width
- * @param {(name: string) => string} colour */
+/**
+ * Draws a dot on each tile that is seen, a cross on each that is hidden.
+ * @param {CanvasRenderingContext2D} context
+ * @param {number} width
+ * @param {(name: string) => string} colour
+ */
 function mark(context, width, colour) {
   const found = tiles.value;
   if (!parted.value || found === null) return;
@@ -246,9 +121,10 @@ function mark(context, width, colour) {
   });
 }
 
-/** Looks from now on; what it returns ends it. */
+/** Looks from now on; returns what ends it. */
 export function watchSeen() {
   painters.add(paint);
+  pixelsWanted.add(wantsPixels);
   extraMarks.add(mark);
   const stop = effect(() => {
     void [parted.value, tiles.value];
@@ -257,6 +133,7 @@ export function watchSeen() {
   return () => {
     stop();
     painters.delete(paint);
+    pixelsWanted.delete(wantsPixels);
     extraMarks.delete(mark);
     tiles.value = null;
     hidden.value = "";

@@ -47,6 +47,7 @@ export type Motion = {
 export type Head = {
   displaced?: number[];
   epoch: number;
+  hidden?: number[];
   mend: string | null;
   motion: Motion | null;
   reason: string | null;

@@ -77,16 +77,19 @@ function mark(context, width, colour) {
   restsOn.value = tiles.length === 0 ? "No tile is measured." : `Arrows enlarged ${scale.peek()} ×. Half of ${tiles.length} tiles lie within ${amount(quantile(lengths, 0.5), 2, "px")}.`;
 }
 
+/** Every frame comes with its pixels. */
+const always = () => true;
+
 /** Asks for them and draws them from now on; what it returns ends it. */
 export function watchUsed() {
-  pixelsWanted.value = true;
+  pixelsWanted.add(always);
   extraMarks.add(mark);
   const stop = effect(() => {
     void theme.value;
     drawAgain();
   });
   return () => {
-    pixelsWanted.value = false;
+    pixelsWanted.delete(always);
     extraMarks.delete(mark);
     restsOn.value = "";
     stop();
