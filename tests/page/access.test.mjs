@@ -1,4 +1,5 @@
-// Who may change something: the show lock, and a browser on another machine that is paired by a code. See page.test.mjs for what is needed.
+// Who may change something: the show lock, and pairing a browser on another machine by a code.
+// Requirements: page.test.mjs.
 import assert from "node:assert/strict";
 import { readFileSync, writeFileSync } from "node:fs";
 import { networkInterfaces } from "node:os";

@@ -44,7 +44,7 @@ export async function answers(address) {
   }
 }
 
-/** Answers for a file of the page with that of PAGE_DIR, under the headers that the program sends. */
+/** Serves a file of the page from PAGE_DIR, with the headers that the program sends. */
 async function fromFiles(route, address) {
   const { pathname } = new URL(route.request().url());
   if (pathname.startsWith("/api/")) return route.continue();
@@ -57,7 +57,10 @@ async function fromFiles(route, address) {
   return route.fulfill({ body: readFileSync(join(files, file)), headers: { "content-type": type, "content-security-policy": policy } });
 }
 
-/** A page that says that the stage is tracked; what it complains of is collected. `view` is the part of its address after the hash. */
+/**
+ * Opens a page and waits for its state; collects its errors and warnings. `view` is the part of its
+ * address after the hash.
+ */
 export async function pageOf(browser, address, { view = "live", state = "Tracking", ...options } = {}) {
   const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, bypassCSP: false, ...options });
   if (files) await context.route("**/*", (route) => fromFiles(route, address));
@@ -78,8 +81,10 @@ export async function pageOf(browser, address, { view = "live", state = "Trackin
   return { page, complaints, asked, close: () => context.close() };
 }
 
-/** Pictures of a view in every theme and width, each of which must fit, be accessible, and have no light but amber in the theme that is so.
- * The page needs `bypassCSP`: the judge is a script of its own. */
+/**
+ * Takes a picture of a view in every theme and width. Each must fit and be accessible; the stage
+ * theme must have no light but amber. The page needs `bypassCSP`: the judge is a script of its own.
+ */
 export async function looksWell(browser, page, name) {
   for (const theme of THEMES) {
     await page.getByLabel(theme, { exact: true }).check({ force: true });
@@ -102,7 +107,10 @@ export async function says(page, state) {
   await page.locator("header .state", { hasText: state }).waitFor({ timeout: PATIENCE });
 }
 
-/** Stops the picture at a frame that has a pose: where the clip turns round, or on a busy machine, one may have none. */
+/**
+ * Freezes the picture at a frame with a pose: where the clip turns round, or on a busy machine, one
+ * may have none.
+ */
 export async function freeze(page) {
   const button = page.getByRole("button", { name: "Freeze", exact: true });
   for (;;) {
@@ -115,8 +123,13 @@ export async function freeze(page) {
   }
 }
 
-/** What is asked for, as soon as it is as it shall be; what it was last where it never is. @template T @param {() => Promise<T>} asked
- * @param {(found: T) => boolean} isRight @returns {Promise<T>} */
+/**
+ * Repeats a question until the answer is right; returns the last answer.
+ * @template T
+ * @param {() => Promise<T>} asked
+ * @param {(found: T) => boolean} isRight
+ * @returns {Promise<T>}
+ */
 export async function until(asked, isRight) {
   for (const begun = Date.now(); ; ) {
     const found = await asked();
@@ -125,7 +138,7 @@ export async function until(asked, isRight) {
   }
 }
 
-/** The share of a picture's pixels that a condition holds for; the picture is a PNG, the condition an expression of r, g and b. */
+/** The share of a PNG's pixels for which a condition holds, an expression of r, g and b. */
 export async function share(browser, png, condition) {
   const page = await browser.newPage();
   const counted = await page.evaluate(

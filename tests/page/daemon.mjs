@@ -15,8 +15,13 @@ const TIMES = 300;
 /** The same for a clip of which little is seen: a minute and more. */
 const FEW_TIMES = 40;
 
-/** A browser and a daemon for the tests of a file, from before the first until after the last. @param {string} name of the folder
- * @param {(folder: string, browser: any) => Promise<any>} made what the daemon plays @param {string} [clip] @param {string[]} [more] arguments */
+/**
+ * A browser and a daemon for the tests of a file.
+ * @param {string} name of the folder
+ * @param {(folder: string, browser: any) => Promise<any>} made what the daemon plays
+ * @param {string} [clip]
+ * @param {string[]} [more] arguments
+ */
 export function played(name, made = prepare, clip = undefined, more = undefined) {
   const found = /** @type {any} */ ({});
   before(async () => {
@@ -42,7 +47,12 @@ function freePort() {
   });
 }
 
-/** A round as `long.mjpeg`, so many times: a gigabyte, of which all folders share one. @param {string} folder @param {Buffer} round @param {number} times */
+/**
+ * Writes a round `times` times as `long.mjpeg`: a gigabyte, which all folders share.
+ * @param {string} folder
+ * @param {Buffer} round
+ * @param {number} times
+ */
 function putLong(folder, round, times) {
   const made = join(out, `long-${createHash("sha256").update(round).digest("hex").slice(0, 16)}-${times}.mjpeg`);
   if (!existsSync(made)) {
@@ -62,7 +72,10 @@ function toAndFro() {
   return Buffer.concat([...frames, ...frames.slice(1, -1).reverse()]);
 }
 
-/** The config and the clip, in `folder`; one that is there already is written anew. @param {string} folder */
+/**
+ * Writes the config and the clip to `folder`; an existing one is replaced.
+ * @param {string} folder
+ */
 export async function prepare(folder) {
   mkdirSync(folder, { recursive: true });
   // No set of former tests, no lock.
@@ -75,8 +88,11 @@ export async function prepare(folder) {
   return { folder, address: `http://127.0.0.1:${port}/` };
 }
 
-/** The fixture to and fro with the left third of its pictures hidden by a mottled cloth. @param {string} folder
- * @param {import("playwright-core").Browser} browser */
+/**
+ * Like `prepare`, with the left third of the pictures hidden by a mottled cloth.
+ * @param {string} folder
+ * @param {import("playwright-core").Browser} browser
+ */
 export async function prepareCovered(folder, browser) {
   const { address } = await prepare(folder);
   const names = readdirSync(join(FIXTURE, "frames")).sort();
@@ -116,8 +132,12 @@ const ROUND = 78;
 /** A show's rounds: far longer than the tests take. */
 const ROUNDS = 250;
 
-/** The fixture to and fro, then a second of darkness, over and over; with a recorder that keeps the last seconds, and outputs.
- * @param {string} folder @param {import("playwright-core").Browser} browser */
+/**
+ * The fixture to and fro, then a second of darkness, repeated; with outputs, and a recorder that
+ * keeps the last seconds.
+ * @param {string} folder
+ * @param {import("playwright-core").Browser} browser
+ */
 export async function prepareShow(folder, browser) {
   rmSync(folder, { recursive: true, force: true });
   const { address } = await prepare(folder);
@@ -136,17 +156,21 @@ export async function prepareShow(folder, browser) {
   return { folder, address, round: ROUND + DARK };
 }
 
-/** Where a daemon of this folder keeps who is paired, and its lock: no other's. @param {string} folder */
+/** Where the daemon of this folder keeps its pairings and its lock. @param {string} folder */
 const stateOf = (folder) => join(folder, "state");
 
-/** The code that the program prints for who stands at this machine. @param {{folder: string, address: string}} place */
+/** The pairing code that the program prints. @param {{folder: string, address: string}} place */
 export function code({ folder, address }) {
   const told = spawnSync(program, ["pair", "--port", new URL(address).port, "--state", join(stateOf(folder), "stagepose")], { encoding: "utf8" });
   return /\b\d{4}\s?\d{4}\b/.exec(told.stdout)?.[0] ?? `${told.stdout}${told.stderr}`;
 }
 
-/** Starts it; waits for nothing. @param {string} folder @param {string | null} [clip] none is the config's camera
- * @param {string[]} [more] arguments */
+/**
+ * Starts the daemon without waiting for it.
+ * @param {string} folder
+ * @param {string | null} [clip] none is the config's camera
+ * @param {string[]} [more] arguments
+ */
 export function start(folder, clip = "long.mjpeg", more = ["--log", "error"]) {
   const daemon = spawn(program, ["run", "--config", "stage.toml", ...(clip === null ? [] : ["--play", clip]), ...more], { cwd: folder, env: { ...process.env, XDG_STATE_HOME: stateOf(folder) }, stdio: ["ignore", "ignore", more.includes("error") ? "inherit" : "ignore"] });
   const ended = new Promise((done) => daemon.once("exit", done));
@@ -167,7 +191,11 @@ export function start(folder, clip = "long.mjpeg", more = ["--log", "error"]) {
   };
 }
 
-/** A rendered clip with its config, played over and over, as links in `folder`. @param {string} folder @param {string} clip */
+/**
+ * A rendered clip with its config, repeated, as links in `folder`.
+ * @param {string} folder
+ * @param {string} clip
+ */
 export async function prepareClip(folder, clip) {
   rmSync(folder, { recursive: true, force: true });
   mkdirSync(join(folder, "clip/frames"), { recursive: true });
@@ -193,14 +221,21 @@ const BITS = 9;
 const SQUARE = 16;
 /** Seconds that the page is watched with numbered pictures. */
 export const SOAK_S = Number(process.env.PAGE_SOAK_S ?? 120);
-/** Numbered pictures: five times to and fro, 13 s at the fixture's rate; and how often they are played: far longer than they are watched. */
+/**
+ * Numbered pictures: five times to and fro, 13 s at the fixture's rate; and how often they are
+ * played: far longer than the tests take.
+ */
 const NUMBERED = 390;
 const PLAYED = Math.ceil((SOAK_S + 600) / 13);
 /** Numbered pictures a second: the fixture's. */
 const RATE = 30;
 
-/** The fixture to and fro, each picture with its row's number as squares along its lower edge, the highest bit first; drawn by the browser.
- * After so many the numbers begin anew. @param {string} folder @param {import("playwright-core").Browser} browser */
+/**
+ * The fixture to and fro, each picture with its row's number as squares along its lower edge, the
+ * highest bit first; drawn by the browser. After NUMBERED rows the numbers restart.
+ * @param {string} folder
+ * @param {import("playwright-core").Browser} browser
+ */
 export async function prepareNumbered(folder, browser) {
   const { address } = await prepare(folder);
   rmSync(join(folder, "clip"), { recursive: true, force: true });

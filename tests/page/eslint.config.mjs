@@ -1,6 +1,7 @@
 // The linter's rules for the page and for its tests; lint.test.mjs runs it. By hand, from the
 // repository's root, with the packages in target/page:
-//   target/page/node_modules/.bin/eslint --config tests/page/eslint.config.mjs src/web/page tests/page
+//   target/page/node_modules/.bin/eslint --config tests/page/eslint.config.mjs \
+//       src/web/page tests/page
 import { createRequire } from "node:module";
 import { resolve } from "node:path";
 
@@ -10,8 +11,10 @@ const globals = packages("globals");
 const tslint = packages("typescript-eslint");
 const ts = packages("typescript");
 
-/** Refuses the type `any` where it is written, in comments too. The rules of `recommendedTypeChecked`
- * refuse to use what has it from elsewhere. */
+/**
+ * Refuses the type `any` where it is written, in comments too. The rules of
+ * `recommendedTypeChecked` refuse to use what has it from elsewhere.
+ */
 const noAny = {
   meta: { type: "problem", schema: [], messages: { any: "`any` switches the compiler off: say what it is, or `unknown`." } },
   create(context) {

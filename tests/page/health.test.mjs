@@ -1,4 +1,5 @@
-// The Health view: how each part is, what the outputs send, the log, diagnostics, backup and restore. See page.test.mjs for what is needed.
+// The Health view: the parts, what the outputs send, the log, diagnostics, backup and restore.
+// Requirements: page.test.mjs.
 import assert from "node:assert/strict";
 import { readFileSync, writeFileSync } from "node:fs";
 import { join } from "node:path";

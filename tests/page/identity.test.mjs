@@ -1,6 +1,8 @@
-// Whether the page shows the record of the very picture that it shows, and the newest there is however slow it is, for as long as it is open: each picture of the played
-// clip carries its number as a row of black and white squares, which the browser reads back from what it drew.
-//   PAGE_SOAK_S=3600 node --test --test-name-pattern="each shown picture" tests/page/identity.test.mjs    # for an hour
+// Checks that the page shows each picture with its own record, and always the newest, however slow
+// it is and however long it is open. Each picture of the clip carries its number as black and white
+// squares, which the browser reads back from what it drew. For an hour:
+//   PAGE_SOAK_S=3600 node --test --test-name-pattern="each shown picture" \
+//       tests/page/identity.test.mjs
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
@@ -8,7 +10,10 @@ import { test } from "node:test";
 import { pageOf } from "./browser.mjs";
 import { SOAK_S, played, prepareNumbered } from "./daemon.mjs";
 
-/** Frames that are shown and compared while the browser is slowed down, and seconds after which fewer are enough: a busy machine shows few. */
+/**
+ * Frames to compare while the browser is slowed down, and seconds after which fewer are enough: a
+ * busy machine shows few.
+ */
 const COMPARED = 1000;
 const LONG_ENOUGH_S = 150;
 /** How much the browser is slowed down. */
@@ -23,11 +28,14 @@ const GROWS = 10e6;
 
 const on = played("run-numbered", prepareNumbered, "clip", ["--log", "error", "--poses", "poses.jsonl"]);
 
-/** Nanoseconds to add to a stamp of the monotonic clock for milliseconds of this machine's calendar. */
+/** Nanoseconds to add to a monotonic stamp to get the machine's calendar time. */
 const clocks = () => Date.now() - Number(process.hrtime.bigint()) / 1e6;
 const quantile = (values, share) => [...values].sort((a, b) => a - b)[Math.floor(share * (values.length - 1))];
 
-/** From now on the page reads the number of each picture that it draws; `taken` gives those since the last time. */
+/**
+ * Makes the page read the number of each picture that it draws; `taken` returns those since the
+ * last call.
+ */
 function watched(page) {
   return page.evaluate(
     async ([bits, square]) => {
@@ -83,7 +91,7 @@ test("each shown picture is that of its record, also where the browser is slow, 
     }
     assert.ok(since() < SOAK_S + 420, `only ${found.length} pictures were shown`);
   }
-  // A record's stamp tells the picture that it is of, whatever the daemon has passed over: they come at one rate.
+  // A record's stamp determines its picture, whatever the daemon skipped: the rate is constant.
   const [first] = found;
   const expected = ({ timestamp_ns }) => (first.number + Math.round(((timestamp_ns - first.timestamp_ns) * on.place.rate) / 1e9)) % on.place.numbers;
   assert.deepEqual(found.filter((one) => one.number !== expected(one)), []);
@@ -136,7 +144,7 @@ test("a page that draws five a second sees new pictures, not ever older ones, an
   const passed = found.at(-1).sequence - found[0].sequence;
   const [first, last] = [before, on.daemon.memory()].map((bytes) => (bytes / 1e6).toFixed(1));
   console.log(`${found.length} pictures drawn in ${((found.at(-1).at - found[0].at) / 1000).toFixed(0)} s while ${passed} came; age median ${quantile(ages, 0.5).toFixed(0)} ms, at most ${quantile(ages, 1).toFixed(0)} ms, the last are ${grown.toFixed(0)} ms older than the first; the daemon has ${first} MB, then ${last} MB`);
-  // Most were passed over; had they been queued, the last would be older by nearly all the time that the others took.
+  // Most were skipped. Had they been queued, the last would be older by nearly the whole time.
   assert.ok(passed > 2 * found.length, `${passed}`);
   assert.ok(grown < (found.at(-1).at - found[0].at) / 4, `${grown}`);
   assert.ok(on.daemon.memory() - before < 16e6, `${first} MB, then ${last} MB`);

@@ -8,12 +8,12 @@ import { test } from "node:test";
 const { ESLint } = createRequire(resolve("target/page/package.json"))("eslint");
 const linter = new ESLint({ overrideConfigFile: "tests/page/eslint.config.mjs" });
 
-const told = (results) => results.flatMap(({ filePath, messages }) => messages.map(({ line, column, ruleId, message }) => `${filePath}:${line}:${column} ${message} (${ruleId})`));
+const reported = (results) => results.flatMap(({ filePath, messages }) => messages.map(({ line, column, ruleId, message }) => `${filePath}:${line}:${column} ${message} (${ruleId})`));
 
 test("the linter finds nothing in the page, nor in its tests", async () => {
   const results = await linter.lintFiles(["src/web/page", "tests/page"]);
   assert.ok(results.length > 40, `${results.length} files`);
-  assert.deepEqual(told(results), []);
+  assert.deepEqual(reported(results), []);
 });
 
 test("the linter sees `any` in a comment, where it comes from elsewhere, and a promise that nobody waits for", async () => {

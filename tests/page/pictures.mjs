@@ -1,5 +1,6 @@
 #!/usr/bin/env node
-// Makes the pictures of the page for the documents: every view in every colours, docs/page-VIEW-COLOURS.jpg, each of at most 60 kB. They are to be looked at.
+// Makes the pictures of the page for the documents: every view in every theme,
+// docs/page-VIEW-COLOURS.jpg, each of at most 60 kB. Look at them before a commit.
 //   STAGEPOSE=target/release/stagepose PAGE_OUT=target/page tests/page/pictures.mjs
 import { linkSync, readFileSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
@@ -20,7 +21,10 @@ const daemons = [still, place].map(({ folder }) => start(folder, "long.mjpeg", [
 const wish = (path, content) => fetch(`${place.address}api/v1/${path}`, { method: "POST", ...(content ? { body: JSON.stringify(content) } : {}) });
 const list = async () => (await fetch(`${place.address}api/v1/recordings`)).json();
 
-/** What each view is to show. @type {Record<string, (page: import("playwright-core").Page) => Promise<unknown>>} */
+/**
+ * What each view is to show.
+ * @type {Record<string, (page: import("playwright-core").Page) => Promise<unknown>>}
+ */
 const VIEWS = {
   async live(page) {
     await page.getByRole("button", { name: "Residuals" }).click();
@@ -75,7 +79,8 @@ try {
     // On a machine that is busy, a browser without a graphics card draws seldom.
     page.setDefaultTimeout(5 * PATIENCE);
     await prepared(page);
-    // A browser without a graphics card paints no pictures beside those that come. What says so is not what the page looks like.
+    // Without a graphics card a screenshot is not painted while frames come: freeze the picture,
+    // and hide the caption that says so.
     if (await page.getByRole("button", { name: "Freeze", exact: true }).count()) {
       await freeze(page);
       // A frame whose residuals are known.

@@ -1,4 +1,4 @@
-// The Recordings view: recording, marking, looking for losses, playing. See page.test.mjs for what is needed.
+// The Recordings view: recording, marking, finding losses, playing. Requirements: page.test.mjs.
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
@@ -133,7 +133,7 @@ test("a recording plays at its own pace, slower and faster, to its end", async (
   const { page, complaints, close } = await opened();
   await choose(page);
   const stamps = (await records()).map(({ timestamp_ns }, _, all) => (timestamp_ns - all[0].timestamp_ns) / 1e6);
-  // A browser that is starved paints seldom: here its clock is the test's, a tenth of a second a tick.
+  // A starved browser paints seldom: here the test drives its clock, a tenth of a second per tick.
   await page.evaluate(() => {
     let [waiting, now, count] = [new Map(), 0, 0];
     globalThis.requestAnimationFrame = (act) => waiting.set((count += 1), act) && count;
@@ -197,7 +197,8 @@ test("a recording is tracked again with today's config and compared with what wa
   await table.waitFor({ timeout: 4 * PATIENCE });
   assert.equal(await page.locator(".retracking progress").count(), 0);
   await page.locator(".timeline.today canvas").waitFor();
-  // The numbers are those of the records: recorded by the page's own look at them, today's from what the daemon wrote.
+  // The numbers are those of the records: the recorded ones as the page reads them, today's from
+  // the daemon's files.
   const { recordings } = await list();
   const { id } = recordings.at(-1);
   const text = await (await fetch(`${on.place.address}api/v1/recordings/${id}/retracked/poses?from=0&count=5000`)).text();

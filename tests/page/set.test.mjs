@@ -1,5 +1,6 @@
-// The Set view in a true browser: how exactly the set lies in the camera's picture, and how it is put there. See page.test.mjs for what is needed.
-// Rendered clips with exact truth are tried where they are: STAGEPOSE_CLIPS (default target/clips) has what benches/clips.py makes.
+// The Set view in a real browser: how exactly the set lies in the camera's picture, and how it is
+// placed. Requirements: page.test.mjs. It also tests rendered clips with exact truth if they exist:
+// STAGEPOSE_CLIPS (default target/clips) has what benches/clips.py makes.
 import assert from "node:assert/strict";
 import { existsSync } from "node:fs";
 import { join, resolve } from "node:path";
@@ -20,15 +21,22 @@ async function opened(options = {}) {
 
 /** Which way the fixture's camera goes. */
 const FORWARDS = [0.79, 0.53, 0.32];
-/** Metres from frame to frame: slower, the fixture's frame before is hardly another view (at its fastest it makes 0.02); faster goes no camera on a stage, but a clip
- * that begins anew. */
+/**
+ * Minimum and maximum metres between frames. Slower, the previous frame is almost the same view
+ * (the fixture's maximum is 0.02); faster is only a clip that restarts.
+ */
 const [SLOWEST, FASTEST] = [0.01, 0.1];
 
 const median = (values) => values.toSorted((a, b) => a - b)[Math.floor(values.length / 2)];
 
-/** The medians and nine-of-ten of the tiles' shifts in some frames, by their own pose and by that of the frame before.
- * @param {import("playwright-core").Page} page @param {number} count frames @param {number[] | null} along the way of the camera, where the
- * clip is played to and fro: backwards it has a shutter that runs upwards, which no camera has */
+/**
+ * Medians and 90th percentiles of the tiles' shifts in some frames, by their own pose and by that
+ * of the previous frame.
+ * @param {import("playwright-core").Page} page
+ * @param {number} count frames
+ * @param {number[] | null} direction of the camera, if the clip is played to and fro: backwards its
+ *   shutter would run upwards, which no camera has
+ */
 async function alignments(page, count, along) {
   const found = await page.evaluate(
     async ([count, along, slowest, fastest]) => {
@@ -53,7 +61,8 @@ async function alignments(page, count, along) {
           if (last.some((one) => one?.state !== "tracking") || last.some((one, k) => k > 0 && !goesOn(last[k - 1], one))) return;
           const before = last[2];
           const [own, late] = [measure(record, motion), measure(before, motion)];
-          // A camera that is shaken may be so far on that no tile is found by the frame before, and which frames are painted is chance: such a one tells nothing of the others.
+          // A shaken camera may be too far on for the previous pose to find a tile, and which
+          // frames are painted is chance: such a frame is skipped.
           if (along === null && own.tiles > 0 && late.tiles === 0) return;
           measured.push({ sequence: record.sequence, own, late });
           if (measured.length === count) {
@@ -69,7 +78,7 @@ async function alignments(page, count, along) {
     },
     [count, along, SLOWEST, FASTEST],
   );
-  // Where no tile is found again, the set lies nowhere near; no figure would leave the values without an order.
+  // If no tile is found, the set is far off: count that as infinitely far, to keep the order.
   const of = (key, which) => median(found.map((one) => one[which][key] ?? Infinity));
   return { median: of("median", "own"), most: of("most", "own"), tiles: of("tiles", "own"), late: of("median", "late") };
 }
@@ -278,7 +287,7 @@ test("the first view is small, and the set not large", { skip: files ? "the prog
     const client = await context.newCDPSession(page);
     await client.send("Network.enable");
     const [files, bytes] = [new Map(), new Map()];
-    // What is loaded some seconds after the page stands is no part of the first view, however long that takes to stand.
+    // What is loaded some seconds later is not part of the first view, however long that takes.
     client.on("Network.requestWillBeSent", ({ requestId, request }) => files.set(requestId, new URL(request.url).pathname));
     client.on("Network.loadingFinished", ({ requestId, encodedDataLength }) => files.get(requestId) !== "/seen.js" && bytes.set(files.get(requestId), encodedDataLength));
     await page.goto(`${on.place.address}#${view}`);

@@ -1,6 +1,7 @@
 // A reporter for node's test runner that counts the tests that did not run, and says which and why:
 // a summary says only how many.
-//   node --test --test-reporter=spec --test-reporter-destination=stdout --test-reporter=./tests/page/skipped.mjs --test-reporter-destination=stderr …
+//   node --test --test-reporter=spec --test-reporter-destination=stdout \
+//       --test-reporter=./tests/page/skipped.mjs --test-reporter-destination=stderr …
 
 /** What the runner says of tests that nobody asked for. */
 const NOT_ASKED_FOR = "test name does not match pattern";

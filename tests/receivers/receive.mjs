@@ -1,4 +1,5 @@
-// Decodes PSN and OSC with libraries from npm and prints one JSON line a packet: node receive.mjs OSC_PORT PSN_PORT
+// Decodes PSN and OSC with libraries from npm and prints one JSON line a packet: node receive.mjs
+// OSC_PORT PSN_PORT
 import dgram from 'node:dgram';
 import { createRequire } from 'node:module';
 import { resolve } from 'node:path';

@@ -337,7 +337,8 @@ fn events() -> Vec<Value> {
 fn declared() -> String {
     let all = answers();
     let mut to = Declarations { words: Vec::new(), names: BTreeMap::new(), text: String::new() };
-    to.text += "// What the program sends, as types. Made from its own answers by `STAGEPOSE_REMAKE=1 cargo test --lib types_tests`: do not change it by hand.\n\n";
+    to.text += "// What the program sends, as types. Made from its own answers, do not change it by hand:\n";
+    to.text += "// `STAGEPOSE_REMAKE=1 cargo test --lib types_tests`.\n\n";
     to.add_words(
         "State",
         ["state", ""],

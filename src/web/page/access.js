@@ -72,7 +72,7 @@ async function turn(which) {
   await look();
 }
 
-/** The show lock in the bar: pressed, it locks; held for a second, it unlocks. By key as by hand. */
+/** The show lock in the bar: a press locks, holding it for a second unlocks, by mouse or by key. */
 export function Lock() {
   const timer = useRef(/** @type {ReturnType<typeof setTimeout> | undefined} */ (undefined));
   const [isHeld, setHeld] = useState(false);
@@ -119,12 +119,18 @@ export function Barred() {
   </p>`;
 }
 
-/** A button that changes something. @param {{act: () => void, children: unknown, off?: boolean}} props */
+/**
+ * A button that changes something.
+ * @param {{act: () => void, children: unknown, off?: boolean}} props
+ */
 export function Change({ act, children, off = false }) {
   return html`<button type="button" disabled=${off || barred.value !== null} onClick=${act}>${children}</button>`;
 }
 
-/** A file of the daemon's, which only a paired browser gets. @param {{path: string, name?: string, children: unknown}} props */
+/**
+ * A link to a file of the daemon; only a paired browser gets it.
+ * @param {{path: string, name?: string, children: unknown}} props
+ */
 export function Download({ path, name, children }) {
   if (session.value?.needs_pairing) return html`<button type="button" aria-label=${name} onClick=${() => (isPairing.value = true)}>${children}</button>`;
   return html`<a class="button" href=${`./api/v1/${path}`} download aria-label=${name}>${children}</a>`;

@@ -17,7 +17,10 @@ import { html } from "./ui.js";
 
 const keysShown = signal(false);
 
-/** Views that are loaded when they are first asked for: most people never do. @type {Record<string, () => Promise<ComponentType>>} */
+/**
+ * Views that are loaded when they are first opened: most people open few.
+ * @type {Record<string, () => Promise<ComponentType>>}
+ */
 const LATER = {
   set: () => import("./setpage.js").then(({ SetPage }) => SetPage),
   recordings: () => import("./recordings.js").then(({ Recordings }) => Recordings),

@@ -1,6 +1,8 @@
 // Questions to the daemon, and changes, with its answer as a sentence where it refuses.
 
-/** @import { Finding, Output, Part, RecordingList, Retracked, Session, Timeline } from "./types.js" */
+/**
+ * @import { Finding, Output, Part, RecordingList, Retracked, Session, Timeline } from "./types.js"
+ */
 
 /**
  * What the daemon answers with where it is asked for JSON, by the path.
@@ -26,10 +28,17 @@ export class Refused extends Error {
   }
 }
 
-/** Who wants to know of refusals, and whether it was a change that was refused. @type {Set<(status: number, isChange: boolean) => void>} */
+/**
+ * Listeners for refused requests; `isChange`: whether it was a change.
+ * @type {Set<(status: number, isChange: boolean) => void>}
+ */
 export const whenRefused = new Set();
 
-/** Words of the daemon as a sentence: they begin small, and end without a full stop. A name that comes first stays as it is. @param {string} words */
+/**
+ * Makes a sentence of the daemon's words, which begin with a small letter and end without a full
+ * stop. A leading name is not capitalised.
+ * @param {string} words
+ */
 export function sentence(words) {
   const text = words.trim();
   const begun = /^[a-z]+([ ,;:]|$)/.test(text) ? `${text[0].toUpperCase()}${text.slice(1)}` : text;
@@ -52,7 +61,7 @@ export async function ask(path, how = {}) {
     throw new Refused(0, "stagepose does not answer. Check that it runs.");
   }
   if (answer.ok) return answer;
-  for (const told of whenRefused) told(answer.status, how.method !== undefined);
+  for (const listener of whenRefused) listener(answer.status, how.method !== undefined);
   throw new Refused(answer.status, await refusal(answer));
 }
 
@@ -72,28 +81,53 @@ export function parsed(text) {
   return JSON.parse(text);
 }
 
-/** An answer's content, of which the caller knows what it is. @template T @param {Response} answer @returns {Promise<T>} */
+/**
+ * An answer's content; the caller knows its type.
+ * @template T
+ * @param {Response} answer
+ * @returns {Promise<T>}
+ */
 export async function content(answer) {
   return /** @type {T} */ (parsed(await answer.text()));
 }
 
-/** Lines of JSON, one a row. @param {string} path @param {AbortSignal} [signal] @returns {Promise<unknown[]>} */
+/**
+ * Lines of JSON, one per row.
+ * @param {string} path
+ * @param {AbortSignal} [signal]
+ * @returns {Promise<unknown[]>}
+ */
 export async function lines(path, signal) {
   const text = await (await ask(path, { signal })).text();
   return text.split("\n").filter((line) => line !== "").map(parsed);
 }
 
-/** The answer as JSON. @template {keyof Answers} P @param {P} path @param {AbortSignal} [signal] @returns {Promise<Answers[P]>} */
+/**
+ * The answer as JSON.
+ * @template {keyof Answers} P
+ * @param {P} path
+ * @param {AbortSignal} [signal]
+ * @returns {Promise<Answers[P]>}
+ */
 export async function read(path, signal) {
   return content(await ask(path, { signal }));
 }
 
-/** A change. @param {string} path @param {unknown} [sent] goes as JSON, or as it is where it is bytes */
+/**
+ * Requests a change.
+ * @param {string} path
+ * @param {unknown} [sent] as JSON; bytes are sent unchanged
+ */
 export function post(path, sent) {
   return send("POST", path, sent);
 }
 
-/** @param {"POST" | "PUT" | "DELETE"} method @param {string} path @param {unknown} [sent] @param {Record<string, string>} [headers] */
+/**
+ * @param {"POST" | "PUT" | "DELETE"} method
+ * @param {string} path
+ * @param {unknown} [sent]
+ * @param {Record<string, string>} [headers]
+ */
 export function send(method, path, sent, headers = {}) {
   const isBytes = sent instanceof Blob;
   const type = isBytes ? sent.type : "application/json";

@@ -11,8 +11,11 @@ const CONFIG = "stage.toml";
 const SHOWN = 40;
 
 /** @import { Finding } from "./types.js" */
-/** @typedef {{file: File, replaces: string[], adds: string[], findings: Finding[], goes: string[], comes: string[], isKnown: boolean}} Plan what a restore would do;
- *   `isKnown`: the config of now could be read */
+/**
+ * @typedef {{file: File, replaces: string[], adds: string[], findings: Finding[], goes: string[],
+ *   comes: string[], isKnown: boolean}} Plan what a restore would do; `isKnown`: the current config
+ *   could be read
+ */
 
 const plan = signal(/** @type {Plan | null} */ (null));
 const said = signal("");

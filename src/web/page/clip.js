@@ -4,14 +4,17 @@ import { ask, content, lines, parsed, read, reason } from "./ask.js";
 
 /** Columns of a timeline that are asked for: an hour at 30 frames a second has one a second. */
 const COLUMNS = 4000;
-/** Rows whose stamps are fetched at once, and milliseconds of a gap between two rows that are waited at most. */
+/** Rows whose stamps are fetched at once, and the maximum wait for a gap between two rows, ms. */
 const STAMPS = 400;
 const LONGEST_GAP = 2000;
 
 /** @import { Column, PoseRecord, Retracked, Timeline } from "./types.js" */
-/** @typedef {{id: string} & Timeline} Clip
- * @typedef {{row: number, record: PoseRecord | null, today: PoseRecord | null,
- *   size: [number, number] | null}} Shown a row without a picture has no size; `today` is its record by today's config, where that was tried */
+/**
+ * @typedef {{id: string} & Timeline} Clip
+ * @typedef {{row: number, record: PoseRecord | null, today: PoseRecord | null, size: [number,
+ *   number] | null}} Shown a row without a picture has no size; `today` is its record by today's
+ *   config, if it was tracked again
+ */
 
 /** The recording that is open. */
 export const clip = signal(/** @type {Clip | null} */ (null));
@@ -26,9 +29,12 @@ export const playing = signal(false);
 export const speed = signal(1);
 /** What is the matter with the recording, or with the shown row. */
 export const fault = signal("");
-/** That no loss was found where one was looked for; it stands until another row is wanted, whatever pictures come meanwhile. */
+/** The message that there is no loss in that direction; it stays until another row is wanted. */
 export const noLoss = signal("");
-/** Who draws a row's picture; null where the row has none. @type {Set<(picture: ImageBitmap | null, shown: Shown) => void>} */
+/**
+ * Functions that draw a row's picture; null if the row has none.
+ * @type {Set<(picture: ImageBitmap | null, shown: Shown) => void>}
+ */
 export const painters = new Set();
 
 /** Ends what was begun for the recording before. */
@@ -36,7 +42,10 @@ let open_ = new AbortController();
 let isFetching = false;
 /** The tick that comes next: there is one at most. */
 let ticking = 0;
-/** Stamps in milliseconds since the first, by the rows from a multiple of STAMPS on. @type {Map<number, number[] | null>} */
+/**
+ * Stamps in milliseconds since the first, in blocks of STAMPS rows.
+ * @type {Map<number, number[] | null>}
+ */
 const stamps = new Map();
 
 /** Opens a recording. @param {string} id */
@@ -67,7 +76,12 @@ export async function learnRetracked() {
   if (now !== null && shown.value === now && !own.aborted) shown.value = { ...now, today };
 }
 
-/** A row's record by today's config. @param {number} number @param {AbortSignal} own @returns {Promise<PoseRecord | null>} */
+/**
+ * A row's record by today's config.
+ * @param {number} number
+ * @param {AbortSignal} own
+ * @returns {Promise<PoseRecord | null>}
+ */
 async function recordToday(number, own) {
   if (clip.value === null || retracked.value === null) return null;
   const path = `recordings/${clip.value.id}/retracked/poses?from=${number}&count=1`;
@@ -94,7 +108,10 @@ export function go(to) {
   void fetchShown();
 }
 
-/** Fetches the wanted row and then, if another is wanted meanwhile, that one: a slow line shows fewer rows, never older ones. */
+/**
+ * Fetches the wanted row, then another if that is wanted by now: a slow network shows fewer rows,
+ * never older ones.
+ */
 async function fetchShown() {
   if (isFetching) return;
   isFetching = true;
@@ -114,7 +131,12 @@ async function fetchShown() {
   if (own.aborted && clip.value !== null) void fetchShown();
 }
 
-/** @param {string} id @param {number} number @param {AbortSignal} own @returns {Promise<{picture: ImageBitmap | null, said: Shown}>} */
+/**
+ * @param {string} id
+ * @param {number} number
+ * @param {AbortSignal} own
+ * @returns {Promise<{picture: ImageBitmap | null, said: Shown}>}
+ */
 async function frame(id, number, own) {
   try {
     const [answer, today] = await Promise.all([ask(`recordings/${id}/frame/${number}`, { signal: own }), recordToday(number, own)]);
@@ -181,7 +203,12 @@ export function togglePlaying() {
   ticking = requestAnimationFrame(tick);
 }
 
-/** The last row whose time has come. @param {number} from @param {number} at @param {(stamp: number) => void} set takes the time where it is not `at` */
+/**
+ * The last row whose time has come, played `from`.
+ * @param {number} from
+ * @param {number} at
+ * @param {(stamp: number) => void} set receives the time if it is not `at`
+ */
 function advanced(from, at, set) {
   const { frames } = /** @type {Clip} */ (clip.value);
   let now = from;
@@ -208,13 +235,21 @@ export function isLost({ states }) {
   return Object.keys(states).some((state) => state !== "tracking" && state !== "coasting");
 }
 
-/** The first column of the next loss, or of the one before. @param {Column[]} columns @param {number} from a row @param {1 | -1} way */
+/**
+ * The first column of the next or the previous loss.
+ * @param {Column[]} columns
+ * @param {number} from a row
+ * @param {1 | -1} way
+ */
 export function loss(columns, from, way) {
   const begins = columns.filter((column, k) => isLost(column) && (k === 0 || !isLost(columns[k - 1])));
   return way === 1 ? begins.find((column) => column.row > from) : begins.filter((column) => column.row + column.rows - 1 < from).at(-1);
 }
 
-/** Goes to the first row of the next loss, or of the one before; says whether there is one. @param {1 | -1} way */
+/**
+ * Goes to the first row of the next or the previous loss; returns whether there is one.
+ * @param {1 | -1} way
+ */
 export async function goToLoss(way) {
   if (clip.value === null) return;
   const { id, columns } = clip.value;

@@ -1,5 +1,6 @@
-// The set in the camera's picture, frame by frame: each picture is drawn with the pose of its own record. Once a second the stage's artwork is drawn
-// instead, unseen, and compared with the picture: how far apart they are is the alignment.
+// Draws the set in the camera's picture, each picture with the pose of its own record. Once a
+// second it draws the stage's artwork instead, off screen, and compares it with the picture: their
+// distance is the alignment.
 import { signal } from "./vendor/signals.js";
 import { frozen, head, painters, scene } from "./daemon.js";
 import { align, summary } from "./gl/align.js";
@@ -7,9 +8,12 @@ import { Compositor } from "./gl/compose.js";
 import { models } from "./models.js";
 import { set } from "./things.js";
 
-/** @import { Mode } from "./gl/compose.js"
+/**
+ * @import { Mode } from "./gl/compose.js"
  * @import { Head, Motion, PoseRecord, Scene } from "./types.js"
- * @typedef {{median: number | null, most: number | null, tiles: number, unlike: number, sequence: number}} Measured */
+ * @typedef {{median: number | null, most: number | null, tiles: number, unlike: number, sequence:
+ *   number}} Measured
+ */
 
 /** Milliseconds between two measurements, and tiles that one looks at: some 20 ms of work. */
 const MEASURES_EVERY = 1000;
@@ -36,7 +40,7 @@ let measuredAt = 0;
 /** The session that it is of. @type {Scene | null} */
 let known = null;
 
-/** The floor's height, metres: as chosen, else the stage's lowest point if that is below the stage frame's zero. */
+/** The floor's height, metres: as chosen, or the stage's lowest point if that is below zero. */
 export function floorHeight() {
   const points = scene.value?.stage.surfaces.flatMap(({ outline_m }) => outline_m.map(([, , z]) => z)) ?? [];
   return set.value.floor_m ?? Math.min(0, ...points);
@@ -114,8 +118,13 @@ function paint(picture, said) {
   }
 }
 
-/** How far the artwork, drawn by a record's pose, lies from the last picture. @param {PoseRecord} record @param {Motion | null} motion @param {number} [tiles] at most
- * @returns {Measured | null} */
+/**
+ * Measures how far the artwork, drawn at a record's pose, lies from the last picture.
+ * @param {PoseRecord} record
+ * @param {Motion | null} motion
+ * @param {number} [tiles] at most
+ * @returns {Measured | null}
+ */
 export function measure(record, motion, tiles) {
   if (compositor === null || compositor.artworks.children.length === 0) return null;
   const pair = compositor.pair(record, motion);

@@ -1,19 +1,27 @@
-// What the daemon sends: pictures with their records, and between them how things stand. A picture is asked for when the last one is decoded (where painting is slow,
-// when it is painted), and the browser paints the newest: the page shows that however slow it is. Silence is said within a second.
+// Receives what the daemon sends: pictures with their records, and its status between them. The
+// page requests a picture when the last one is decoded (if painting is slow, when it is painted),
+// and paints the newest: even a slow page shows a current picture. It reports silence within a
+// second.
 import { signal } from "./vendor/signals.js";
 import { content, parsed } from "./ask.js";
 
-/** Milliseconds: the daemon speaks each 250 at least; who has said nothing for this long is gone, and that is looked at so often: a loss is said within 650, and a
- * machine so busy that it is late by 350 is none. */
+/**
+ * Milliseconds. The daemon sends something at least every 250. After this long without a message
+ * the page reports no contact, and it checks this often: a loss shows within 650, and a busy
+ * machine that is late by 350 causes none.
+ */
 export const SILENT_AFTER = 600;
 export const LOOKS_EVERY = 50;
 /** Milliseconds from a lost connection, or one that does not come about, to the next try. */
 const TRY_AGAIN = 700;
 const GIVE_UP_AFTER = 2500;
-/** Milliseconds that a shown frame says how things stand. */
+/** Milliseconds for which a shown frame stands for the status. */
 const FRAME_SPEAKS = 1000;
-/** Milliseconds of painting from which on the next picture is asked for after it: one that came meanwhile would be old by as much when it is shown. Raised, slow pages
- * show older pictures; at 0, pages whose browser paints late do. */
+/**
+ * Milliseconds. If painting takes longer, the next picture is requested after it: one that came
+ * meanwhile would be shown that much later. Raised, slow pages show older pictures; at 0, pages
+ * whose browser paints late do.
+ */
 const LONG_PAINT = 25;
 /** Shown frames that the rate is counted over. */
 const RATE_OVER = 30;
@@ -22,9 +30,9 @@ const RATE_OVER = 30;
 
 /** Whether the daemon speaks; null until that is known. */
 export const contact = signal(/** @type {boolean | null} */ (null));
-/** How things stand, as /api/v1/state has it, where no frames come. */
+/** The status as /api/v1/state has it, if no frames come. */
 export const standing = signal(/** @type {Known | null} */ (null));
-/** What was said of the frame that is shown. */
+/** The head of the frame that is shown. */
 export const head = signal(/** @type {Head | null} */ (null));
 /** Frames shown a second; null with fewer than two. */
 export const rate = signal(/** @type {number | null} */ (null));
@@ -35,14 +43,20 @@ export const pixelsWanted = new Set();
 /** Camera and surfaces of this session, as /api/v1/scene has them. */
 export const scene = signal(/** @type {Scene | null} */ (null));
 
-/** Who draws a frame when the browser paints; the picture is gone afterwards. @type {Set<(picture: ImageBitmap, head: Head) => void>} */
+/**
+ * Functions that draw a frame when the browser paints; the picture is closed afterwards.
+ * @type {Set<(picture: ImageBitmap, head: Head) => void>}
+ */
 export const painters = new Set();
 /** @type {WebSocket | null} */
 let socket = null;
 let triedAt = 0;
 let heardAt = 0;
 let owesFrame = false;
-/** The newest decoded frame, until the browser paints. @type {{ picture: ImageBitmap, said: Head } | null} */
+/**
+ * The newest decoded frame, until the browser paints.
+ * @type {{ picture: ImageBitmap, said: Head } | null}
+ */
 let unpainted = null;
 /** Milliseconds that the last painting took. */
 let paintTook = 0;
@@ -116,7 +130,7 @@ function hear(data) {
     // A page of another version does not know what this daemon says.
     if (page !== null && page !== said.page) location.reload();
     page = said.page;
-    // Between the frames of a slow tracker the last of them says more, unless it is not true any more.
+    // Between the frames of a slow tracker its last frame says more, while its state is current.
     if (heardAt - (shownAt.at(-1) ?? 0) > FRAME_SPEAKS || said.state.state !== head.value?.record.state) {
       standing.value = said.state;
       rate.value = null;

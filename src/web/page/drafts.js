@@ -1,4 +1,5 @@
-// What is typed and not yet sent is kept while this tab lives: a page that loads itself anew, after an update of the daemon, has it again.
+// Keeps what was typed and not yet sent while this tab is open: it is there again after the page
+// reloads itself, after an update of the daemon.
 import { effect, signal } from "./vendor/signals.js";
 
 /** A text that is kept. @param {string} name */

@@ -1,8 +1,12 @@
-// Fields for numbers: what is typed stays as typed while it is typed, and takes effect as soon as it is a number.
+// Fields for numbers. Typed text is not changed while it is typed, and takes effect as soon as it
+// is a number.
 import { useState } from "./vendor/hooks.js";
 import { html, typed } from "./ui.js";
 
-/** @param {{label: string, value: number, unit: string, step?: number, least?: number, onValue: (value: number) => void}} props */
+/**
+ * @param {{label: string, value: number, unit: string, step?: number, least?: number, onValue:
+ *   (value: number) => void}} props
+ */
 export function NumberField({ label, value, unit, step = 0.1, least = -Infinity, onValue }) {
   const [text, setText] = useState(/** @type {string | null} */ (null));
   const number = text === null ? value : Number(text.replace(",", "."));

@@ -1,4 +1,5 @@
-// Handles to move, turn and size the chosen thing in the picture itself. The pointer goes back through the lens to where the set is drawn.
+// Handles that move, rotate and size the chosen thing in the picture. The pointer's place is
+// undistorted to where the set is drawn.
 import { effect, signal } from "./vendor/signals.js";
 import { Raycaster, TransformControls, Vector2 } from "./vendor/three.js";
 import { again, compositor, learn } from "./composite.js";
@@ -18,10 +19,16 @@ export const action = signal(/** @type {"translate" | "rotate" | "scale"} */ ("t
 /** @import { Object3D } from "./vendor/three.js"
  * @typedef {Pick<PointerEvent, "x" | "y" | "button">} Pointer */
 
-/** Handles read no more of an event than this, whatever their declarations say. @param {Pointer} pointer */
+/**
+ * The handles read only these fields of an event, whatever their declarations say.
+ * @param {Pointer} pointer
+ */
 const asEvent = (pointer) => /** @type {PointerEvent} */ (pointer);
 
-/** Lets things be chosen and moved by the pointer; what it returns ends it. @param {HTMLCanvasElement} canvas */
+/**
+ * Lets the pointer choose and move things; returns what ends it.
+ * @param {HTMLCanvasElement} canvas
+ */
 export function handlesOn(canvas) {
   const over = compositor;
   if (over === null) return () => {};
@@ -31,7 +38,11 @@ export function handlesOn(canvas) {
   over.set.scene.add(helper);
   over.handles.push({ root: helper, isHeld: () => controls.object !== undefined });
   const rays = new Raycaster();
-  /** Where the pointer is in the pinhole's picture, -1 to 1, as the handles are told of it. @param {PointerEvent} event @returns {Pointer | null} */
+  /**
+   * The pointer's place in the pinhole's picture, -1 to 1, as the handles get it.
+   * @param {PointerEvent} event
+   * @returns {Pointer | null}
+   */
   const at = (event) => {
     const { camera } = over.known ?? {};
     if (!camera || !over.pinhole) return null;

@@ -1,4 +1,5 @@
-// The Health view: one card a part with a sentence and what to do, what the outputs send, the log, diagnostics and backup.
+// The Health view: one card per part with a sentence and a hint, what the outputs send, the log,
+// diagnostics and backup.
 import { effect, signal } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
 import { session } from "./access.js";
@@ -12,7 +13,10 @@ const LOOKS_EVERY = 1000;
 /** Lines of the log. */
 const LINES = 200;
 
-/** The words for how a part is, and their marks within a square of 16: told apart by shape, not by colour alone. */
+/**
+ * The levels' words and their marks within a square of 16: they differ by shape, not only by
+ * colour.
+ */
 const LEVELS = {
   good: { word: "Good", shape: "M6.300 13.400L1.200 8.300 2.700 6.800 6.300 10.400 13.300 3.400 14.800 4.900z" },
   warn: { word: "Check", shape: "M8 1l7.500 14H.5z" },
@@ -83,7 +87,11 @@ function Sent({ name, protocol, sent, failed, withheld, dropped, per_s, latency_
   </li>`;
 }
 
-/** Text into the clipboard, also where a page from another machine has none. @param {string} text @param {HTMLTextAreaElement} field */
+/**
+ * Copies text to the clipboard, also for pages from another machine, which have no clipboard.
+ * @param {string} text
+ * @param {HTMLTextAreaElement} field
+ */
 async function copy(text, field) {
   field.value = text;
   field.hidden = false;

@@ -1,5 +1,6 @@
-// The set is kept by the daemon, beside its config, for every browser. What cannot be saved now stays in this browser and is saved as soon as it can be;
-// where another browser has changed the set meanwhile, a person chooses.
+// The daemon keeps the set beside its config, for every browser. What cannot be saved now stays in
+// this browser and is saved as soon as possible. If another browser changed the set meanwhile, the
+// user chooses.
 import { effect, signal } from "./vendor/signals.js";
 import { barred } from "./access.js";
 import { Refused, ask, content, parsed, reason, send } from "./ask.js";

@@ -1,4 +1,4 @@
-// Where a camera shows points of the stage: poses and the lens, as docs/glossary.md has their conventions.
+// Poses and the lens: where a camera shows points of the stage. Conventions: docs/glossary.md.
 
 /** @import { Camera } from "./types.js" */
 
@@ -8,13 +8,21 @@ export function turn([x, y, z, w], [a, b, c]) {
   return [a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx];
 }
 
-/** A point of a body in the frame that its pose is in. @param {{position_m: number[], orientation_xyzw: number[]}} pose @param {number[]} point */
+/**
+ * A point of a body in the frame that its pose is in.
+ * @param {{position_m: number[], orientation_xyzw: number[]}} pose
+ * @param {number[]} point
+ */
 export function place(pose, point) {
   const turned = turn(pose.orientation_xyzw, point);
   return turned.map((value, axis) => value + pose.position_m[axis]);
 }
 
-/** A point in the frame of a body. @param {{position_m: number[], orientation_xyzw: number[]}} pose @param {number[]} point */
+/**
+ * A point in the frame of a body.
+ * @param {{position_m: number[], orientation_xyzw: number[]}} pose
+ * @param {number[]} point
+ */
 export function within(pose, point) {
   const [x, y, z, w] = pose.orientation_xyzw;
   return turn([-x, -y, -z, w], point.map((value, axis) => value - pose.position_m[axis]));
@@ -23,7 +31,11 @@ export function within(pose, point) {
 /** Nearer points than this, metres, are not drawn: they are beside or behind the lens. */
 const NEAR_M = 0.01;
 
-/** The raw pixel of a point in the camera's frame; null where the lens shows none. @param {Camera} camera @param {number[]} point */
+/**
+ * The raw pixel of a point in the camera's frame; null if the lens shows none.
+ * @param {Camera} camera
+ * @param {number[]} point
+ */
 export function pixel(camera, [x, y, z]) {
   if (!(z > NEAR_M)) return null;
   const [a, b] = [x / z, y / z];
@@ -37,10 +49,17 @@ export function pixel(camera, [x, y, z]) {
   return [camera.fx * (dx + camera.skew * dy) + camera.cx, camera.fy * dy + camera.cy];
 }
 
-/** Rounds in which the lens is undone. Each takes off nine tenths of the error or more where the formula does not fold. */
+/**
+ * Iterations that invert the lens. Each removes at least nine tenths of the error unless the
+ * formula folds.
+ */
 const ROUNDS = 20;
 
-/** The direction (x, y at z = 1) that the lens shows at a raw pixel: to draw by, not to measure by. @param {Camera} camera @param {number[]} seen */
+/**
+ * The direction (x, y at z = 1) that the lens shows at a raw pixel: for drawing, not measuring.
+ * @param {Camera} camera
+ * @param {number[]} seen
+ */
 export function direction(camera, [u, v]) {
   const dy = (v - camera.cy) / camera.fy;
   const dx = (u - camera.cx) / camera.fx - camera.skew * dy;

@@ -1,4 +1,5 @@
-// The Live view: the picture with what was found in it, the state as one sentence, and where the camera is.
+// The Live view: the picture with what was found in it, the state in a sentence, the camera's
+// position.
 import { computed, effect, signal } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
 import { contact, frozen, head, painters, rate, standing } from "./daemon.js";
@@ -9,15 +10,18 @@ import { Strip } from "./strip.js";
 import { theme } from "./theme.js";
 import { StateMark, amount, html } from "./ui.js";
 
-/** Milliseconds that a sentence stands at least while the state stays: reasons may change with every frame. */
+/** Minimum milliseconds a sentence stays in the same state: reasons may change with every frame. */
 const STANDS = 1000;
-/** Milliseconds after which it is looked for what hides the stage: once the page stands. */
+/** Milliseconds after which seen.js is loaded: the first picture must not wait for it. */
 const WAITS = 8000;
 
 /** @import { State as Word } from "./types.js" */
-/** @typedef {{state: Word | "none", sentence: string, mend: string | null}} Account what the state is, for a person */
+/**
+ * @typedef {{state: Word | "none", sentence: string, mend: string | null}} Account what the state
+ *   is, for a person
+ */
 
-/** What is to be said where no frame tells more. */
+/** Sentences for states without a reason. */
 const SENTENCES = {
   tracking: "The camera's pose is measured in every frame.",
   coasting: "The stage is briefly not seen; the pose is predicted.",
@@ -27,7 +31,7 @@ const SENTENCES = {
   none: "stagepose does not answer.",
 };
 /** @type {Partial<Record<Account["state"], string>>} */
-const MENDS = {
+const HINTS = {
   stale: "Check that the camera is plugged in and that no other program uses it.",
   none: "Check that it runs. This page continues on its own when it is back.",
 };
@@ -39,28 +43,31 @@ function account() {
   if (standing.value !== null) {
     const { state } = standing.value;
     if ((state === null || state === "stale") && trouble.value !== null) return { state: state ?? "stale", sentence: trouble.value, mend: null };
-    return state === null ? { state: "searching", sentence: "The camera has not sent a picture yet.", mend: MENDS.stale ?? null } : of(state);
+    return state === null ? { state: "searching", sentence: "The camera has not sent a picture yet.", mend: HINTS.stale ?? null } : of(state);
   }
   const { says, mend, record } = head.value ?? {};
-  return record && says ? { state: record.state, sentence: `${says[0].toUpperCase()}${says.slice(1)}.`, mend: asked(mend) } : withHidden(of(record?.state ?? "searching"));
+  return record && says ? { state: record.state, sentence: `${says[0].toUpperCase()}${says.slice(1)}.`, mend: hintSentence(mend) } : withHidden(of(record?.state ?? "searching"));
 }
 
-/** Tracking goes on where a part of the stage is hidden; which is worth to know. @param {Account} of */
+/**
+ * Adds what is hidden: tracking continues with a part of the stage, but users should know.
+ * @param {Account} of
+ */
 function withHidden({ state, sentence, mend }) {
   return { state, sentence: state === "tracking" && hidden.value ? `${sentence} ${hidden.value}` : sentence, mend };
 }
 
 /** @param {Account["state"]} state */
 function of(state) {
-  return { state, sentence: SENTENCES[state], mend: MENDS[state] ?? null };
+  return { state, sentence: SENTENCES[state], mend: HINTS[state] ?? null };
 }
 
-/** A mend as a sentence. @param {string | null | undefined} mend */
-function asked(mend) {
+/** A hint as a sentence. @param {string | null | undefined} mend */
+function hintSentence(mend) {
   return mend ? `${mend[0].toUpperCase()}${mend.slice(1)}.` : null;
 }
 
-/** What is said; the same for a while unless the state changes. */
+/** The sentence shown; it stays for a while unless the state changes. */
 const said = signal(account());
 let saidAt = 0;
 
@@ -96,7 +103,7 @@ function Picture() {
     painters.add(drawFrame);
     let isGone = false;
     let end = () => {};
-    // What can wait does not hold the first picture up.
+    // What can wait must not delay the first picture.
     const later = setTimeout(async () => {
       const { watchSeen } = await import("./seen.js");
       if (!isGone) end = watchSeen();
@@ -132,7 +139,7 @@ function Picture() {
 /** The record of the shown frame, while frames come or the user looks at this one. */
 const record = computed(() => (contact.value && (frozen.value || standing.value === null) ? (head.value?.record ?? null) : null));
 
-// What changes with every frame goes straight into its text: no view is made anew for it.
+// What changes with every frame goes directly into its text, without rendering a view.
 const position = (/** @type {number} */ axis) => computed(() => amount(record.value?.pose?.position_m[axis], 3, "m"));
 const FACTS = [
   { name: "Right", value: position(0) },
@@ -151,7 +158,10 @@ function Facts() {
 
 /** @typedef {{name: string, state: Word}} Listed an object in the list */
 
-/** Names and states of the tracked objects: the same list while they are the same, so that its view is made anew seldom. */
+/**
+ * Names and states of the tracked objects. The list is replaced only if they change, so its view is
+ * rarely rendered.
+ */
 const objects = computed(() => {
   const now = record.value?.objects ?? [];
   const isSame = now.length === listed.length && now.every(({ name, state }, k) => name === listed[k].name && state === listed[k].state);

@@ -1,4 +1,4 @@
-// The last minute as this page saw it: one entry for each frame that was shown. It costs the daemon nothing.
+// The last minute as this page saw it: one entry per shown frame. It costs the daemon nothing.
 import { effect, signal } from "./vendor/signals.js";
 import { head } from "./daemon.js";
 
@@ -6,10 +6,13 @@ import { head } from "./daemon.js";
 export const REMEMBERED = 60_000;
 
 /** @import { State } from "./types.js" */
-/** @typedef {{at: number, state: State, rms: number | null, place: number[] | null, objects: (number[] | null)[]}} Moment when a frame was shown (milliseconds of
- *   performance.now), and what its record says */
+/**
+ * @typedef {{at: number, state: State, rms: number | null, place: number[] | null, objects:
+ *   (number[] | null)[]}} Moment when a frame was shown (milliseconds of performance.now), and what
+ *   its record says
+ */
 
-/** The oldest first. The list is changed in place: drawing reads it, no view is made anew for it. */
+/** Oldest first. The list is changed in place: drawing reads it, and no view is rendered for it. */
 export const minute = /** @type {Moment[]} */ ([]);
 /** Counts what was added. */
 export const added = signal(0);

@@ -1,4 +1,5 @@
-// Models from files: glTF in one file (.glb). A file that names others is refused, for the page loads nothing from elsewhere.
+// Models from files: glTF in one file (.glb). Files that refer to others are refused, because the
+// page loads nothing from elsewhere.
 import { signal } from "./vendor/signals.js";
 import { ask, parsed, reason, send } from "./ask.js";
 import { Box3, Group, GLTFLoader, LoadingManager, TextureLoader, Vector3 } from "./vendor/three.js";
@@ -17,8 +18,12 @@ function keptName(name) {
   return `${name.replace(/\.glb$/i, "").replace(/[^A-Za-z0-9_-]+/g, "-").slice(0, LONGEST_NAME) || "model"}.glb`;
 }
 
-/** Reads a model, and gives it to the daemon to keep; the promise fails with a sentence for people where it cannot be used. Returns the name that it is kept by,
- * and why it is not kept. @param {File} file @returns {Promise<{name: string, unkept: string | null}>} */
+/**
+ * Reads a model and sends it to the daemon to keep; the promise fails with a sentence for users if
+ * the model cannot be used. Returns its name, and why the daemon does not keep it.
+ * @param {File} file
+ * @returns {Promise<{name: string, unkept: string | null}>}
+ */
 export async function load(file) {
   if (file.size > LARGEST) throw new Error(`${file.name} has ${Math.ceil(file.size / 1048576)} MB; the maximum is 64 MB. Make its pictures smaller.`);
   const name = keptName(file.name);
@@ -38,13 +43,17 @@ export async function fetchModels(names) {
     try {
       await take(name, name, await (await ask(`sets/${name}`)).arrayBuffer());
     } catch {
-      // Whoever chooses the thing is told that its file is not here; the next opening asks anew.
+      // The user sees that its file is missing; the next opening asks again.
       asked.delete(name);
     }
   }
 }
 
-/** @param {string} file as people call it @param {string} kept its name @param {ArrayBuffer} bytes */
+/**
+ * @param {string} file as people call it
+ * @param {string} kept its name
+ * @param {ArrayBuffer} bytes
+ */
 async function take(file, kept, bytes) {
   refuseOthers(file, bytes);
   const loader = new GLTFLoader(new LoadingManager());
@@ -77,7 +86,10 @@ function refuseOthers(name, bytes) {
   if (named.length > 0) throw new Error(`${name} refers to other files. Export everything as one .glb file.`);
 }
 
-/** glTF is y up and of any size: turned, scaled to a metre, set on its origin. @param {import("./vendor/three.js").Object3D} model */
+/**
+ * Rotates a glTF model (y is up), scales it to a metre, and puts it on its origin.
+ * @param {import("./vendor/three.js").Object3D} model
+ */
 function upright(model) {
   model.rotation.x = Math.PI / 2;
   model.updateMatrixWorld(true);

@@ -1,7 +1,10 @@
-// From where the stage is seen in 3D. The projection is parallel, as in a stage plan: lengths along one direction have one scale everywhere,
-// and the outline of a covariance is an ellipse.
+// The view of the stage in 3D. The projection is parallel, as in a stage plan: lengths along one
+// direction have the same scale everywhere, and a covariance's outline is an ellipse.
 
-/** @typedef {{azimuth: number, elevation: number, zoom: number}} View radians; 0, 0 looks upstage from the house; zoom 1 shows all */
+/**
+ * @typedef {{azimuth: number, elevation: number, zoom: number}} View radians; 0, 0 looks upstage
+ *   from the house; zoom 1 shows all
+ */
 
 /** From the house, a little from the left and from above. @type {View} */
 export const FIRST = { azimuth: 0.6, elevation: 0.45, zoom: 1 };
@@ -22,7 +25,12 @@ export const STEPS = [
   { key: "-", sign: "−", does: "farther", by: { zoom: 1 / NEARER } },
 ];
 
-/** The view after a step; it never goes over the top. @param {View} view @param {{azimuth?: number, elevation?: number, zoom?: number}} by @returns {View} */
+/**
+ * The view after a step; it never goes over the top.
+ * @param {View} view
+ * @param {{azimuth?: number, elevation?: number, zoom?: number}} by
+ * @returns {View}
+ */
 export function stepped(view, { azimuth = 0, elevation = 0, zoom = 1 }) {
   const within = (/** @type {number} */ value, /** @type {number} */ least, /** @type {number} */ most) => Math.min(most, Math.max(least, value));
   return {
@@ -32,7 +40,10 @@ export function stepped(view, { azimuth = 0, elevation = 0, zoom = 1 }) {
   };
 }
 
-/** The directions of the drawing in the stage: to its right, to its top, and away from who looks. @param {View} view */
+/**
+ * The drawing's directions in the stage: right, up, and away from the viewer.
+ * @param {View} view
+ */
 export function axes({ azimuth, elevation }) {
   const [sa, ca, se, ce] = [Math.sin(azimuth), Math.cos(azimuth), Math.sin(elevation), Math.cos(elevation)];
   return { right: [ca, -sa, 0], up: [sa * se, ca * se, ce], away: [sa * ce, ca * ce, -se] };
@@ -43,8 +54,12 @@ export function dot(a, b) {
   return a.reduce((sum, value, k) => sum + value * b[k], 0);
 }
 
-/** How a covariance of a place is seen: the half axes of the ellipse of one sigma, and how far the longer is turned from the right to the top.
- * @param {number[][]} covariance three rows, square metres @param {{right: number[], up: number[]}} axes */
+/**
+ * Projects a position's covariance: the half axes of the one-sigma ellipse, and the angle of the
+ * longer one, from right to up.
+ * @param {number[][]} covariance three rows, square metres
+ * @param {{right: number[], up: number[]}} axes
+ */
 export function ellipse(covariance, { right, up }) {
   const by = (/** @type {number[]} */ a, /** @type {number[]} */ b) => dot(a, covariance.map((row) => dot(row, b)));
   const [xx, xy, yy] = [by(right, right), by(right, up), by(up, up)];

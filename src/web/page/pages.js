@@ -1,4 +1,5 @@
-// The page's views, and which is shown: the part of its address after the hash, so that a view can be linked to and gone back from.
+// The page's views, and which is shown: the part of the address after the hash, so that links and
+// the back button work.
 import { signal } from "./vendor/signals.js";
 
 /** The views that there are, with their keys. */
@@ -9,7 +10,10 @@ export const PAGES = [
   { name: "health", title: "Health", key: "5" },
 ];
 
-/** @typedef {{key: string, name: string, does: string, act: () => unknown}} Key what a single key does; one without a name is another key for the same */
+/**
+ * @typedef {{key: string, name: string, does: string, act: () => unknown}} Key what a single key
+ *   does; one without a name is another key for the previous action
+ */
 
 /** Keys of the view that is shown, beside those of the page. */
 export const viewKeys = signal(/** @type {Key[]} */ ([]));

@@ -1,4 +1,4 @@
-// The camera's picture, and over it what the pose says where the surfaces are.
+// The camera's picture, with the outlines of the surfaces at the pose.
 import { signal } from "./vendor/signals.js";
 import { head, scene } from "./daemon.js";
 import { pixel, place, within } from "./lens.js";
@@ -8,18 +8,31 @@ import { emptied } from "./ui.js";
 
 /** Whether the outlines are drawn. */
 export const outlined = signal(true);
-/** Whether tiles are marked in which the stage is seen or hidden, and what is mostly hidden, as a sentence: by seen.js, which is loaded later. */
+/**
+ * Whether seen and hidden tiles are marked, and what is mostly hidden, as a sentence. Both are the
+ * work of seen.js, which is loaded later.
+ */
 export const parted = signal(false);
 export const hidden = signal("");
-/** What else is drawn on the live picture. @type {Set<(context: CanvasRenderingContext2D, width: number, colour: (name: string) => string) => void>} */
+/**
+ * Functions that draw more on the live picture.
+ * @type {Set<(context: CanvasRenderingContext2D, width: number, colour: (name: string) => string)
+ *   => void>}
+ */
 export const extraMarks = new Set();
-/** Whether it is drawn what the poses rest on: by used.js, which is loaded when it is first asked for; and what that is, in words. */
+/**
+ * Whether the pixels behind the poses are drawn, by used.js, which is loaded on demand; and a
+ * sentence about them.
+ */
 export const rested = signal(false);
 export const restsOn = signal("");
 /** Whether the floor is drawn. */
 export const floored = signal(false);
 
-/** Metres between the floor's lines, between the points of a line, and how far around the camera they reach. */
+/**
+ * Metres between the floor's lines, between the points of a line, and from the camera to their
+ * ends.
+ */
 const LINES = 1;
 const POINTS = 0.25;
 const REACHES = 8;
@@ -29,7 +42,11 @@ let below = null;
 /** @type {HTMLCanvasElement | null} */
 let above = null;
 
-/** The canvases to draw on. @param {HTMLCanvasElement | null} picture @param {HTMLCanvasElement | null} marks */
+/**
+ * The canvases to draw on.
+ * @param {HTMLCanvasElement | null} picture
+ * @param {HTMLCanvasElement | null} marks
+ */
 export function drawOn(picture, marks) {
   below = picture;
   above = marks;
@@ -56,7 +73,11 @@ function drawAll(on, said) {
   for (const draw of extraMarks) draw(context, on.width, (name) => style.getPropertyValue(`--${name}`).trim());
 }
 
-/** A picture on a canvas, which takes on its size. @param {HTMLCanvasElement} canvas @param {ImageBitmap} picture */
+/**
+ * Draws a picture on a canvas, which gets its size.
+ * @param {HTMLCanvasElement} canvas
+ * @param {ImageBitmap} picture
+ */
 export function drawPicture(canvas, picture) {
   if (canvas.width !== picture.width || canvas.height !== picture.height) {
     canvas.width = picture.width;
@@ -65,7 +86,11 @@ export function drawPicture(canvas, picture) {
   canvas.getContext("2d", { alpha: false })?.drawImage(picture, 0, 0);
 }
 
-/** The marks of a frame on a canvas that lies on its picture. @param {HTMLCanvasElement} on @param {{record: PoseRecord | null, size: number[]}} said */
+/**
+ * Draws the marks of a frame on a canvas over its picture.
+ * @param {HTMLCanvasElement} on
+ * @param {{record: PoseRecord | null, size: number[]}} said
+ */
 export function drawMarks(on, said) {
   const drawn = emptied(on);
   if (!drawn) return;
@@ -89,8 +114,14 @@ export function drawMarks(on, said) {
   });
 }
 
-/** Lines on the stage's floor, a metre apart, through the lens. @param {CanvasRenderingContext2D} context @param {Camera} camera
- * @param {Pose} pose @param {number} scale @param {string} colour */
+/**
+ * Lines on the stage's floor, a metre apart, through the lens.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Camera} camera
+ * @param {Pose} pose
+ * @param {number} scale
+ * @param {string} colour
+ */
 function drawFloor(context, camera, pose, scale, colour) {
   const [x, y] = pose.position_m.map((value) => Math.round(value));
   const along = Array.from({ length: 1 + (2 * REACHES) / POINTS }, (_, k) => k * POINTS - REACHES);
@@ -103,8 +134,14 @@ function drawFloor(context, camera, pose, scale, colour) {
   }
 }
 
-/** A closed line through pixels, open where one is not seen; with a dark seam, to be seen on any ground.
- * @param {CanvasRenderingContext2D} context @param {(number[] | null)[]} pixels @param {number} scale @param {string} colour */
+/**
+ * Draws a closed line through pixels, interrupted where one is null, with a dark border to show on
+ * any ground.
+ * @param {CanvasRenderingContext2D} context
+ * @param {(number[] | null)[]} pixels
+ * @param {number} scale
+ * @param {string} colour
+ */
 function stroke(context, pixels, scale, colour) {
   const line = path([...pixels, pixels[0]], scale);
   context.lineJoin = "round";
@@ -117,7 +154,11 @@ function stroke(context, pixels, scale, colour) {
   context.stroke(line);
 }
 
-/** A line through pixels of the picture, interrupted where one is not seen. @param {(number[] | null)[]} pixels @param {number} scale */
+/**
+ * A line through pixels of the picture, interrupted where one is null.
+ * @param {(number[] | null)[]} pixels
+ * @param {number} scale
+ */
 function path(pixels, scale) {
   const line = new Path2D();
   let isOpen = true;

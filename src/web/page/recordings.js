@@ -1,4 +1,5 @@
-// The Recordings view: what was recorded, its timeline, and playing it with what was found; beginning, ending and marking a recording.
+// The Recordings view: the recordings, the timeline and the player of one; starting, stopping and
+// marking a recording.
 import { computed, effect, signal } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
 import { Barred, Change, Download } from "./access.js";
@@ -14,7 +15,10 @@ import { theme } from "./theme.js";
 import { Timeline, clock, secondsOf } from "./timeline.js";
 import { StateMark, amount, html, typed } from "./ui.js";
 
-/** Milliseconds between two looks at the list; where a recording begins or ends it is looked at once. */
+/**
+ * Milliseconds between two requests of the list; it is also requested when a recording starts or
+ * stops.
+ */
 const LOOKS_EVERY = 10_000;
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4, 8];
 /** Letters of a mark, as the daemon takes them. */

@@ -1,4 +1,5 @@
-// A recording tracked with today's config beside what was recorded: asking for it, how far it is, and how the two compare.
+// A recording tracked again with today's config: starting it, its progress, and the comparison with
+// the recorded results.
 import { computed, effect, signal } from "./vendor/signals.js";
 import { useEffect } from "./vendor/hooks.js";
 import { Change } from "./access.js";
@@ -45,9 +46,14 @@ export function swap() {
   if (retracked.value !== null) whose.value = whose.value === "recorded" ? "today" : "recorded";
 }
 
-/** @typedef {{row: number, recorded: State, retracked: State, position_mm: number | null}} Difference a row, as both have it */
+/**
+ * @typedef {{row: number, recorded: State, retracked: State, position_mm: number | null}}
+ *   Difference a row in both results
+ */
 
-/** Goes to the next row whose state differs, or whose poses are further apart than in 95 of 100 rows. */
+/**
+ * Goes to the next row whose state differs, or whose poses differ more than in 95 % of the rows.
+ */
 export async function goToDifference() {
   const [of, found] = [clip.value, retracked.value];
   if (of === null || !found?.compared) return;
@@ -67,7 +73,11 @@ export async function goToDifference() {
   }
 }
 
-/** The share of the rows that were tracked. @param {Record<string, number>} states @param {number} rows */
+/**
+ * The share of the rows that were tracked.
+ * @param {Record<string, number>} states
+ * @param {number} rows
+ */
 function tracked(states, rows) {
   return `${states.tracking ?? 0} of ${rows}`;
 }

@@ -1,6 +1,7 @@
 // Which parts of the stage the tracker sees and which are hidden, tile by tile. Once a second the
-// page requests the pixels of one frame: `used`, which its poses rest on, and `hidden`, whose places
-// show something else. The tracker does not look at plain parts, so nothing is marked there.
+// page requests the pixels of one frame: `used`, which its poses rest on, and `hidden`, where the
+// picture shows something else. The tracker does not look at plain parts, so nothing is marked
+// there.
 import { computed, effect, signal } from "./vendor/signals.js";
 import { head, painters, pixelsWanted } from "./daemon.js";
 import { drawAgain, extraMarks, hidden, parted } from "./picture.js";
@@ -11,7 +12,7 @@ import { drawAgain, extraMarks, hidden, parted } from "./picture.js";
 
 /** Tiles across the picture. Raised, each has fewer of the pixels that the daemon sends. */
 const ACROSS = 16;
-/** Milliseconds between two looks. Raised, the marks are older; lowered, the tracker records more. */
+/** Milliseconds between two looks. Raised, marks are older; lowered, the tracker records more. */
 const LOOKS_EVERY = 1000;
 /** Pixels below which a tile is unknown. */
 const MIN_PIXELS = 2;

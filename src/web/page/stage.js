@@ -1,4 +1,4 @@
-// The stage in 3D: surfaces, objects, the camera with what it sees, where it was, and how sure its place is.
+// The stage in 3D: surfaces, objects, the camera with its view, its path and its uncertainty.
 import { computed, effect, signal } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
 import { contact, head, scene } from "./daemon.js";
@@ -11,8 +11,10 @@ import { amount, emptied, html } from "./ui.js";
 /** From where it is seen. */
 export const view = signal(FIRST);
 
-/** The ellipse shows this many sigmas of the camera's place, this many times enlarged: a place is known to a millimetre or better, which no
- * drawing of a stage shows. */
+/**
+ * The ellipse shows this many sigmas of the camera's position, enlarged this many times: positions
+ * are known to a millimetre or better, which no drawing of a stage shows.
+ */
 const SIGMAS = 3;
 const ENLARGED = 100;
 /** How far the camera's pyramid reaches, as a share of the way to the stage's middle. */
@@ -28,7 +30,10 @@ const FILLS = 0.46;
 
 /** @type {HTMLCanvasElement | null} */
 let canvas = null;
-/** The room that is shown: the surfaces, and where the camera has been since. @type {Bounds | null} */
+/**
+ * The bounds that are shown: the surfaces, and where the camera has been since.
+ * @type {Bounds | null}
+ */
 let room = null;
 
 /** @param {Bounds | null} bounds @param {number[]} point @returns {Bounds} */
@@ -67,7 +72,12 @@ function path(points, closes) {
   return line;
 }
 
-/** Lines on the floor, a metre apart. @param {CanvasRenderingContext2D} context @param {Projection} to @param {Bounds} bounds */
+/**
+ * Lines on the floor, a metre apart.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Projection} to
+ * @param {Bounds} bounds
+ */
 function drawFloor(context, to, { least, most }) {
   const [left, front] = least.map((value) => Math.floor(value));
   const [right, back] = most.map((value) => Math.ceil(value));
@@ -99,7 +109,13 @@ const corners = computed(() => {
   return [[-0.5, -0.5], [w, -0.5], [w, h], [-0.5, h]].map((corner) => direction(camera, corner));
 });
 
-/** The camera's pyramid. @param {CanvasRenderingContext2D} context @param {Projection} to @param {Pose} pose @param {Bounds} bounds */
+/**
+ * The camera's pyramid.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Projection} to
+ * @param {Pose} pose
+ * @param {Bounds} bounds
+ */
 function drawCamera(context, to, pose, { least, most }) {
   const middle = least.map((value, k) => (value + most[k]) / 2);
   const reach = REACH * Math.hypot(...middle.map((value, k) => value - pose.position_m[k]));
@@ -112,7 +128,12 @@ function drawCamera(context, to, pose, { least, most }) {
   context.fill(mark);
 }
 
-/** How sure the camera's place is. @param {CanvasRenderingContext2D} context @param {Projection} to @param {PoseRecord} record */
+/**
+ * Draws the uncertainty of the camera's position.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Projection} to
+ * @param {PoseRecord} record
+ */
 function drawDoubt(context, to, { pose, covariance }) {
   if (!pose || !covariance) return;
   const { long, short, turned } = ellipse([0, 6, 12].map((row) => covariance.slice(row, row + 3)), axes(view.value));
@@ -125,8 +146,12 @@ function drawDoubt(context, to, { pose, covariance }) {
   context.stroke(line);
 }
 
-/** Where the camera or an object was in the last minute; interrupted where it was not known. @param {CanvasRenderingContext2D} context
- * @param {Projection} to @param {(moment: import("./minute.js").Moment) => number[] | null | undefined} of */
+/**
+ * Draws the path of the camera or an object in the last minute, interrupted where it is unknown.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Projection} to
+ * @param {(moment: import("./minute.js").Moment) => number[] | null | undefined} of
+ */
 function drawTrail(context, to, of) {
   const trail = new Path2D();
   let isOpen = true;

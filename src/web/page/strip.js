@@ -1,11 +1,14 @@
-// The last minute as a strip: the state of each frame that was shown, and how well its picture fits the pose.
+// The last minute as a strip: the state of each shown frame, and the residual of its pose.
 import { computed, effect } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
 import { REMEMBERED, added, minute } from "./minute.js";
 import { theme } from "./theme.js";
 import { WORDS, amount, emptied, html } from "./ui.js";
 
-/** Pixels of the band of states; a state is told by the band's height too: the surer, the higher. */
+/**
+ * Pixels of the band of states; the band's height shows the state too: the more certain, the
+ * higher.
+ */
 export const BAND = 14;
 /** @type {Record<string, number>} */
 export const HEIGHTS = { tracking: 1, coasting: 0.6, searching: 0.3, lost: 0.3 };

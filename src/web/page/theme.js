@@ -1,4 +1,5 @@
-// The page's colours: dark, light, or stage (amber on black, for a dark house). The choice is kept in this browser.
+// The page's colours: dark, light, or stage (amber on black, for a dark house). This browser keeps
+// the choice.
 import { effect, signal } from "./vendor/signals.js";
 
 /** The themes' names, as style.css knows them. */

@@ -1,19 +1,26 @@
-// What is on the set. It is kept in this browser with every change, so that nothing typed is lost, and by the daemon (keeping.js).
+// What is on the set. This browser keeps it with every change, so that no input is lost, and so
+// does the daemon (keeping.js).
 import { effect, signal } from "./vendor/signals.js";
 import { parsed } from "./ask.js";
 
 /**
  * @typedef {"cone" | "cube" | "grid" | "model"} Kind
- * @typedef {{id: string, kind: Kind, name: string, on: string, position_m: number[], rotation_deg: number[], size_m: number[], colour: string,
- *   shown: boolean, file?: string}} Thing `on` is "floor" or a surface's number; place, turn (about z, then y, then x) and size are within that frame
- * @typedef {{objects: Thing[], floor_m: number | null}} Kept `floor_m` is the floor's height, or null for the stage's lowest point
+ * @typedef {{id: string, kind: Kind, name: string, on: string, position_m: number[], rotation_deg:
+ *   number[], size_m: number[], colour: string, shown: boolean, file?: string}} Thing `on` is
+ *   "floor" or a surface's number; position, rotation (about z, then y, then x) and size are in
+ *   that frame
+ * @typedef {{objects: Thing[], floor_m: number | null}} Kept `floor_m` is the floor's height, or
+ *   null for the stage's lowest point
  */
 
 const KEPT_AS = "stagepose.set";
 /** Former sets that can be had back. */
 const REMEMBERED = 100;
 
-/** What a thing of each kind is at first. @type {Record<Kind, {name: string, size_m: number[], colour: string}>} */
+/**
+ * What a thing of each kind is at first.
+ * @type {Record<Kind, {name: string, size_m: number[], colour: string}>}
+ */
 const FIRST = {
   cone: { name: "Cone", size_m: [0.4, 0.4, 0.6], colour: "#e8762d" },
   cube: { name: "Cube", size_m: [0.5, 0.5, 0.5], colour: "#3d8bd4" },
@@ -34,14 +41,22 @@ function kept() {
   return { objects: [], floor_m: null };
 }
 
-/** A set as this page knows sets; null where it is none. @param {unknown} found @returns {Kept | null} */
+/**
+ * A set in this page's form; null if it is not one.
+ * @param {unknown} found
+ * @returns {Kept | null}
+ */
 export function asSet(found) {
   const { objects, floor_m } = fields(found);
   if (!Array.isArray(objects) || !objects.every(isThing)) return null;
   return { objects, floor_m: typeof floor_m === "number" && Number.isFinite(floor_m) ? floor_m : null };
 }
 
-/** What an object has; nothing where it is none. @param {unknown} one @returns {Record<string, unknown>} */
+/**
+ * The fields of an object; none if it is not an object.
+ * @param {unknown} one
+ * @returns {Record<string, unknown>}
+ */
 function fields(one) {
   return one instanceof Object ? { ...one } : {};
 }

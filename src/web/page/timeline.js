@@ -1,4 +1,5 @@
-// A recording over time: the state of each row as a band, how well its picture fits the pose as a line, events as marks, and where one is.
+// A recording over time: the state of each row as a band, its residual as a line, events as marks,
+// and the current row.
 import { computed, effect } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
 import { clip, go, retracked, row, shown } from "./clip.js";
@@ -21,12 +22,20 @@ export function clock(seconds) {
   return `${minutes}:${String(Math.floor(rest / 10)).padStart(2, "0")}.${rest % 10}`;
 }
 
-/** About when a row was, seconds since the first: rows come at one rate but where frames were dropped. @param {Clip} of @param {number} number */
+/**
+ * The approximate time of a row, seconds since the first: rows have a constant rate except where
+ * frames were dropped.
+ * @param {Clip} of
+ * @param {number} number
+ */
 export function secondsOf({ first_ns, last_ns, frames }, number) {
   return first_ns === null || last_ns === null || frames < 2 ? 0 : ((last_ns - first_ns) * number) / (frames - 1) / 1e9;
 }
 
-/** The rms, pixels, that fills the height: the same for what was recorded and for what today's config makes of it, so that they compare. */
+/**
+ * The rms, pixels, that fills the height: the same for the recorded and for today's results, so
+ * that they compare.
+ */
 const full = computed(() => [clip.value, retracked.value].reduce((most, of) => of?.columns.reduce((worst, { rms_px }) => Math.max(worst, rms_px ?? 0), most) ?? most, LEAST_FULL));
 
 /** @typedef {Pick<Clip, "frames" | "columns" | "events">} Drawn */
@@ -67,8 +76,13 @@ function draw(canvas, of, at) {
   context.fillRect(x(at + 0.5) - devicePixelRatio, 0, 2 * devicePixelRatio, height);
 }
 
-/** Events as triangles along the upper edge. @param {CanvasRenderingContext2D} context @param {Drawn} of @param {(row: number) => number} x
- * @param {string} colour */
+/**
+ * Events as triangles along the upper edge.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Drawn} of
+ * @param {(row: number) => number} x
+ * @param {string} colour
+ */
 function drawMarks(context, of, x, colour) {
   const size = MARK * devicePixelRatio;
   context.fillStyle = colour;
@@ -98,7 +112,7 @@ const word = computed(() => {
   const state = shown.value?.record?.state;
   return state === undefined ? "" : WORDS[state];
 });
-const told = computed(() => (clip.value === null ? "" : `${clock(secondsOf(clip.value, row.value))}, ${word.value}`));
+const rowText = computed(() => (clip.value === null ? "" : `${clock(secondsOf(clip.value, row.value))}, ${word.value}`));
 
 /** What today's config makes of it, as the recording's own is drawn. */
 const today = computed(() => (retracked.value === null ? null : { ...retracked.value, events: [] }));
@@ -141,7 +155,7 @@ export function Timeline({ of }) {
     aria-valuemin="0"
     aria-valuemax=${Math.max(0, of.frames - 1)}
     aria-valuenow=${row}
-    aria-valuetext=${told}
+    aria-valuetext=${rowText}
     onKeyDown=${pressed}
     onPointerDown=${(/** @type {PointerEvent} */ event) => {
       /** @type {HTMLElement} */ (event.currentTarget).setPointerCapture(event.pointerId);

@@ -1,4 +1,5 @@
-// What the program sends, as types. Made from its own answers by `STAGEPOSE_REMAKE=1 cargo test --lib types_tests`: do not change it by hand.
+// What the program sends, as types. Made from its own answers, do not change it by hand:
+// `STAGEPOSE_REMAKE=1 cargo test --lib types_tests`.
 
 /** How a body stands; `stale` where the camera gives no pictures */
 export type State = "searching" | "tracking" | "coasting" | "lost" | "stale";

@@ -5,7 +5,7 @@ import htm from "./vendor/htm.js";
 /** Preact elements written as HTML. */
 export const html = htm.bind(createElement);
 
-/** The drawing of a state within a square of 16: told apart by shape, not by colour alone. */
+/** The mark of a state within a square of 16: they differ by shape, not only by colour. */
 const SHAPES = {
   tracking: "M8 1a7 7 0 1 0 0 14A7 7 0 0 0 8 1z",
   coasting: "M8 1a7 7 0 0 0 0 14z M8 2.2v11.6a5.8 5.8 0 0 0 0-11.6z",
@@ -38,13 +38,19 @@ export function typed({ target }) {
   return /** @type {HTMLInputElement | HTMLSelectElement} */ (target).value;
 }
 
-/** A number with its unit, or a dash. @param {number | null | undefined} value @param {number} digits @param {string} unit */
+/**
+ * A number with its unit, or a dash.
+ * @param {number | null | undefined} value
+ * @param {number} digits
+ * @param {string} unit
+ */
 export function amount(value, digits, unit) {
   return value === null || value === undefined ? "–" : `${value.toFixed(digits).replace("-", "\u2212")}\u00a0${unit}`;
 }
 
 /**
- * A canvas as many pixels large as the screen gives it, empty, with the theme's colours by name; null where it cannot be drawn on.
+ * An empty canvas at the screen's resolution, with the theme's colours by name; null if it cannot
+ * be drawn on.
  * @param {HTMLCanvasElement} canvas
  */
 export function emptied(canvas) {

@@ -1,21 +1,27 @@
-// What the poses rest on, over the live picture: the pixels that the tracker asked, as dots, and how far the picture lies from the pose in each tile, as arrows
-// that are drawn longer than they are. The daemon tells them only while they are asked for.
+// Draws what the poses rest on over the live picture: the pixels that the tracker used, as dots,
+// and each tile's residual, as an enlarged arrow. The daemon sends them only on request.
 import { effect, signal } from "./vendor/signals.js";
 import { head, pixelsWanted } from "./daemon.js";
 import { drawAgain, extraMarks, restsOn } from "./picture.js";
 import { theme } from "./theme.js";
 import { amount } from "./ui.js";
 
-/** How often as long arrows are drawn. */
+/** Enlargements of the arrows. */
 const SCALES = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
-/** The share of the picture's width that nine of ten arrows are to stay within: they do not lie on each other. */
+/**
+ * The share of the picture's width within which nine of ten arrows stay, so that they do not
+ * overlap.
+ */
 const LONGEST = 0.04;
-/** Milliseconds that a scale stands while arrows stay within twice of it: one that changes with each frame cannot be read. */
+/**
+ * Milliseconds for which a scale is kept while arrows are at most twice as long: a scale that
+ * changes with each frame cannot be read.
+ */
 const STANDS = 2000;
 /** Radius of a dot, width of an arrow, and its head's length, pixels of the page. */
 const [DOT, LINE, HEAD] = [1.5, 1.6, 5];
 
-/** How often as long arrows are now. */
+/** The current enlargement of the arrows. */
 export const scale = signal(100);
 let setAt = 0;
 
@@ -24,7 +30,11 @@ function quantile(lengths, share) {
   return [...lengths].sort((a, b) => a - b)[Math.floor(share * (lengths.length - 1))] ?? 0;
 }
 
-/** Chooses the scale anew where it has stood long enough, or arrows have become far too long. @param {number} most @param {number} width of the picture */
+/**
+ * Chooses a new scale if the current one is old enough, or arrows are far too long.
+ * @param {number} most
+ * @param {number} width of the picture
+ */
 function rescale(most, width) {
   const fitting = SCALES.filter((one) => one * most <= LONGEST * width).at(-1) ?? SCALES[0];
   const now = performance.now();
@@ -33,7 +43,11 @@ function rescale(most, width) {
   setAt = now;
 }
 
-/** @param {CanvasRenderingContext2D} context @param {number} width @param {(name: string) => string} colour */
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {number} width
+ * @param {(name: string) => string} colour
+ */
 function mark(context, width, colour) {
   const said = head.peek();
   if (said === null) return;
@@ -80,7 +94,7 @@ function mark(context, width, colour) {
 /** Every frame comes with its pixels. */
 const always = () => true;
 
-/** Asks for them and draws them from now on; what it returns ends it. */
+/** Requests and draws them from now on; returns what ends it. */
 export function watchUsed() {
   pixelsWanted.add(always);
   extraMarks.add(mark);

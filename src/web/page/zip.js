@@ -7,9 +7,16 @@ const ENTRY = 0x02014b50;
 const END_BYTES = 22;
 const LONGEST_COMMENT = 65535;
 
-/** @typedef {{name: string, bytes: number, packed: number, method: number, at: number}} Entry `at` is where its local header begins */
+/**
+ * @typedef {{name: string, bytes: number, packed: number, method: number, at: number}} Entry `at`
+ *   is where its local header begins
+ */
 
-/** The files of a zip; the promise fails with a sentence where it is none. @param {Blob} file @returns {Promise<Entry[]>} */
+/**
+ * The files of a zip; the promise fails with a sentence if it is not one.
+ * @param {Blob} file
+ * @returns {Promise<Entry[]>}
+ */
 export async function entries(file) {
   const tail = new DataView(await file.slice(Math.max(0, file.size - END_BYTES - LONGEST_COMMENT)).arrayBuffer());
   let end = tail.byteLength - END_BYTES;
@@ -39,7 +46,11 @@ export async function textOf(file, { packed, method, at }) {
   return new Response(content.stream().pipeThrough(new DecompressionStream("deflate-raw"))).text();
 }
 
-/** Lines that only one of two texts has: those that go, and those that come, in order. @param {string} before @param {string} after */
+/**
+ * Lines that only one of two texts has: those removed and those added, in order.
+ * @param {string} before
+ * @param {string} after
+ */
 export function differing(before, after) {
   const [old, next] = [before, after].map((text) => text.split("\n").map((line) => line.trimEnd()));
   const without = (/** @type {string[]} */ lines, /** @type {string[]} */ others) => {

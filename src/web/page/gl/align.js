@@ -1,25 +1,36 @@
-// How far the drawn artwork lies from the camera's picture: a number in pixels. Both are cut into tiles; each tile's shift is the one, with a gain and
-// a bias of its own, that leaves the least squares. What stands before the artwork leaves tiles that do not fit; they are counted, not measured.
-// It measures what this page draws: the frame whose pose it took, its lens, its motion while the rows
-// are read. It is no second opinion of the pose: the tracker's own tiles (used.js) lie right also
-// where the page draws wrong.
+// Measures how far the drawn artwork lies from the camera's picture, in pixels. Both are cut into
+// tiles; each tile's shift, with a gain and a bias of its own, minimises the squared differences.
+// Tiles that do not fit, because something is in front of the artwork, are counted, not measured.
+// This measures what the page draws: whether it took the right frame's pose, its lens, and its
+// motion while the rows are read. It does not judge the pose: the tracker's own tiles (used.js) fit
+// even if the page draws wrongly.
 
 /** Pixels along a tile's side. */
 export const TILE = 32;
-/** Pixels around a tile that a shift may look at. A larger shift does not settle. */
+/** Pixels around a tile that a shift may reach. A larger shift does not converge. */
 const MARGIN = 4;
-/** Rounds at most, and the step in pixels that ends them. */
+/** Maximum iterations, and the step in pixels that ends them. */
 const ROUNDS = 12;
 const SETTLED = 2e-3;
-/** The least share of a tile's variation that the artwork explains; less is something else before it. */
+/**
+ * Minimum share of a tile's variance that the artwork explains; below it, the tile shows something
+ * else.
+ */
 const EXPLAINED = 0.5;
-/** A tile says where it is where both of its gradients' principal energies are above this, grey levels squared a pixel: plain ground says nothing. */
+/**
+ * A tile is measured if both principal energies of its gradients exceed this, grey levels squared
+ * per pixel: plain ground has no position.
+ */
 const LEAST_ENERGY = 12;
 
-/** @typedef {{width: number, height: number, camera: Float32Array, drawn: Float32Array, covered: Uint8Array}} Pair greys of the camera's picture and
- *   of the drawn one, rows from the top, and where the drawn one has artwork
- * @typedef {{x: number, y: number, dx: number, dy: number}} Shift of the tile whose corner is at x, y: the picture lies dx, dy from the drawn one
- * @typedef {{shifts: Shift[], unlike: number}} Alignment */
+/**
+ * @typedef {{width: number, height: number, camera: Float32Array, drawn: Float32Array, covered:
+ *   Uint8Array}} Pair greys of the camera's picture and of the drawn one, rows from the top, and
+ *   where the drawn one has artwork
+ * @typedef {{x: number, y: number, dx: number, dy: number}} Shift of the tile whose corner is at x,
+ *   y: the picture lies dx, dy from the drawn one
+ * @typedef {{shifts: Shift[], unlike: number}} Alignment
+ */
 
 /** @param {Pair} pair @param {number} [most] tiles at most, evenly chosen @returns {Alignment} */
 export function align(pair, most = Infinity) {
@@ -39,7 +50,10 @@ export function align(pair, most = Infinity) {
   return found;
 }
 
-/** The median and the 90th percentile of the shifts' lengths; null without any. @param {Alignment} alignment */
+/**
+ * The median and the 90th percentile of the shifts' lengths; null without any.
+ * @param {Alignment} alignment
+ */
 export function summary({ shifts, unlike }) {
   const lengths = shifts.map(({ dx, dy }) => Math.hypot(dx, dy)).sort((a, b) => a - b);
   const at = (/** @type {number} */ share) => lengths[Math.min(lengths.length - 1, Math.floor(share * lengths.length))] ?? null;
@@ -54,12 +68,17 @@ function isCovered({ width, covered }, x, y) {
   return true;
 }
 
-/** Gauss-Newton over the shift of the drawn tile, its gain and its bias. @param {Pair} pair @param {number} x @param {number} y
- * @returns {number[] | "plain" | "unlike"} */
+/**
+ * Solves for the shift of the drawn tile, its gain and its bias by Gauss-Newton.
+ * @param {Pair} pair
+ * @param {number} x
+ * @param {number} y
+ * @returns {number[] | "plain" | "unlike"}
+ */
 function shiftOf({ width, camera, drawn }, x, y) {
   let shift = [0, 0, 1, 0];
   for (let round = 0; round < ROUNDS; round += 1) {
-    // The drawn tile, moved by the shift, is to be the camera's: d(u - dx, v - dy) gain + bias = c(u, v).
+    // The shifted drawn tile should equal the camera's: d(u - dx, v - dy) gain + bias = c(u, v).
     const normal = new Float64Array(14);
     const [dx, dy, gain, bias] = shift;
     const [fx, fy] = [Math.floor(-dx), Math.floor(-dy)];
@@ -105,7 +124,10 @@ function least([xx, xy, yy]) {
   return (xx + yy) / 2 - Math.hypot((xx - yy) / 2, xy);
 }
 
-/** Solves four normal equations by Cholesky's way; null where they say too little. @param {Float64Array} normal upper rows, then the right side */
+/**
+ * Solves four normal equations by Cholesky decomposition; null if they are singular.
+ * @param {Float64Array} normal upper rows, then the right side
+ */
 function solve(normal) {
   const index = (/** @type {number} */ a, /** @type {number} */ b) => (a * (9 - a)) / 2 + (b - a);
   const l = [[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]];

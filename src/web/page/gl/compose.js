@@ -1,4 +1,5 @@
-// From a camera's picture and its pose to the picture with the set in it: the set by the pinhole, bent by the lens, put over this very picture.
+// Composes the set into a camera's picture: draws the set by a pinhole camera at the picture's
+// pose, bends it by the lens, and puts it over that picture.
 import {
   BufferAttribute, BufferGeometry, DoubleSide, GLSL3, HalfFloatType, LinearFilter, LinearMipmapLinearFilter, LinearSRGBColorSpace, Mesh, NearestFilter, NoBlending, NoColorSpace, PCFShadowMap,
   RawShaderMaterial, RGBAFormat, Scene, Texture, Vector2, Vector3, Vector4, WebGLRenderTarget, WebGLRenderer,
@@ -22,8 +23,9 @@ const ANISOTROPY = 8;
 /** Metres from the plane of the first surface below which the camera sees it edge on. */
 const EDGE_ON = 0.1;
 
-// From where the lens shows a row's pixel to where the pinhole has it, which sees as the camera did at the middle row. A rolling shutter reads the first row
-// earlier and the last one later: meanwhile the camera turned, and moved before what stands in the plane of the stage.
+// Maps a pixel of the lens to the pinhole's picture, which shows what the camera saw at the middle
+// row. A rolling shutter reads the first row earlier and the last one later: meanwhile the camera
+// rotated, and moved relative to the plane of the stage.
 const VERTEX = `
 uniform vec3 turned; uniform vec3 moved; uniform vec4 plane; uniform vec4 pinhole; uniform vec2 size;
 in vec3 position; in vec2 raw; in vec2 towards;
@@ -46,7 +48,8 @@ in vec3 position; in vec2 raw;
 out vec2 inPicture; out vec2 inSet;
 void main() { inPicture = raw; inSet = vec2(-1.0); gl_Position = vec4(position, 1.0); }`;
 
-// The set is linear light times its coverage; the camera's picture is decoded, both are added, the sum is encoded.
+// The set is linear light times its coverage. The camera's picture is decoded, both are added, and
+// the sum is encoded.
 const COMPOSITE = `precision highp float;
 uniform sampler2D picture; uniform sampler2D drawn; uniform float strength; uniform float edge; uniform float backdrop;
 in vec2 inPicture; in vec2 inSet;
@@ -92,12 +95,12 @@ function textureOf(image) {
   return texture;
 }
 
-/** What VERTEX is told of the rows and of the pinhole. */
+/** The inputs of VERTEX about the rows and the pinhole. */
 function rows() {
   return { turned: { value: new Vector3() }, moved: { value: new Vector3() }, plane: { value: new Vector4() }, pinhole: { value: new Vector4() }, size: { value: new Vector2() } };
 }
 
-/** A picture with the set in it, on a canvas. It needs WebGL2; the constructor throws where there is none. */
+/** A picture with the set in it, on a canvas. Without WebGL2 the constructor throws. */
 export class Compositor {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
@@ -109,7 +112,10 @@ export class Compositor {
     this.renderer.setClearColor(0x000000, 0);
     this.set = new VirtualSet();
     this.picture = textureOf(null);
-    /** The gizmo, which a clean picture does not have. @type {{root: Object3D, isHeld: () => boolean}[]} */
+    /**
+     * The handles, which a clean picture does not show.
+     * @type {{root: Object3D, isHeld: () => boolean}[]}
+     */
     this.handles = [];
     /** Artwork by surface, as the measurement draws it. */
     this.artworks = new Scene();
@@ -126,7 +132,11 @@ export class Compositor {
     this.compares = new Scene().add(this.compared);
   }
 
-  /** The camera and the stage of a session. @param {Known} known as /api/v1/scene has them @param {number} floor metres */
+  /**
+   * The camera and the stage of a session.
+   * @param {Known} known as /api/v1/scene has them
+   * @param {number} floor metres
+   */
   setScene(known, floor) {
     const { camera } = known;
     this.known = known;
@@ -149,7 +159,10 @@ export class Compositor {
     this.renderer.setSize(camera.width, camera.height, false);
   }
 
-  /** The artwork of the stage's surfaces, in their order; null where there is none. @param {(ImageBitmap | null)[]} pictures */
+  /**
+   * The artwork of the stage's surfaces, in their order; null for surfaces without.
+   * @param {(ImageBitmap | null)[]} pictures
+   */
   setArtworks(pictures) {
     this.artworks.clear();
     this.known?.stage.surfaces.forEach((surface, k) => {
@@ -173,8 +186,12 @@ export class Compositor {
     this.renderer.initTexture(this.picture);
   }
 
-  /** The camera's motion while the rows of this frame are read; null where it is not known. @param {Known} known
-   * @param {Pose} pose @param {Motion | null} motion */
+  /**
+   * The camera's motion while the rows of this frame are read; null if unknown.
+   * @param {Known} known
+   * @param {Pose} pose
+   * @param {Motion | null} motion
+   */
   setMotion({ readout_s, stage }, pose, motion) {
     const { turned, moved, plane } = this.uniforms;
     const readout = motion === null ? 0 : readout_s;
@@ -188,8 +205,12 @@ export class Compositor {
     plane.value.fromArray([...normal, Math.abs(distance) > EDGE_ON ? 1 / distance : 0]);
   }
 
-  /** Draws the last picture with the set as the record's pose sees it; without a pose the picture alone.
-   * @param {PoseRecord | null} record @param {Motion | null} motion @param {{mode: Mode, share: number, clean: boolean}} how */
+  /**
+   * Draws the last picture with the set at the record's pose; without a pose the picture alone.
+   * @param {PoseRecord | null} record
+   * @param {Motion | null} motion
+   * @param {{mode: Mode, share: number, clean: boolean}} how
+   */
   draw(record, motion, { mode, share, clean }) {
     if (!this.target || !this.known) return;
     const pose = mode === "image" ? null : record?.pose;
@@ -207,7 +228,12 @@ export class Compositor {
     this.renderer.render(this.shows, this.set.camera);
   }
 
-  /** The last picture and the artwork as the pose sees it, to be compared. @param {PoseRecord} record @param {Motion | null} motion @returns {Pair | null} */
+  /**
+   * Returns the last picture and the artwork at the pose, for comparison.
+   * @param {PoseRecord} record
+   * @param {Motion | null} motion
+   * @returns {Pair | null}
+   */
   pair(record, motion) {
     if (!this.target || !this.measured || !this.known || !record.pose) return null;
     const { width, height } = this.measured;

@@ -1,28 +1,46 @@
-// The lens for the graphics card: the set is drawn by a pinhole that sees a little more than the camera, and then bent as the lens bends.
+// The lens on the graphics card: the set is drawn by a pinhole that sees a little more than the
+// camera, and then bent like the lens bends.
 import { direction, pixel } from "../lens.js";
 import { BufferAttribute, BufferGeometry, Matrix4 } from "../vendor/three.js";
 
 /** @import { Camera } from "../types.js" */
 
-/** Cells across and down in which the bending is linear. Its error within a cell is the lens' curvature there: below 0.005 px for the lenses of
- * stage cameras. Raised, more corners a frame. */
+/**
+ * Cells across and down in which the bending is linear. The error within a cell is the lens'
+ * curvature there: below 0.005 px for the lenses of stage cameras. Raised, there are more corners
+ * per frame.
+ */
 const ACROSS = 128;
 const DOWN = 72;
-/** The pinhole's picture has at most so many times the camera's pixels along a side: a fisheye's border would need any number. */
+/**
+ * Maximum ratio of the pinhole's picture to the camera's, along a side: a fisheye's border would
+ * need any size.
+ */
 const MOST = 2;
-/** Rounds of Newton's that make a direction exact, and the error in pixels that is allowed after them. */
+/** Newton iterations that make a direction exact, and the maximum error after them, pixels. */
 const ROUNDS = 4;
 const EXACT = 1e-3;
-/** The pinhole sees more than the border by this share of a side: what a shaken camera's first and last rows see beside the middle row's. */
+/**
+ * The pinhole sees this share of a side beyond the border: what the first and last rows of a shaken
+ * camera see outside the middle row's view.
+ */
 const BESIDE = 0.02;
 /** Metres between which things are drawn. */
 const NEAR = 0.05;
 const FAR = 200;
 
-/** @typedef {{width: number, height: number, fx: number, fy: number, cx: number, cy: number}} Pinhole the overscanned picture's own camera */
+/**
+ * @typedef {{width: number, height: number, fx: number, fy: number, cx: number, cy: number}}
+ *   Pinhole the overscanned picture's own camera
+ */
 
-/** The exact direction (x, y at z = 1) of a raw pixel; null where the lens shows none: beyond its fold, or where it cannot be undone.
- * @param {Camera} camera @param {number[]} raw @returns {number[] | null} */
+/**
+ * The exact direction (x, y at z = 1) of a raw pixel; null if there is none: beyond the fold of the
+ * lens, or if the inversion fails.
+ * @param {Camera} camera
+ * @param {number[]} raw
+ * @returns {number[] | null}
+ */
 export function undistorted(camera, raw) {
   let [x, y] = direction(camera, raw);
   const free = { ...camera, valid_radius: null };
@@ -39,7 +57,11 @@ export function undistorted(camera, raw) {
   return back !== null && Math.hypot(back[0] - raw[0], back[1] - raw[1]) < EXACT ? [x, y] : null;
 }
 
-/** The overscanned pinhole: as fine as the camera, as wide as what its border shows. @param {Camera} camera @returns {Pinhole} */
+/**
+ * The overscanned pinhole: as fine as the camera, as wide as what its border shows.
+ * @param {Camera} camera
+ * @returns {Pinhole}
+ */
 export function pinhole(camera) {
   const shown = corners(camera).flat().filter((corner) => corner.towards !== null).map(({ towards }) => /** @type {number[]} */ (towards));
   const bounds = [0, 1].map((axis) => {
@@ -64,8 +86,12 @@ function corners(camera) {
   );
 }
 
-/** The mesh that bends: `position` in the picture (-1 to 1, up), `raw` within the camera's picture (0 to 1, down), `towards` the direction that is seen there
- * (x, y at z = 1). A cell that the lens does not show whole is left out. @param {Camera} camera */
+/**
+ * The mesh that applies the lens: `position` in the picture (-1 to 1, up), `raw` within the
+ * camera's picture (0 to 1, down), `towards` the direction there (x, y at z = 1). Cells that the
+ * lens does not show completely are omitted.
+ * @param {Camera} camera
+ */
 export function bending(camera) {
   const grid = corners(camera);
   const [position, raw, towards] = /** @type {number[][]} */ ([[], [], []]);

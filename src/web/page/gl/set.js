@@ -1,5 +1,5 @@
-// The set as three.js draws it: the things on it, the stage's surfaces, which hide and take shadows, and light. All of it is in the stage's frame,
-// metres, z up.
+// The set as three.js draws it: its things, the stage's surfaces, which occlude and receive
+// shadows, and light. Everything is in the stage's frame, metres, z up.
 import {
   AmbientLight, BoxGeometry, ConeGeometry, DirectionalLight, DoubleSide, GridHelper, Group, Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial,
   PerspectiveCamera, PlaneGeometry, Quaternion, Scene, ShadowMaterial, Vector3,
@@ -45,7 +45,11 @@ export class VirtualSet {
     this.objects = [];
     this.things = new Group();
     this.scene.add(this.stage, this.things, new AmbientLight(0xffffff, 1.1), ...this.light());
-    /** Things as they were made, by what they were made of. @type {Map<string, {kind: string, colour: string, model: Object3D | undefined, holder: Object3D}>} */
+    /**
+     * The objects made so far, by what they were made of.
+     * @type {Map<string, {kind: string, colour: string, model: Object3D | undefined, holder:
+     *   Object3D}>}
+     */
     this.held = new Map();
     /** @type {Known | null} */
     this.known = null;
@@ -64,7 +68,11 @@ export class VirtualSet {
     return [lamp, lamp.target];
   }
 
-  /** The stage as the daemon describes it, and the height of its floor. @param {Known} known @param {number} floor metres */
+  /**
+   * The stage as the daemon describes it, and the height of its floor.
+   * @param {Known} known
+   * @param {number} floor metres
+   */
   setStage(known, floor) {
     this.known = known;
     this.floor = floor;
@@ -83,7 +91,11 @@ export class VirtualSet {
     });
   }
 
-  /** The camera and the objects as a record has them. @param {Pose} pose @param {PoseRecord["objects"]} objects */
+  /**
+   * The camera and the objects as a record has them.
+   * @param {Pose} pose
+   * @param {PoseRecord["objects"]} objects
+   */
   setPoses(pose, objects) {
     this.camera.matrix.copy(matrix(pose)).multiply(FLIP);
     this.camera.matrixWorldNeedsUpdate = true;
@@ -95,7 +107,11 @@ export class VirtualSet {
     });
   }
 
-  /** What is on the set; a thing that stays what it was is moved, not made anew. @param {Thing[]} things @param {Map<string, Object3D>} models */
+  /**
+   * Sets what is on the set; a thing of the same kind and colour is moved, not made again.
+   * @param {Thing[]} things
+   * @param {Map<string, Object3D>} models
+   */
   setThings(things, models) {
     const wanted = new Set(things.map(({ id }) => id));
     for (const [id, { holder }] of this.held) {
@@ -126,14 +142,20 @@ export class VirtualSet {
     }
   }
 
-  /** The frame that a thing stands in: the floor's, or a surface's, z out of its face. @param {string} on */
+  /**
+   * The frame that a thing stands in: the floor's, or a surface's, z out of its face.
+   * @param {string} on
+   */
   ground(on) {
     const surface = this.known?.stage.surfaces[Number(on)];
     return on !== "floor" && surface ? matrix(surface.pose) : new Matrix4().makeTranslation(0, 0, this.floor);
   }
 }
 
-/** What only hides, and what is only a shadow, of one shape. @param {import("../vendor/three.js").BufferGeometry} shape */
+/**
+ * Two meshes of one shape: one only occludes, one only shows shadows.
+ * @param {import("../vendor/three.js").BufferGeometry} shape
+ */
 function hider(shape) {
   const hides = new Mesh(shape, new MeshBasicMaterial({ colorWrite: false, side: DoubleSide }));
   hides.renderOrder = -2;
@@ -149,7 +171,11 @@ function catcher(shape) {
   return catches;
 }
 
-/** The frame of a thing with the thing in it, one metre large, standing on its origin. @param {Thing} thing @param {Object3D | undefined} model */
+/**
+ * The frame of a thing with the thing in it, one metre large, standing on its origin.
+ * @param {Thing} thing
+ * @param {Object3D | undefined} model
+ */
 function holderOf(thing, model) {
   const holder = new Group();
   holder.matrixAutoUpdate = false;

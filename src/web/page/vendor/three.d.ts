@@ -1,5 +1,5 @@
-// What the page uses of three.js: `remake` makes three.js of it, one module without the rest, and the
-// compiler of types knows three.js by it.
+// What the page uses of three.js. `remake` makes three.js from it, as one module without the rest,
+// and the type checker knows three.js by it.
 export {
   AmbientLight, Box3, BoxGeometry, BufferAttribute, BufferGeometry, ConeGeometry, DirectionalLight, DoubleSide, GLSL3, GridHelper, Group, HalfFloatType,
   LinearFilter, LinearMipmapLinearFilter, LinearSRGBColorSpace, LoadingManager, Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial, NearestFilter, NoBlending, NoColorSpace,
