@@ -21,7 +21,7 @@ pub mod features {
 
 /// The tracker's matcher, the hot loops of alignment, and surface shapes.
 pub mod track {
-pub use crate::track::{AlignKernels, Alignment, BentShape, BodyTracker, ShapeWay, SurfaceShape, TUNING, UsedPixel, UsedPixels};
+    pub use crate::track::{AlignKernels, Alignment, BentShape, BodyTracker, ShapeWay, SurfaceShape, TUNING, UsedPixel, UsedPixels};
 
     /// Returns how many linear systems alignment solved since the tracker began, on all levels,
     /// also for starts that led nowhere: the stage's first, then the objects'.
