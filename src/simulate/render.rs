@@ -214,7 +214,7 @@ impl Renderer {
         if let Some((face, view, inverse, u, v)) = hit {
             // Texels under one ray: the pixel's area on the face, divided among its rays.
             let texels = (view.determinant * inverse * inverse * inverse).abs() * ray.area / self.samples.len() as f64;
-            light = if view.height > 0.0 { face.light(u, v, 0.5 * (texels as f32).log2()) } else { self.back };
+            light = if view.height > 0.0 { face.light(u, v, texels as f32) } else { self.back };
         }
         for ((plane, cloth), view) in self.bent.iter().zip(&views.bent) {
             let toward = view.turn * direction;
@@ -227,8 +227,7 @@ impl Renderer {
             // texels.
             let square_m = met.depth * met.depth * ray.area / against.abs();
             let texels = square_m * plane.texels_per_square_m() / self.samples.len() as f64;
-            let level = 0.5 * (texels as f32).log2();
-            light = if against > 0.0 { plane.face.light(face.x, face.y, level) } else { self.back };
+            light = if against > 0.0 { plane.face.light(face.x, face.y, texels as f32) } else { self.back };
         }
         if views.beams.is_empty() || nearest.is_infinite() {
             return light;
@@ -249,14 +248,16 @@ impl Face {
         }
     }
 
-    /// Returns the light at a face position; `level` refers to an area in face coordinates.
-    fn light(&self, u: f64, v: f64, level: f32) -> f32 {
+    /// Returns the light at a face position, averaged over an area in face coordinates.
+    #[inline]
+    fn light(&self, u: f64, v: f64, area: f32) -> f32 {
         match self {
-            Face::Picture { texture, .. } => texture.light(u, v, level),
+            // Below one texel the level is the finest: no logarithm is needed.
+            Face::Picture { texture, .. } => texture.light(u, v, if area <= 1.0 { 0.0 } else { 0.5 * area.log2() }),
             Face::Ellipse { light } => *light,
             Face::Person { clothes, size_px } => {
                 let [half_width, half_height] = size_px.map(|side| 0.5 * side);
-                let level = level + 0.5 * ((half_width * half_height) as f32).log2();
+                let level = 0.5 * area.log2() + 0.5 * ((half_width * half_height) as f32).log2();
                 clothes.light((1.0 + u) * half_width - 0.5, (1.0 - v) * half_height - 0.5, level)
             }
         }

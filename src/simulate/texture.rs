@@ -14,10 +14,13 @@ use super::light::LightModel;
 struct Level {
     width: usize,
     height: usize,
-    /// Light, row-major.
+    /// Light, row-major. The last column and the last row are stored twice, so that a lookup at the
+    /// edge is no special case.
     light: Vec<f32>,
     /// Texels of this level per texel of the first, across and down.
     scale: [f64; 2],
+    /// Index of the last column and row.
+    last: [f64; 2],
 }
 
 /// A grey picture with its halved copies.
@@ -31,8 +34,8 @@ impl Texture {
     /// its grey levels.
     pub(super) fn new(picture: &GrayImage, model: LightModel) -> Self {
         let (width, height) = (picture.width() as usize, picture.height() as usize);
-        let light = picture.as_raw().iter().map(|&g| model.light_of(f32::from(g))).collect();
-        let mut levels = vec![Level { width, height, light, scale: [1.0; 2] }];
+        let light: Vec<f32> = picture.as_raw().iter().map(|&g| model.light_of(f32::from(g))).collect();
+        let mut levels = vec![Level::new(width, height, &light, [1.0; 2])];
         while let Some(last) = levels.last().filter(|l| l.width.min(l.height) > 1) {
             let next = last.halved(width, height);
             levels.push(next);
@@ -42,13 +45,17 @@ impl Texture {
 
     /// Returns the light at `(u, v)` in pixels of the full picture (centres at integers), averaged
     /// over about `2^level` of them along each side. Outside the picture its edge values continue.
+    #[inline]
     pub(super) fn light(&self, u: f64, v: f64, level: f32) -> f32 {
-        let top = (self.levels.len() - 1) as f32;
-        let level = level.clamp(0.0, top);
+        // Most pictures are seen from so near that their finest level is enough.
+        if level <= 0.0 {
+            return self.levels[0].bilinear(u, v);
+        }
+        let level = level.min((self.levels.len() - 1) as f32);
         let fine = level as usize;
         let blend = level - fine as f32;
         let sharp = self.levels[fine].bilinear(u, v);
-        // At the finest and at the last level one size is enough.
+        // At the last level one size is enough.
         if blend == 0.0 {
             return sharp;
         }
@@ -57,11 +64,22 @@ impl Texture {
 }
 
 impl Level {
+    fn new(width: usize, height: usize, light: &[f32], scale: [f64; 2]) -> Self {
+        let rows = light.chunks_exact(width).chain(light.chunks_exact(width).last());
+        let light = rows.flat_map(|row| row.iter().chain(row.last())).copied().collect();
+        Self { width, height, light, scale, last: [(width - 1) as f64, (height - 1) as f64] }
+    }
+
+    /// Returns the rows without the repeated texels.
+    fn rows(&self) -> impl Iterator<Item = &[f32]> {
+        self.light.chunks_exact(self.width + 1).take(self.height).map(|row| &row[..self.width])
+    }
+
     /// Returns the next smaller picture. Every texel of this one has the same total weight, so the
     /// mean is kept.
     fn halved(&self, full_width: usize, full_height: usize) -> Self {
         let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
-        let rows: Vec<f32> = self.light.chunks_exact(self.width).flat_map(|row| shrink(row, width)).collect();
+        let rows: Vec<f32> = self.rows().flat_map(|row| shrink(row, width)).collect();
         let mut light = vec![0.0; width * height];
         for x in 0..width {
             let column: Vec<f32> = rows.iter().skip(x).step_by(width).copied().collect();
@@ -69,19 +87,21 @@ impl Level {
                 light[y * width + x] = value;
             }
         }
-        Self { width, height, light, scale: [width as f64 / full_width as f64, height as f64 / full_height as f64] }
+        Self::new(width, height, &light, [width as f64 / full_width as f64, height as f64 / full_height as f64])
     }
 
+    #[inline]
     fn bilinear(&self, u: f64, v: f64) -> f32 {
         // Pixel centres at integers: scaling by s moves a pixel to (c + 0.5) s - 0.5.
-        let x = ((u + 0.5) * self.scale[0] - 0.5).clamp(0.0, (self.width - 1) as f64);
-        let y = ((v + 0.5) * self.scale[1] - 0.5).clamp(0.0, (self.height - 1) as f64);
-        let (i, j) = (x as usize, y as usize);
-        let (a, b) = ((x - i as f64) as f32, (y - j as f64) as f32);
-        let (i2, j2) = ((i + 1).min(self.width - 1), (j + 1).min(self.height - 1));
-        let (above, below) = (&self.light[j * self.width..][..self.width], &self.light[j2 * self.width..][..self.width]);
-        let top = above[i] + (above[i2] - above[i]) * a;
-        let bottom = below[i] + (below[i2] - below[i]) * a;
+        let x = ((u + 0.5) * self.scale[0] - 0.5).clamp(0.0, self.last[0]);
+        let y = ((v + 0.5) * self.scale[1] - 0.5).clamp(0.0, self.last[1]);
+        let (i, j) = (x as i32, y as i32);
+        let (a, b) = ((x - f64::from(i)) as f32, (y - f64::from(j)) as f32);
+        let stride = self.width + 1;
+        let four = &self.light[j as usize * stride + i as usize..][..stride + 2];
+        let (above, below) = ([four[0], four[1]], [four[stride], four[stride + 1]]);
+        let top = above[0] + (above[1] - above[0]) * a;
+        let bottom = below[0] + (below[1] - below[0]) * a;
         top + (bottom - top) * b
     }
 }
@@ -113,7 +133,7 @@ mod tests {
     fn every_level_keeps_the_mean_grey() {
         // Odd sides: windows straddle texels.
         let texture = Texture::new(&picture(231, 117), LightModel::GreyAverages);
-        let mean = |l: &Level| l.light.iter().map(|&g| f64::from(g)).sum::<f64>() / l.light.len() as f64;
+        let mean = |l: &Level| l.rows().flatten().map(|&g| f64::from(g)).sum::<f64>() / (l.width * l.height) as f64;
         let first = mean(&texture.levels[0]);
         assert!(texture.levels.len() >= 7);
         for level in &texture.levels {
