@@ -14,6 +14,7 @@ use rayon::prelude::*;
 
 use super::cloth::Cloth;
 use super::light::LightModel;
+use super::path::CameraPath;
 use super::person::is_within_outline;
 use super::samples::{Sample, sample_pattern};
 use super::sensor::develop_row;
@@ -132,6 +133,12 @@ impl Renderer {
         let (planes, bent) = faces_of(&stage);
         let [background, back] = [stage.background, BACK_GREY].map(|grey| stage.light_model.light_of(grey));
         Self { stage, rays, samples, planes, bent, background, back }
+    }
+
+    /// Films along another path, with other noise. Inverts no lens and prepares no picture anew.
+    pub fn with_path(mut self, path: CameraPath, seed: u64) -> Self {
+        (self.stage.camera_path, self.stage.seed) = (path, seed);
+        self
     }
 
     /// Returns the stage that is rendered.

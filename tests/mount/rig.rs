@@ -24,15 +24,14 @@ impl Board {
         artwork_surface("board", self.art.clone(), SIZE_M, upright(Vector3::zeros(), 0.0))
     }
 
-    /// Renders what a camera sees of the board from a place.
-    pub fn seen(&self, camera: CameraModel, pose: &Pose<Stage, Camera>, seed: u64) -> GrayImage {
+    /// Returns a renderer of what a camera sees of the board.
+    fn renderer(&self, camera: CameraModel) -> Renderer {
         let stage = BodySpec::new("stage", vec![self.surface()]);
-        let mut scene = VirtualStage::new(camera, standing(pose), stage);
+        let mut scene = VirtualStage::new(camera, CameraPath::fixed(Point3::new(0.0, -1.0, 0.0), Point3::origin()), stage);
         scene.noise = SensorNoise::webcam();
         scene.background = 60.0;
         scene.samples = 8;
-        scene.seed = seed;
-        Renderer::new(scene).render(0.0, seed)
+        Renderer::new(scene)
     }
 }
 
@@ -81,8 +80,10 @@ pub fn filming(tracking: &Pose<Stage, Camera>) -> Pose<Stage, Camera> {
 pub fn write(folder: &Path, name: &str, camera: CameraModel, board: &Board, poses: &[Pose<Stage, Camera>]) -> PathBuf {
     let clip = folder.join(name);
     std::fs::create_dir_all(&clip).unwrap();
-    for (k, pose) in poses.iter().enumerate() {
-        board.seen(camera, pose, k as u64 + 1).save(clip.join(format!("{k:03}.png"))).unwrap();
+    let mut renderer = board.renderer(camera);
+    for (pose, seed) in poses.iter().zip(1..) {
+        renderer = renderer.with_path(standing(pose), seed);
+        renderer.render(0.0, seed).save(clip.join(format!("{:03}.png", seed - 1))).unwrap();
     }
     board.art.save(folder.join(format!("{name}-board.png"))).unwrap();
     let i = camera.intrinsics();
