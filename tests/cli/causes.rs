@@ -1,8 +1,6 @@
 //! One thing on a stage is slightly off: tracking continues, and `check --clip` reports which thing
 //! it is, by how much, and what to do.
 
-use std::process::Command;
-
 use nalgebra::Vector3;
 use stagepose::diagnostics::simulate::{artwork_surface, grey, paint, upright};
 use stagepose::{BodySpec, CameraModel, CameraPath, Draught, Intrinsics, Renderer, SensorNoise, Spline, VirtualStage, Wave};
@@ -65,7 +63,7 @@ fn said(change: impl FnOnce(&mut VirtualStage)) -> String {
         stamps += &format!("{},{k:06}.pgm\n", (k as f64 / FPS * 1e9) as u64);
     }
     std::fs::write(path("clip/timestamps.csv"), stamps).unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_stagepose"));
+    let mut command = crate::program();
     command.args(["check", "--config", "stage.toml", "--clip", "clip"]).current_dir(folder.path()).env_remove("RUST_LOG");
     let output = command.output().unwrap();
     let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();

@@ -83,7 +83,7 @@ impl Scene {
     }
 
     pub fn command(&self, arguments: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_stagepose"));
+        let mut command = crate::program();
         command.args(arguments).current_dir(self.folder.path()).env_remove("RUST_LOG");
         command
     }

@@ -37,18 +37,19 @@ fn clips_that_are_not_a_walk_are_refused_with_the_reason() {
 #[test]
 fn an_earlier_survey_is_replaced_completely() {
     let walk = Walk::new();
+    walk.shorten();
     std::fs::create_dir(walk.path("surveyed")).expect("it can be made");
     walk.write("surveyed/mine.txt", "keep");
-    walk.run(&survey("walk", &[])).assert_refused(2, &["surveyed", "no earlier survey wrote"]);
+    walk.run(&survey("short", &[])).assert_refused(2, &["surveyed", "no earlier survey wrote"]);
     assert_eq!(walk.read("surveyed/mine.txt"), "keep");
     std::fs::remove_file(walk.path("surveyed/mine.txt")).expect("it is there");
-    walk.run(&survey("walk", &[])).assert_success();
+    walk.run(&survey("short", &[])).assert_success();
     let first = walk.files("surveyed");
     // A failing survey leaves the earlier one as it was.
     walk.save("one", &frames()[..1]);
     walk.run(&survey("one", &[])).assert_refused(1, &["the camera came to"]);
     assert_eq!(walk.files("surveyed"), first);
-    walk.run(&survey("walk", &[])).assert_success();
+    walk.run(&survey("short", &[])).assert_success();
     assert_eq!(walk.files("surveyed"), first);
     a_shape_of_another_picture_or_size_is_refused_with_the_mend(&walk);
 }
@@ -78,7 +79,7 @@ fn an_interrupted_survey_keeps_the_earlier_one_and_resumes() {
     // Leftovers of a run that was killed while writing must not enter the next survey.
     std::fs::create_dir(walk.path(".surveyed.new")).expect("it can be made");
     walk.write(".surveyed.new/shape-9.toml", "");
-    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_stagepose"))
+    let mut child = crate::program()
         .args(survey("walk", &["--log", "debug", "--json", "out.json"]))
         .current_dir(walk.path(""))
         .stderr(std::process::Stdio::piped())

@@ -117,6 +117,12 @@ impl Walk {
         self.write(&format!("{name}/timestamps.csv"), &stamps);
     }
 
+    /// Writes every third frame as the clip `short`: enough for a survey that succeeds, where its
+    /// accuracy is not the question.
+    pub fn shorten(&self) {
+        self.save("short", &frames().iter().step_by(3).cloned().collect::<Vec<_>>());
+    }
+
     pub fn path(&self, name: &str) -> std::path::PathBuf {
         self.folder.path().join(name)
     }
@@ -134,7 +140,7 @@ impl Walk {
     }
 
     pub fn run(&self, arguments: &[&str]) -> Run {
-        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_stagepose"));
+        let mut command = crate::program();
         Run::from(command.args(arguments).current_dir(self.folder.path()).env_remove("RUST_LOG").output().expect("the program runs"))
     }
 

@@ -470,7 +470,7 @@ fn an_unconfigured_readout_does_not_blame_the_lens() {
         "[camera]\ncalibration = \"{fixture}/camera.toml\"\n[[stage.surface]]\nimage = \"{fixture}/backdrop.png\"\nsize_m = [4.0, 3.0]\n"
     );
     std::fs::write(folder.path().join("stage.toml"), config).unwrap();
-    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_stagepose"));
+    let mut command = crate::program();
     let output = command.args(["check", "--config", "stage.toml", "--clip", fixture]).current_dir(folder.path()).output().unwrap();
     let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
     let said = stage::Said { code: output.status.code().unwrap(), text };

@@ -2,7 +2,6 @@
 //! moves past, and a correct config.
 
 use std::path::PathBuf;
-use std::process::Command;
 use std::sync::OnceLock;
 
 use image::{GrayImage, Luma, imageops};
@@ -163,7 +162,7 @@ impl Stage {
     }
 
     pub fn check(&self) -> Said {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_stagepose"));
+        let mut command = crate::program();
         command.args(["check", "--config", "stage.toml", "--clip", "clip"]).current_dir(self.folder.path()).env_remove("RUST_LOG");
         let output = command.output().unwrap();
         let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
