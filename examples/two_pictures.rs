@@ -7,8 +7,8 @@
 //! cargo run --release --example two_pictures -- a.png b.png # your own two pictures
 //! ```
 //!
-//! The library parts need no features; `capture` adds the decoders of the crate `image`, for the
-//! files.
+//! The library parts need the feature `two-views`; `capture` adds the decoders of the crate
+//! `image`, for the files.
 
 use std::error::Error;
 use std::path::Path;

@@ -1,7 +1,7 @@
 //! Internals for studies, benches, tests and overlays, grouped by module. Nothing here is stable:
 //! any version may change it.
 
-/// Geometry solvers beyond those of [`two_views`](crate::two_views).
+/// Geometry solvers beyond those of `two_views`.
 pub mod geometry {
     pub use crate::geometry::FilmingCamera;
     pub use crate::geometry::bspline::BicubicSpline;

@@ -13,10 +13,10 @@
 //! samples. Features add clips (`capture`), the config and the `Daemon` (`daemon`), calibration
 //! files (`calibration-files`), the virtual stage (`simulate`) and shutter estimation from a clip
 //! (`survey`). The module `protocols` (`protocols`) has the codecs of FreeD, OpenTrackIO and
-//! PosiStageNet. [`two_views`] has features, matching and geometry of two pictures. [`diagnostics`]
-//! exposes internals to studies, benches and tests, without any stability promise. The crates whose
-//! types appear in signatures are re-exported: [`nalgebra`], [`image`], [`crossbeam_channel`], and
-//! with `protocols` also `serde_json`.
+//! PosiStageNet. The module `two_views` (`two-views`) has features, matching and geometry of two
+//! pictures. [`diagnostics`] exposes internals to studies, benches and tests, without any stability
+//! promise. The crates whose types appear in signatures are re-exported: [`nalgebra`], [`image`],
+//! [`crossbeam_channel`], and with `protocols` also `serde_json`.
 //!
 //! # Map of the modules
 //! Data flows one way. A module (a folder or file of `src/`) uses only modules above it in this
@@ -65,7 +65,9 @@
 //! - `daemon` (`daemon`): the tracker on its own threads: `Daemon`
 //! - `web` (`daemon`, the server `http`): WebSocket, pose and state over HTTP
 //! - `cli` (`cli`): one file per command
-//! - [`two_views`]: what relates two pictures, for programs that use the crate as a library
+//! - `two_views` (`two-views`): what relates two pictures, for programs that use the crate as a
+//!   library: re-exports the modules `two_views` of `geometry` and `features` and
+//!   `matching::exact`, which only this feature compiles
 //! - [`diagnostics`]: a view of all internals
 //!
 //! # Two ways to use it
@@ -139,6 +141,7 @@ mod utc;
 mod web;
 
 pub mod diagnostics;
+#[cfg(feature = "two-views")]
 pub mod two_views;
 
 // Unit tests share modules with the program's tests, which name the library `stagepose`.

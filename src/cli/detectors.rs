@@ -20,7 +20,7 @@ use super::spared::Spared;
 use crate::compare::CompareOptions;
 use crate::compare::detector_scores::{DetectorScore, score};
 use crate::compare::known_views::{CHANGES, changed};
-use crate::features::{DescriptorKind, DetectorKind, FeatureSettings, extract_watched};
+use crate::features::two_views::{DescriptorKind, DetectorKind, FeatureSettings, extract_watched};
 use crate::geometry::Homography;
 use crate::printable::printable_lines;
 use crate::safe_file;

@@ -5,10 +5,10 @@
 use nalgebra::{Matrix3, Vector2};
 
 use super::relations;
-use crate::features::Features;
-use crate::features::repeatability::{Repeatability, repeatability};
+use crate::features::two_views::Features;
+use crate::features::two_views::repeatability::{Repeatability, repeatability};
 use crate::geometry::{Homography, PointPair};
-use crate::matching::{ExactMatch, match_exactly};
+use crate::matching::exact::{ExactMatch, match_exactly};
 
 /// Maximum distance of a right match from where the known homography puts it, pixels. Twice the 1.5
 /// of Mikolajczyk and Schmid 2005, since most known homographies are accurate to a pixel. Raised,

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Vector2};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-use crate::features::FloatImage;
+use crate::features::two_views::FloatImage;
 use crate::geometry::Homography;
 
 /// A change of view or light.

@@ -17,10 +17,10 @@ use image::GrayImage;
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 
 use crate::camera::{CameraModel, Pixel};
-use crate::features::{FeatureSettings, Features, Share, extract_watched};
+use crate::features::two_views::{FeatureSettings, Features, Share, extract_watched};
 use crate::geometry::PointPair;
 use crate::geometry::relative_pose::{RayPair, TwoViewMotion};
-use crate::matching::{ExactMatch, ExactOptions, match_watched};
+use crate::matching::exact::{ExactMatch, ExactOptions, match_watched};
 
 /// A picture and, if known, its camera.
 #[derive(Debug, Clone, Copy)]
@@ -53,7 +53,7 @@ pub struct CompareOptions {
 impl Default for CompareOptions {
     fn default() -> Self {
         Self {
-            features: FeatureSettings::of(crate::features::DetectorKind::Sift),
+            features: FeatureSettings::of(crate::features::two_views::DetectorKind::Sift),
             matching: ExactOptions::default(),
             threshold_px: 1.2,
             baseline_m: None,

@@ -5,21 +5,22 @@ use nalgebra::Matrix3;
 
 use super::{CameraMove, CompareOptions, Model, Relation};
 use crate::camera::CameraModel;
-use crate::geometry::distances::{squared_sampson, squared_sampson_of_homography};
-use crate::geometry::essential_decomposition::JudgedMotion;
-use crate::geometry::false_alarms::{chance_at_a_line, chance_at_a_point, ln_false_alarms};
+use crate::geometry::PointPair;
+use crate::geometry::distances::squared_sampson;
 use crate::geometry::homography::Homography;
-use crate::geometry::homography_decomposition::{PlanarMotion, decompose_homography};
-use crate::geometry::marginal_homography::homography_of_unknown_noise;
-use crate::geometry::model_choice::{EpipolarKind, TwoViewModel, choose_model};
 use crate::geometry::ransac::Order;
 use crate::geometry::relative_pose::{RayPair, TwoViewMotion};
 use crate::geometry::robust::{RobustModel, RobustOptions};
-use crate::geometry::robust_essential::robust_essential;
-use crate::geometry::robust_fundamental::robust_fundamental;
 use crate::geometry::robust_homography::robust_homography;
 use crate::geometry::robust_kernel::median;
-use crate::geometry::{PointPair, epipolar};
+use crate::geometry::two_views::distances::squared_sampson_of_homography;
+use crate::geometry::two_views::false_alarms::{chance_at_a_line, chance_at_a_point, ln_false_alarms};
+use crate::geometry::two_views::homography_decomposition::{PlanarMotion, decompose_homography};
+use crate::geometry::two_views::judged_motion::JudgedMotion;
+use crate::geometry::two_views::marginal_homography::homography_of_unknown_noise;
+use crate::geometry::two_views::model_choice::{EpipolarKind, TwoViewModel, choose_model};
+use crate::geometry::two_views::robust_essential::robust_essential;
+use crate::geometry::two_views::robust_fundamental::robust_fundamental;
 
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Found {
@@ -220,9 +221,10 @@ fn focals(cameras: &[CameraModel; 2]) -> [f64; 2] {
     cameras.each_ref().map(|camera| (camera.intrinsics().fx * camera.intrinsics().fy).abs().sqrt())
 }
 
-/// Converts an essential matrix to F.
+/// Converts an essential matrix to the fundamental matrix for pixels of these cameras: K2⁻ᵀ E K1⁻¹.
 pub(super) fn in_pixels(essential: &Matrix3<f64>, [a, b]: &[CameraModel; 2]) -> Option<Matrix3<f64>> {
-    epipolar::in_pixels(essential, [&a.k_matrix(), &b.k_matrix()])
+    let f = b.k_matrix().try_inverse()?.transpose() * essential * a.k_matrix().try_inverse()?;
+    f.iter().all(|v| v.is_finite()).then_some(f)
 }
 
 /// Scales to unit norm with a positive largest element, so that equal relations have equal numbers.

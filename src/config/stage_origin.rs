@@ -15,7 +15,8 @@ use super::origin::Origin;
 use super::typed_values::{Exactly, Number};
 use super::values::Section;
 use super::{ConfigError, Problem};
-use crate::geometry::{Body, Pose, quaternion};
+use crate::geometry::pose::quaternion;
+use crate::geometry::{Body, Pose};
 use crate::track::{BodySpec, SurfaceSpec};
 
 /// Named points of a picture: shares of the surface's width and height from its centre, right and

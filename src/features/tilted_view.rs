@@ -3,15 +3,14 @@
 //! An oblique view compresses the picture along one direction, by the inverse cosine of the angle
 //! between the line of sight and the picture's normal. Descriptors tolerate a compression of two.
 //! Beyond that they must be computed from an equally compressed picture: the simulated views of
-//! ASIFT (see [`ViewSimulation`](super::ViewSimulation)), made from the reference alone and in
-//! advance.
+//! ASIFT (see `simulated_view`), made from the reference alone and in advance.
 
 use image::GrayImage;
 use nalgebra::Matrix2;
 
 use super::extractor::{BORDER, ExtractorOptions, Feature, FeatureExtractor};
-use super::keypoint::PictureForms;
-use super::view_simulation::{SimulatedPicture, View};
+use super::float_image::FloatImage;
+use super::simulated_view::{SimulatedPicture, View};
 use super::workers::Workers;
 
 /// Views of one tilt, at evenly spaced longitudes over half a turn.
@@ -48,10 +47,10 @@ pub fn append_tilted_features(
     workers: &Workers,
     features: &mut Vec<Vec<Feature>>,
 ) {
-    let forms = PictureForms::new(picture);
+    let picture = FloatImage::from_grey(picture);
     let mut of_view = Vec::new();
     for k in 0..views.count {
-        let Some(view) = SimulatedPicture::of(&forms, View { tilt: views.tilt, longitude: views.longitude(k) }) else {
+        let Some(view) = SimulatedPicture::of(&picture, View { tilt: views.tilt, longitude: views.longitude(k) }) else {
             features.push(Vec::new());
             continue;
         };

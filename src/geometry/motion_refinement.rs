@@ -8,7 +8,6 @@ use super::least_squares::{Damping, MIN_GAIN_OF_PAIRS, Options, Problem, minimis
 use super::pose::skew;
 use super::relative_pose::{RayPair, TwoViewMotion};
 use super::robust_kernel::{geman_mcclure_cost, geman_mcclure_weight};
-use super::sampson_refinement::{Relation, SampsonFit};
 
 /// Refines a motion on Sampson distances of all pairs (5 degrees of freedom, Geman-McClure at
 /// `sigma`, normalised units).
@@ -52,13 +51,15 @@ fn tangent(t: &Vector3<f64>) -> [Vector3<f64>; 2] {
     [a, t.cross(&a)]
 }
 
-fn moved(m: &TwoViewMotion, step: &SVector<f64, 5>) -> TwoViewMotion {
+/// Moves a motion by a step.
+pub(super) fn moved(m: &TwoViewMotion, step: &SVector<f64, 5>) -> TwoViewMotion {
     let [a, b] = tangent(&m.direction);
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[0], step[1], step[2]));
     TwoViewMotion { rotation: turn * m.rotation, direction: (m.direction + a * step[3] + b * step[4]).normalize() }
 }
 
-fn derivatives(m: &TwoViewMotion) -> [Matrix3<f64>; 5] {
+/// Returns the derivatives of the essential matrix by the step.
+pub(super) fn derivatives(m: &TwoViewMotion) -> [Matrix3<f64>; 5] {
     let r = m.rotation.to_rotation_matrix().into_inner();
     let [ta, tb] = tangent(&m.direction);
     let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
@@ -88,39 +89,9 @@ fn motion_normal_equations(m: &TwoViewMotion, pairs: &[RayPair], c2: f64) -> (Ma
     (normal, gradient)
 }
 
-/// Refines a motion on Sampson distances in pixels of two pictures with these focal lengths (first,
-/// second), by exact derivatives. Pairs beyond three `sigma` (pixels) lose weight.
-pub fn refine_motion_in_pixels(start: &TwoViewMotion, pairs: &[RayPair], focals: [f64; 2], sigma: f64, iterations: usize) -> TwoViewMotion {
-    let fit = SampsonFit {
-        pairs: pairs.iter().map(|p| [p.first.push(1.0), p.second.push(1.0)]).collect(),
-        pixel: focals.map(|focal| 1.0 / focal),
-        sigma,
-    };
-    fit.refined(*start, iterations)
-}
-
-impl Relation<5> for TwoViewMotion {
-    fn matrix(&self) -> Matrix3<f64> {
-        self.essential()
-    }
-
-    fn stepped(&self, step: &SVector<f64, 5>) -> Self {
-        moved(self, step)
-    }
-
-    fn derivatives(&self) -> [Matrix3<f64>; 5] {
-        derivatives(self)
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector2;
-    use rand::{Rng, SeedableRng};
-    use rand_pcg::Pcg64Mcg;
-
     use super::*;
-    use crate::geometry::sampson_refinement::tests::derivatives_agree_with_differences;
     use crate::geometry::test_views::{scene, truth};
 
     #[test]
@@ -143,38 +114,5 @@ mod tests {
             }
             assert!((sum - gradient[k]).abs() < 1e-5 * (1.0 + sum.abs()), "{k}: {sum} {}", gradient[k]);
         }
-    }
-
-    #[test]
-    fn exact_derivatives_agree_with_differences() {
-        let fit = SampsonFit {
-            pairs: scene(30, 0.003, false, 3).iter().map(|p| [p.first.push(1.0), p.second.push(1.0)]).collect(),
-            pixel: [1.0 / 700.0, 1.0 / 1100.0],
-            sigma: 1.0,
-        };
-        for motion in [truth(), moved(&truth(), &SVector::from_fn(|k, _| 0.1 * (k as f64 - 2.0)))] {
-            derivatives_agree_with_differences(&motion, &fit);
-        }
-    }
-
-    #[test]
-    fn distances_are_counted_in_the_pixels_of_each_picture() {
-        // The second picture is ten times as coarse: one pixel of noise is ten times the first's in
-        // rays.
-        let (mut random, focals) = (Pcg64Mcg::seed_from_u64(4), [1000.0, 100.0]);
-        let mut pairs = scene(80, 0.0, false, 4);
-        for p in &mut pairs {
-            let mut noise = || Vector2::new(random.random_range(-1.0..1.0), random.random_range(-1.0..1.0));
-            (p.first, p.second) = (p.first + noise() / focals[0], p.second + noise() / focals[1]);
-        }
-        let squares = |m: &TwoViewMotion| {
-            let [first, second] = focals.map(|f| Matrix3::from_diagonal(&Vector3::new(1.0 / f, 1.0 / f, 1.0)));
-            let f = second * m.essential() * first;
-            let pixels = pairs.iter().map(|p| RayPair { first: p.first * focals[0], second: p.second * focals[1] });
-            pixels.map(|p| squared_sampson(&f, &p)).sum::<f64>()
-        };
-        let [right, wrong] = [focals, [1000.0, 1000.0]].map(|f| squares(&refine_motion_in_pixels(&truth(), &pairs, f, 1e3, 50)));
-        // 80 pairs with five fitted parameters; uniform noise over ±1 has a variance of a third.
-        assert!(right < wrong - 1e-6 && (15.0..40.0).contains(&right), "{right} {wrong}");
     }
 }

@@ -76,6 +76,7 @@ impl Order {
     /// Best first, as in the paper: 200,000 samples until uniform sampling, and its stopping rule;
     /// but thirty samples from every pool. In searches among 1000 moderately sorted data of which
     /// 50 agree, 97 of 100 succeed with thirty, 56 with one; well sorted data succeed as fast.
+    #[cfg(any(test, feature = "two-views"))]
     pub const PROSAC: Self = Self::BestFirst { even_after: 200_000, draws_each: 30, stops_by_best: true };
 }
 

@@ -1,7 +1,7 @@
 //! Common parts of the robust estimators: options and results.
 
 use super::correspondence::Correspondence;
-use super::noise::{self, Dimensions};
+use super::noise::{self, Within};
 use super::ransac::Order;
 
 /// Search limits and the inlier threshold.
@@ -49,7 +49,7 @@ pub struct RobustModel<M> {
 
 impl<M> RobustModel<M> {
     /// Builds the result for a model from the squared distances of all pairs.
-    pub(super) fn judged(model: M, squared: impl Iterator<Item = f64>, threshold: f64, dimensions: Dimensions) -> Self {
+    pub(super) fn judged(model: M, squared: impl Iterator<Item = f64>, threshold: f64, within: Within) -> Self {
         let t2 = threshold * threshold;
         let (mut inliers, mut distances, mut score) = (Vec::new(), Vec::new(), 0.0);
         for (k, d2) in squared.enumerate().filter(|(_, d2)| *d2 < t2) {
@@ -57,12 +57,7 @@ impl<M> RobustModel<M> {
             distances.push(d2);
             score += (1.0 - d2 / t2).max(0.0);
         }
-        Self { model, inliers, score, sigma: noise::of_inliers(&mut distances, threshold, dimensions) }
-    }
-
-    /// Replaces the model.
-    pub fn map<N>(self, other: impl FnOnce(M) -> N) -> RobustModel<N> {
-        RobustModel { model: other(self.model), inliers: self.inliers, score: self.score, sigma: self.sigma }
+        Self { model, inliers, score, sigma: noise::of_inliers(&mut distances, threshold, within) }
     }
 
     /// Converts inlier indices from a subset of the pairs to indices among all.

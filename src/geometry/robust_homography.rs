@@ -4,7 +4,7 @@
 //! The generator is seeded, so the same matches give the same result.
 
 use super::homography::{Homography, PointPair};
-use super::noise::Dimensions;
+use super::noise::between_points;
 use super::ransac::{self, Estimator};
 use super::robust::{self, RobustModel, RobustOptions};
 use super::scoring::Scorer;
@@ -33,7 +33,7 @@ pub fn robust_homography(pairs: &[PointPair], options: &RobustOptions) -> Option
     let homography = homography.refined(&inliers_of(&homography, &pairs, t2), threshold / 3.0, 15).unwrap_or(homography);
     let alike = options.weighs_alike.then(|| homography.refined(&inliers_of(&homography, &pairs, t2), ALL_ALIKE * threshold, 10));
     let homography = alike.flatten().unwrap_or(homography);
-    let found = RobustModel::judged(homography, pairs.iter().map(|p| homography.squared_error(p)), threshold, Dimensions::Two);
+    let found = RobustModel::judged(homography, pairs.iter().map(|p| homography.squared_error(p)), threshold, between_points);
     (found.inliers.len() >= 4).then(|| found.among(&indices))
 }
 

@@ -4,16 +4,17 @@
 //! the nearest and the nearest elsewhere, and the mutual test. Dark corners are compared only with
 //! dark ones and bright with bright, which halves the work. Matches are sorted best first, as
 //! PROSAC needs.
+//!
+//! `exact` matches the features of any two pictures; only the feature `two-views` compiles it.
 
-mod exact;
+#[cfg(feature = "two-views")]
+pub mod exact;
 mod kernels;
 mod neighbours;
-mod rival;
 
 use nalgebra::{Matrix2, Vector2};
 
 use crate::features::{Descriptor, Feature, Polarity, Workers};
-pub use exact::{ExactMatch, ExactOptions, match_exactly, match_watched};
 use kernels::QUERIES;
 use neighbours::Neighbours;
 

@@ -4,7 +4,8 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::residual::Unknowns;
 use super::views::{Stages, ViewPair, mean};
-use crate::geometry::{Camera, FilmingCamera, Pose, Stage, quaternion};
+use crate::geometry::pose::quaternion;
+use crate::geometry::{Camera, FilmingCamera, Pose, Stage};
 
 /// Maximum number of triples of views tried for separate stages: all triples of twelve views. With
 /// more views as many, evenly spread, so that no view is in most of them. Raised, the start takes

@@ -2,9 +2,9 @@
 //! committed ones against them.
 //!
 //! `STAGEPOSE_REMAKE=1 cargo test --lib --features simulate gloh_basis` rewrites
-//! src/features/descriptors/gloh.basis. It renders a backdrop for each seed from random viewpoints
-//! with noise, describes at most 400 SIFT keypoints per picture by 272 numbers each, and takes the
-//! eigenvectors of the covariance.
+//! src/features/two_views/descriptors/gloh.basis. It renders a backdrop for each seed from random
+//! viewpoints with noise, describes at most 400 SIFT keypoints per picture by 272 numbers each, and
+//! takes the eigenvectors of the covariance.
 
 use nalgebra::{DMatrix, Point3, SymmetricEigen, Vector3};
 use rand::{Rng, SeedableRng};
@@ -12,9 +12,9 @@ use rand_pcg::Pcg64Mcg;
 
 use super::{CameraPath, Renderer, SensorNoise, VirtualStage, artwork_surface, grey, paint, upright};
 use crate::camera::CameraModel;
-use crate::features::descriptors::{Basis, Describer, GlohDescriber};
-use crate::features::detectors::{Detector, SiftDetector};
-use crate::features::{Descriptors, PictureForms};
+use crate::features::two_views::descriptors::{Basis, Describer, GlohDescriber};
+use crate::features::two_views::detectors::{Detector, SiftDetector};
+use crate::features::two_views::{Descriptors, PictureForms};
 use crate::track::BodySpec;
 
 /// Numbers in a descriptor before reduction.
@@ -91,7 +91,7 @@ fn kept(basis: &Basis, covariance: &DMatrix<f32>) -> f32 {
 #[test]
 fn the_basis_keeps_the_variance_of_unseen_backdrops() {
     if std::env::var_os("STAGEPOSE_REMAKE").is_some() {
-        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/src/features/descriptors/gloh.basis");
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/src/features/two_views/descriptors/gloh.basis");
         std::fs::write(file, made().to_bytes()).unwrap();
         return;
     }

@@ -13,7 +13,7 @@ mod backdrop;
 mod canvas;
 mod cloth;
 mod dolly;
-#[cfg(test)]
+#[cfg(all(test, feature = "two-views"))]
 mod gloh_basis_tests;
 #[cfg(feature = "capture")]
 mod jpeg;

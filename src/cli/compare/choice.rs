@@ -5,8 +5,8 @@ use clap::Args;
 use clap::builder::PossibleValuesParser;
 
 use crate::cli::failure::Failure;
-use crate::features::{DescriptorKind, DetectorKind, FeatureSettings};
-use crate::matching::ExactOptions;
+use crate::features::two_views::{DescriptorKind, DetectorKind, FeatureSettings};
+use crate::matching::exact::ExactOptions;
 
 /// The choice of features and the matching criterion.
 #[derive(Debug, Clone, Args)]

@@ -18,7 +18,7 @@ use super::output_file::print;
 use super::replay::progress::Progress;
 use super::spared::Spared;
 use crate::compare::{CompareOptions, Step, compare, report};
-use crate::features::Share;
+use crate::features::two_views::Share;
 use crate::printable::printable_lines;
 use crate::utc;
 pub(super) use choice::FeatureArguments;

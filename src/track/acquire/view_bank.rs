@@ -161,8 +161,8 @@ const SOURCES: [&str; 13] = [
     include_str!("../../features/kernels.rs"),
     include_str!("../../features/pattern.rs"),
     include_str!("../../features/pyramid.rs"),
+    include_str!("../../features/simulated_view.rs"),
     include_str!("../../features/tilted_view.rs"),
-    include_str!("../../features/view_simulation.rs"),
 ];
 
 impl BankKey {
