@@ -109,7 +109,7 @@ fn hard(kind: &str, board: &Board, camera: &BoardPhotographer, number: u64, rand
     let room = if kind.contains("outside") { 0.35 } else { 0.3 * (1.0 - fill) };
     let aside = Vector2::new(between(-room, room), between(-room, room));
     let turn = [tilt, between(0.0, TAU), between(-0.6, 0.6)];
-    let pose = pose(board, camera.model().intrinsics().fx, fill, turn, aside);
+    let pose = pose(board, camera.model.intrinsics().fx, fill, turn, aside);
     let blur_px = between(0.4, 1.5);
     let falloff = between(0.0, 0.4) as f32;
     let margin = if number.is_multiple_of(3) { 0.3 } else { 1.0 };

@@ -78,9 +78,6 @@
 //! Conventions (metres, radians, pixel centres at integers, `T_to_from`) are documented with the
 //! types: [`Stage`], [`Camera`], [`Pixel`].
 #![warn(missing_docs)]
-// Builds with fewer features leave some code unused. Code that nothing uses still shows up in a
-// full build.
-#![cfg_attr(not(all(feature = "cli", feature = "http", feature = "live")), allow(dead_code, unused_imports))]
 
 // The core.
 mod camera;

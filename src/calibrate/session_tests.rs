@@ -41,7 +41,7 @@ fn rendered_pictures_give_the_camera_they_were_taken_with() {
     let pictures = rendered(&camera, &board, 12, 0.55);
     let made = calibrate(&pictures, &board, &CalibrationOptions::default()).unwrap();
     assert_eq!(made.views.iter().filter(|v| v.used).count(), 12);
-    let truth = super::super::solve::lens::Lens::of_model(camera.model());
+    let truth = super::super::solve::lens::Lens::of_model(&camera.model);
     let (found, three_sigma) = (made.estimate.bundle.lens.0, made.estimate.lens_uncertainty());
     for k in (0..9).filter(|&k| k != 4) {
         // Four sigma: eight parameters at once, with one fixed noise realisation.
@@ -62,7 +62,7 @@ fn corners_refined_with_the_lens_are_more_accurate() {
     let picture = camera.photograph(&board, &pose, &Photograph { blur_px: 2.0, noise: 0.5, falloff: 0.0, ..Photograph::default() });
     let seen = inspect("wide.png".into(), &picture, &board);
     let (found, truth) = (seen.board.unwrap(), camera.corners(&board, &pose));
-    let geometry = BoardView::new(camera.model(), &pose, &board, &found).unwrap();
+    let geometry = BoardView::new(&camera.model, &pose, &board, &found).unwrap();
     let (mut before, mut after) = (0.0, 0.0);
     let mut window = Window::default();
     for (k, (corner, truth)) in found.corners.iter().flatten().zip(&truth).enumerate() {

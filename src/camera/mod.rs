@@ -10,8 +10,11 @@ mod files;
 mod guess;
 mod model;
 mod pixel_doubt;
+#[cfg(feature = "calibration-files")]
 pub mod plausible;
 mod shutter;
+#[cfg(any(feature = "calibration-files", feature = "capture"))]
+pub mod size;
 #[cfg(any(feature = "calibration-files", feature = "capture"))]
 pub(crate) mod utf16;
 

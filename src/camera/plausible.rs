@@ -10,6 +10,7 @@ use std::ops::RangeInclusive;
 use nalgebra::Vector2;
 
 use super::model::{CameraError, CameraModel, Intrinsics, Pixel};
+use super::size::MAX_SIDE;
 
 /// Possible focal lengths, in units of the picture's longer side. 0.1 is 157 degrees across, too
 /// wide for Brown's model; 100 is half a degree, the longest broadcast lenses. Wider, misplaced
@@ -44,9 +45,6 @@ const BENT: RangeInclusive<f64> = 0.5..=8.0;
 /// corners of good calibrations too. Raised, those are refused; lowered, cameras pass for which
 /// half the picture is unusable.
 const MIN_INVERTIBLE: f64 = 0.75;
-/// Maximum side of a picture, pixels: the limit of JPEG's 16 bits and far beyond any sensor.
-/// Raised, wrong numbers pass.
-pub const MAX_SIDE: u32 = 65_535;
 /// Number of test points along each side of the picture, edges included. A fold is a ring around
 /// the axis, so a coarse grid finds it. Raised, reading a calibration takes longer.
 const ASKED: u32 = 17;

@@ -8,7 +8,7 @@ use image::{GrayImage, RgbImage};
 use super::colour::Chroma;
 use super::grey::check_size;
 use super::rate::FrameRate;
-use crate::camera::plausible::MAX_SIDE;
+use crate::camera::size::MAX_SIDE;
 
 /// A .y4m stream.
 #[derive(Debug)]

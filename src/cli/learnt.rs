@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use super::failure::Failure;
 use crate::daemon::learnt_of_clip;
+use crate::daemon::learnt_state::MAX_LEARNT_BYTES;
 use crate::safe_file;
-use crate::track::{LearntCamera, MAX_LEARNT_BYTES};
+use crate::track::LearntCamera;
 
 /// The `--learnt FILE` option.
 #[derive(Debug, Clone, Default, clap::Args)]

@@ -12,7 +12,7 @@ use super::typed_values::{Count, Exactly, Number, PictureWord};
 use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::camera::Pixel;
-use crate::survey::constraints::{Constraint, Measured, PicturePoint};
+use crate::survey::measured::{Constraint, Measured, PicturePoint};
 use crate::track::{BodySpec, SurfaceSpec};
 
 /// The section's name in messages.

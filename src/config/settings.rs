@@ -29,7 +29,7 @@ use crate::capture::camera::PixelLayout;
 use crate::geometry::{Body, Pose, SurfaceFrame};
 use crate::pose::FilterSettings;
 use crate::publish::{MountSettings, OutputSettings, SafetySettings};
-use crate::survey::constraints::Constraint;
+use crate::survey::measured::Constraint;
 use crate::track::{BodySpec, TrackerSettings};
 use crate::tracker::TrackerSetup;
 

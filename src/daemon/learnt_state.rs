@@ -8,7 +8,11 @@ use super::own_folders::state_folder;
 use crate::camera::Shutter;
 use crate::capture::camera::CameraMode;
 use crate::safe_file;
-use crate::track::{LearntCamera, MAX_LEARNT_BYTES};
+use crate::track::LearntCamera;
+
+/// Maximum size of a snapshot that is read, bytes. Raised, foreign files cost more to refuse;
+/// lowered, later snapshots may not fit.
+pub const MAX_LEARNT_BYTES: u64 = 64 << 10;
 
 /// Maximum size of a `clip.toml`, bytes. A round figure above any. Raised, a foreign file takes
 /// more memory.

@@ -8,7 +8,7 @@ mod entries;
 mod free_memory;
 mod jobs;
 mod kept_views;
-mod learnt_state;
+pub mod learnt_state;
 pub mod live;
 mod own_folders;
 mod reason_watch;

@@ -424,7 +424,10 @@ mod tests {
     use crate::tracker::TrackerSetup;
 
     /// A source that never ends by itself.
-    struct Endless(#[expect(dead_code, reason = "it is counted while the source lives")] Arc<()>);
+    struct Endless {
+        /// Counted while the source lives.
+        _probe: Arc<()>,
+    }
 
     impl FrameSource for Endless {
         fn next_entry(&mut self) -> Option<ClipEntry> {
@@ -464,7 +467,7 @@ mod tests {
             [(0, Delivery::DropOldest), (1, Delivery::DropOldest), (2, Delivery::DropOldest), (1, Delivery::Blocking)]
         {
             let probe = Arc::new(());
-            let mut daemon = Daemon::new(Box::new(Endless(probe.clone())), tracker(), delivery);
+            let mut daemon = Daemon::new(Box::new(Endless { _probe: probe.clone() }), tracker(), delivery);
             let samples = daemon.subscribe();
             let mut asked = 0;
             let started = daemon.start_with(|_, run| {
@@ -485,7 +488,7 @@ mod tests {
         {
             let (to_matcher, rows) = bounded(3);
             let (to_pose, seen) = bounded(3);
-            let mut source = Endless(Arc::default());
+            let mut source = Endless { _probe: Arc::default() };
             (0..3).for_each(|_| to_matcher.send(source.next_entry().expect("it is endless")).expect("there is room"));
             drop(to_matcher);
             let unseen = Unseen { count: Arc::default(), live: None };

@@ -9,7 +9,7 @@
 
 use crate::camera::Shutter;
 use crate::frame::{Frame, Timestamp};
-use crate::track::agreement::{Agreement, Said, agreement, weighted_median};
+use crate::track::agreement::{Agreement, AgreementBuffers, Said};
 use crate::track::{BodyTracker, Clue, TUNING};
 use crate::tracker::Tracker;
 
@@ -180,6 +180,17 @@ fn agreed(clues: &[Clue], vague: f64) -> Option<Agreement> {
     let tells = |c: &&Clue| c.information > vague.powi(-2) && c.score.is_finite();
     let said: Vec<Said> = clues.iter().filter(tells).map(|c| Said::new(c.score / c.information, 1.0 / c.information)).collect();
     agreement(&said)
+}
+
+/// Returns the robust mean of what frames say, in order; `None` for fewer than
+/// `min_agreement_frames`.
+fn agreement(said: &[Said]) -> Option<Agreement> {
+    (said.len() >= TUNING.body.min_agreement_frames).then(|| AgreementBuffers::default().agreement(said))
+}
+
+/// Returns the weighted median of (value, weight) pairs; 0 if there are none.
+fn weighted_median(values: impl Iterator<Item = (f64, f64)>) -> f64 {
+    AgreementBuffers::default().weighted_median(values)
 }
 
 #[cfg(all(test, feature = "simulate"))]

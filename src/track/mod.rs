@@ -31,30 +31,42 @@ mod scene;
 mod settings;
 #[cfg(test)]
 pub(crate) mod synthetic;
+#[cfg(feature = "cli")]
 mod tile_observer;
 mod two_view;
 
-pub use acquire::candidate::{SurfaceMatch, SurfaceView};
 pub use acquire::view_bank::ViewStore;
-pub use align::{AlignKernels, Alignment, Clue, UsedPixel};
-pub(crate) use body::agreement;
-pub use body::learnt_camera::{LearntCamera, LearntError, LearntTime, MAX_LEARNT_BYTES};
-pub use body::pixel_watch::{Displaced, UsedPixels};
+pub use align::{AlignKernels, Alignment, UsedPixel};
+pub use body::learnt_camera::{LearntCamera, LearntError, LearntTime};
+pub use body::pixel_watch::UsedPixels;
 pub use body::reason::Reason;
-pub use body::shutter_news::ShutterNews;
 pub use body::track_state::State;
 pub use body_tracker::{BodyObservation, BodyTracker, FrameObservation};
+pub use patches::verify::Verified;
+#[cfg(all(test, feature = "simulate"))]
+pub use scene::shape::tests::folds;
+pub use scene::shape::{BentShape, ShapeWay, SurfaceShape};
+pub use scene::surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
+pub use settings::TrackerSettings;
+
+// What only the rooms around the core use.
 #[cfg(feature = "calibrate")]
 pub(crate) use frame::frame_look::{FrameLook, PictureFault};
+#[cfg(feature = "calibrate")]
 pub use model_error::lens_doubt::covariance_by_lens;
-pub use model_error::misfit::{ModelNews, ModelReport, Part};
-pub use model_error::moments::Mixture;
-pub use patches::verify::Verified;
-pub use scene::repetition::periods;
-#[cfg(test)]
-pub use scene::shape::tests::folds;
-pub use scene::shape::{BentShape, ShapePoint, ShapeWay, SurfaceShape};
-pub use scene::surface::{BodySpec, ReferenceKind, SurfaceDoubt, SurfaceError, SurfaceSpec};
-pub use settings::TrackerSettings;
+#[cfg(feature = "simulate")]
+pub use scene::{shape::ShapePoint, surface::SurfaceDoubt};
+#[cfg(feature = "cli")]
 pub use tile_observer::{KnownRates, ObservedFrame, ObservedTile, TileObserver};
 pub use tuning::TUNING;
+#[cfg(feature = "daemon")]
+pub use {
+    acquire::candidate::{SurfaceMatch, SurfaceView},
+    body::pixel_watch::Displaced,
+    body::shutter_news::ShutterNews,
+    model_error::misfit::{ModelNews, ModelReport, Part},
+    model_error::moments::Mixture,
+    scene::repetition::periods,
+};
+#[cfg(feature = "survey")]
+pub use {align::Clue, body::agreement};

@@ -45,14 +45,13 @@ const RAYS: usize = 8;
 /// A camera with a precomputed ray for every pixel.
 #[derive(Debug, Clone)]
 pub struct BoardPhotographer {
-    model: CameraModel,
+    /// The camera.
+    pub model: CameraModel,
     /// The ray through each pixel's centre and its derivative with respect to the pixel; `None`
     /// where the lens has no ray.
     rays: Vec<Option<(Vector2<f64>, Matrix2<f64>)>>,
 }
 
-// Each program that includes this file leaves a different part of it unused.
-#[allow(dead_code)]
 impl BoardPhotographer {
     /// Precomputes the rays of a camera.
     pub fn new(model: CameraModel) -> Self {
@@ -62,11 +61,6 @@ impl BoardPhotographer {
             Some((n.0, model.project_with_jacobian(n).1.try_inverse()?))
         };
         Self { model, rays: (0..w * h).map(ray).collect() }
-    }
-
-    /// Returns the camera.
-    pub fn model(&self) -> &CameraModel {
-        &self.model
     }
 
     /// Returns the exact pixels of the board's corners.

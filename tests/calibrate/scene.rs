@@ -5,7 +5,7 @@ use std::process::Command;
 use std::sync::OnceLock;
 
 use image::GrayImage;
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use stagepose::diagnostics::calibrate::Board;
 use stagepose::{CameraModel, Intrinsics, Pose};
 
@@ -39,6 +39,8 @@ pub fn view(k: usize, tilt: f64) -> GrayImage {
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * tilt);
     let aside = Vector3::new(0.07 * ((k % 3) as f64 - 1.0), 0.05 * ((k / 3 % 3) as f64 - 1.0), 0.33 + 0.03 * (k % 2) as f64);
     let pose = Pose::new(turn, aside - turn * Vector3::new(0.075, 0.05, 0.0));
+    let is_in_view = |p: &Vector2<f64>| (0.0..320.0).contains(&p.x) && (0.0..240.0).contains(&p.y);
+    assert!(photographer().corners(&board, &pose).iter().any(is_in_view), "view {k} shows no corner of the board");
     photographer().photograph(&board, &pose, &Photograph { blur_px: 0.6, noise: 1.0, seed: k as u64, ..Photograph::default() })
 }
 

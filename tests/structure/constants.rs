@@ -96,7 +96,7 @@ fn a_constant_without_a_comment_is_found_out() {
 const FIRST: u8 = 0;
 
 /// Two of a kind,
-#[allow(dead_code)]
+#[rustfmt::skip]
 pub(super) const ONE: [u8; 2] = [
     1, 1,
 ];

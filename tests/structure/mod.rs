@@ -9,6 +9,7 @@ mod modules;
 mod prose;
 mod specification;
 mod tuning;
+mod warnings;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;

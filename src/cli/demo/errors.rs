@@ -4,7 +4,8 @@ use std::fmt;
 
 use crate::geometry::{Camera, Pose, Stage};
 use crate::record::{PoseSample, State};
-use crate::simulate::{PoseError, WRONG_DEG, WRONG_SHARE, percentile};
+use crate::simulate::pose_error::{WRONG_DEG, WRONG_SHARE};
+use crate::simulate::{PoseError, percentile};
 
 /// The errors of a whole run.
 #[derive(Debug, Clone, PartialEq, Default)]

@@ -9,7 +9,7 @@ use crate::config::Settings;
 use crate::config::shape_file;
 use crate::config::surveyed::{CALIBRATION, SurveyedSurface};
 use crate::safe_file;
-use crate::survey::stage::Survey;
+use crate::survey::walked::stage::Survey;
 use crate::track::SurfaceShape;
 use crate::utc;
 

@@ -2,8 +2,8 @@
 
 use serde_json::json;
 
-use crate::survey::judgement::Judgement;
-use crate::survey::stage::Survey;
+use crate::survey::walked::judgement::Judgement;
+use crate::survey::walked::stage::Survey;
 
 /// Returns the document.
 pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {

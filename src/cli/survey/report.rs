@@ -6,8 +6,8 @@ use nalgebra::Vector3;
 
 use crate::html_page::svg::{Drawing, escaped, hue};
 use crate::html_page::{figure, page};
-use crate::survey::judgement::Judgement;
-use crate::survey::stage::Survey;
+use crate::survey::walked::judgement::Judgement;
+use crate::survey::walked::stage::Survey;
 use crate::track::SurfaceSpec;
 
 /// Cells across a surface's height map. Raised, the file grows.

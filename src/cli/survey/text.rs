@@ -2,10 +2,10 @@
 
 use std::fmt::Write as _;
 
-use crate::survey::constraints::{ConstraintCheck, Measured};
-use crate::survey::judgement::Judgement;
 use crate::survey::shutter::ShutterTime;
-use crate::survey::stage::Survey;
+use crate::survey::walked::constraints::{ConstraintCheck, Measured};
+use crate::survey::walked::judgement::Judgement;
+use crate::survey::walked::stage::Survey;
 
 /// Returns the report for the terminal.
 pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::safe_file;
-use crate::survey::walk::WalkRecord;
+use crate::survey::walked::walk::WalkRecord;
 use crate::tracker::TrackerSetup;
 
 /// Maximum file size read, bytes: 160 keyframes of 2000 features take a seventh of it. Raised, a

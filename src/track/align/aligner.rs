@@ -24,8 +24,6 @@ use crate::motion::Motion;
 use crate::track::frame::frame_levels::{FINEST, FrameLevels};
 use crate::track::frame::rays::CameraRays;
 use crate::track::frame::tuning::TUNING as FRAME_TUNING;
-use crate::track::scene::reference::PreparedBody;
-use crate::track::scene::surface::SurfaceSpec;
 
 /// Aligns one body with each frame. Its state is in three places: the surfaces, buffers, and
 /// slow estimates.
@@ -47,12 +45,26 @@ pub struct Solution<'a> {
     lessons: Lessons,
 }
 
+/// What the survey of a stage needs besides.
+#[cfg(any(test, feature = "cli"))]
 impl Aligner {
     /// Prepares a body's reference pictures for alignment.
-    pub fn new(body: &PreparedBody, shutter: Shutter) -> Self {
+    pub fn new(body: &crate::track::scene::reference::PreparedBody, shutter: Shutter) -> Self {
         Self::of_surfaces(body.surfaces.iter().map(|s| AlignSurface::new(&s.spec)).collect(), shutter)
     }
 
+    /// Updates the surfaces' places and shapes; their pictures stay. The noise learnt so far keeps
+    /// little weight, as it includes the residuals of the former model.
+    pub fn take_places(&mut self, surfaces: &[crate::track::scene::surface::SurfaceSpec]) {
+        for (own, spec) in self.surfaces.iter_mut().zip(surfaces) {
+            own.take_place(spec);
+        }
+        self.buffers.has_kept = false;
+        self.slow.noise.doubt();
+    }
+}
+
+impl Aligner {
     /// Creates an aligner from surfaces that are already prepared.
     pub fn of_surfaces(surfaces: Vec<AlignSurface>, shutter: Shutter) -> Self {
         Self { buffers: Buffers::with_room_for(&surfaces), surfaces, slow: SlowEstimates::new(shutter) }
@@ -66,16 +78,6 @@ impl Aligner {
     /// Returns how many rounds of all levels were solved since the start.
     pub fn rounds(&self) -> u64 {
         self.buffers.coarse.rounds + self.buffers.fine.rounds
-    }
-
-    /// Updates the surfaces' places and shapes; their pictures stay. The noise learnt so far keeps
-    /// little weight, as it includes the residuals of the former model.
-    pub fn take_places(&mut self, surfaces: &[SurfaceSpec]) {
-        for (own, spec) in self.surfaces.iter_mut().zip(surfaces) {
-            own.take_place(spec);
-        }
-        self.buffers.has_kept = false;
-        self.slow.noise.doubt();
     }
 
     /// Returns the distance to the nearest surface's centre, metres.

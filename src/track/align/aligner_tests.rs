@@ -11,6 +11,7 @@ use crate::geometry::resection::perturbed;
 use crate::motion::{Motion, MotionEstimate, ProcessNoise};
 use crate::track::frame::frame_levels::FrameLevels;
 use crate::track::scene::shape::tests::folds;
+use crate::track::scene::surface::SurfaceSpec;
 use crate::track::synthetic::{cloth, facing, lens, prepared, texture, view};
 
 fn truth() -> Pose<Camera, Body> {

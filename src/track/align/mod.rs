@@ -39,6 +39,7 @@ pub use crate::track::frame::frame_levels::{FrameLevels, LEVELS};
 pub use crate::track::frame::rays::CameraRays;
 pub use aligner::Aligner;
 pub use kernels::AlignKernels;
+#[cfg(any(test, feature = "survey"))]
 pub use learned::clue::Clue;
 pub use picture::surface::AlignSurface;
 pub use request::AlignRequest;

@@ -71,14 +71,3 @@ impl AgreementBuffers {
         middle.map_or(0.0, |(value, _)| *value)
     }
 }
-
-/// Returns the robust mean of what frames say, in order; `None` for fewer than
-/// `min_agreement_frames`.
-pub fn agreement(said: &[Said]) -> Option<Agreement> {
-    (said.len() >= TUNING.min_agreement_frames).then(|| AgreementBuffers::default().agreement(said))
-}
-
-/// Returns the weighted median of (value, weight) pairs; 0 if there are none.
-pub fn weighted_median(values: impl Iterator<Item = (f64, f64)>) -> f64 {
-    AgreementBuffers::default().weighted_median(values)
-}

@@ -12,9 +12,6 @@ use thiserror::Error;
 const SNAPSHOT_HEAD: &str = "stagepose learnt camera";
 /// Version of the format; raise it when the format changes.
 const SNAPSHOT_VERSION: u32 = 1;
-/// Maximum size of a snapshot that is read, bytes. Raised, foreign files cost more to refuse;
-/// lowered, later snapshots may not fit.
-pub const MAX_LEARNT_BYTES: u64 = 64 << 10;
 /// Maximum shutter time that is accepted, seconds; as in the config.
 const MAX_SHUTTER_S: f64 = crate::camera::Shutter::MAX_S;
 

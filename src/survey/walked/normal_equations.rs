@@ -223,7 +223,7 @@ impl NormalEquations {
 mod tests {
     use super::*;
     use crate::camera::CameraModel;
-    use crate::survey::synthetic::{LENS, camera_poses, observed, stage};
+    use crate::survey::walked::synthetic::{LENS, camera_poses, observed, stage};
 
     /// Errors of the motions: m, rad, m/s, rad/s, m/s², rad/s²; small enough that tiles keep their
     /// weights.

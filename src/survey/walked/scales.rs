@@ -103,8 +103,8 @@ mod tests {
     use super::*;
     use crate::camera::CameraModel;
     use crate::motion::Motion;
-    use crate::survey::stage_model::StageModel;
-    use crate::survey::synthetic::{LENS, camera_poses, observed, stage};
+    use crate::survey::walked::stage_model::StageModel;
+    use crate::survey::walked::synthetic::{LENS, camera_poses, observed, stage};
 
     /// Rows of a walk that shows `count` tiles of the flat, at most `most` per frame, each shifted
     /// by `shift_px` of its index.

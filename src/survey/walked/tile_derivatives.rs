@@ -69,7 +69,7 @@ impl TileDerivatives {
 mod tests {
     use super::*;
     use crate::geometry::Pose;
-    use crate::survey::synthetic::{LENS, camera_poses, stage};
+    use crate::survey::walked::synthetic::{LENS, camera_poses, stage};
     use nalgebra::{DVector, Matrix2, UnitQuaternion, Vector3};
 
     /// Returns where a model puts a tile in a frame.

@@ -9,13 +9,13 @@ use super::lively_part::{SAME_S, mended, shutter_of};
 use super::observers::Observers;
 use super::progress::{SurveyError, SurveyStep};
 use super::scales::Support;
-use super::shutter::{ShutterEstimate, ShutterTime};
 use super::stage_model::{LENS_NUMBERS, Places, StageModel};
 use super::walk::Walk;
 use super::ways;
 use crate::camera::{CameraModel, IntrinsicsUncertainty, LensDoubt, Shutter};
 use crate::frame::Frame;
 use crate::geometry::{Body, Camera, Pose};
+use crate::survey::shutter::{ShutterEstimate, ShutterTime};
 use crate::track::{BodySpec, SurfaceSpec};
 use crate::tracker::TrackerSetup;
 

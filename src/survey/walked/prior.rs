@@ -211,9 +211,9 @@ mod tests {
     use crate::camera::{CameraModel, Intrinsics};
     use crate::geometry::Pose;
     use crate::motion::Motion;
-    use crate::survey::constraints::{Measured, PicturePoint};
-    use crate::survey::normal_equations::{FrameRows, NormalEquations};
-    use crate::survey::synthetic::{LENS, camera_poses, observed, stage};
+    use crate::survey::measured::{Measured, PicturePoint};
+    use crate::survey::walked::normal_equations::{FrameRows, NormalEquations};
+    use crate::survey::walked::synthetic::{LENS, camera_poses, observed, stage};
     use crate::track::SurfaceSpec;
 
     /// Noise of a tile, one sigma along each axis, pixels.

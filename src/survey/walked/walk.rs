@@ -293,7 +293,7 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
-    use crate::survey::synthetic;
+    use crate::survey::walked::synthetic;
 
     const FRAMES: usize = 9;
 

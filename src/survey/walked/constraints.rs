@@ -6,53 +6,15 @@
 //! against all others by its deleted residual: its difference from the prediction without it, in
 //! sigmas. Source: Cook and Weisberg, *Residuals and Influence in Regression* (1982), section 2.2.
 
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector};
 
 use super::stage_model::StageModel;
+pub use crate::survey::measured::{Constraint, Measured};
 
 /// Deleted residual, in sigmas, above which a measurement contradicts the rest: exceeded by one
 /// correct length in ten thousand, and one correct position in a thousand. Raised, mistakes pass;
 /// lowered, correct measurements are refused.
 const CONTRADICTION: f64 = 4.0;
-
-/// A point on a surface's picture.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PicturePoint {
-    /// Index of the surface in the stage.
-    pub surface: usize,
-    /// Metres on the picture from its centre, right and up.
-    pub on_picture_m: [f64; 2],
-}
-
-/// A measured quantity.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Measured {
-    /// The distance between two points, metres.
-    Distance {
-        /// The two points.
-        between: [PicturePoint; 2],
-        /// The length.
-        length_m: f64,
-    },
-    /// The position of a point in the stage, metres.
-    Place {
-        /// The point.
-        of: PicturePoint,
-        /// Its position.
-        position_m: Vector3<f64>,
-    },
-}
-
-/// A measurement.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Constraint {
-    /// Its place in the config, for messages.
-    pub name: String,
-    /// The measured quantity.
-    pub measured: Measured,
-    /// One sigma, metres; for a position along each axis.
-    pub sigma_m: f64,
-}
 
 /// A measurement compared with the result.
 #[derive(Debug, Clone, PartialEq)]
@@ -155,9 +117,12 @@ pub fn check(constraints: &[Constraint], model: &StageModel, covariance: &DMatri
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
     use crate::camera::CameraModel;
-    use crate::survey::synthetic::{LENS, stage};
+    use crate::survey::measured::PicturePoint;
+    use crate::survey::walked::synthetic::{LENS, stage};
 
     fn point(surface: usize, on_picture_m: [f64; 2]) -> PicturePoint {
         PicturePoint { surface, on_picture_m }

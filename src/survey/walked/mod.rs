@@ -1,0 +1,25 @@
+//! Surveys the stage as it hangs, and the lens, from a walk with the camera past the stage.
+//!
+//! `stage` runs a survey: `walk` takes in the frames, `observers` measure their tiles, `adjustment`
+//! solves for stage, lens and camera together, and `judgement` says what the result is worth.
+
+mod adjustment;
+mod camera_rates;
+pub mod constraints;
+mod dense_system;
+pub mod judgement;
+mod keyframes;
+mod lively_part;
+mod normal_equations;
+mod observers;
+mod prior;
+pub mod progress;
+mod scales;
+pub mod stage;
+mod stage_model;
+#[cfg(test)]
+mod synthetic;
+mod tile_derivatives;
+pub mod walk;
+mod ways;
+pub mod weak_parts;
