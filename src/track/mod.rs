@@ -8,7 +8,18 @@
 //! - `align`: takes a predicted motion; returns motion, covariance and evidence
 //! - `model_error`: what residuals say about lens, shape, layout and shutter
 //! - `acquire`: candidates for a body's pose, within a work budget
-//! - `body`: what is remembered of a body; with `align::learned` the only memory
+//! - `body`: what is remembered of a body; with `align::learned` the main memory
+//!
+//! Elsewhere only these remember something from frame to frame; a test holds the list, and names
+//! all scratch space besides:
+//!
+//! - in `align`: `Aligner` owns what is learned; `Buffers` has the last light, and for how long the
+//!   camera has been still; `LevelProblem`, `Pixels`, `Appearance` and `TouchingPlanes` are kept
+//!   while it is
+//! - in `model_error`: evidence that grows over frames: `FieldSize`, `Jump`, `Habit`, `LensWatch`,
+//!   `ModelStudy`, `ModelWatch`, `Evidence` and `MixtureWatch`
+//! - in `acquire`: `UnexplainedCells`, in `Unexplained`, knows when each cell was last searched
+//! - `BodySearch` knows which missing body has its turn, and `Matcher` owns everything
 //!
 //! The files in this folder define the order of a frame: `body_tracker` runs it, `body_search`
 //! finds missing bodies, `failure` says why a frame has no pose, `two_view` describes the frame by

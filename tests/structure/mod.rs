@@ -5,6 +5,7 @@
 //! `STAGEPOSE_REMAKE=1 cargo test --test stagepose structure` redraws docs/modules.md.
 
 mod constants;
+mod memory;
 mod modules;
 mod prose;
 mod specification;
