@@ -23,15 +23,15 @@ const FAR: [f64; 6] = [0.001, 0.005, 0.02, 0.05, 0.1, 0.2];
 /// Errors above which a pose is wrong: fraction of the distance, and radians (the tight bounds of
 /// contract C5).
 const WRONG_SHIFT: f64 = 0.01;
-const WRONG_TURN: f64 = 0.3 * std::f64::consts::PI / 180.0;
+const WRONG_ROTATION: f64 = 0.3 * std::f64::consts::PI / 180.0;
 /// Bins of ten percent of agreeing tiles.
 const BINS: usize = 10;
 
 /// Counts of one kind of poses.
 #[derive(Default)]
 struct Counts {
-    by_share: [usize; BINS + 1],
-    scales: Vec<f64>,
+    by_inlier_ratio: [usize; BINS + 1],
+    residual_sigmas: Vec<f64>,
     new: usize,
     continued: usize,
     nothing: usize,
@@ -39,20 +39,20 @@ struct Counts {
 
 impl Counts {
     fn add(&mut self, found: &Alignment) {
-        self.by_share[(found.share() * BINS as f64) as usize] += 1;
-        self.scales.push(found.scale);
+        self.by_inlier_ratio[(found.inlier_ratio() * BINS as f64) as usize] += 1;
+        self.residual_sigmas.push(found.residual_sigma);
         self.new += usize::from(found.is_credible(false));
         self.continued += usize::from(found.is_credible(true));
     }
 
     fn print(&mut self, name: &str) {
-        let n = self.scales.len();
-        self.scales.sort_by(f64::total_cmp);
-        let scale = |share: f64| self.scales.get(((n as f64 - 1.0) * share) as usize).copied().unwrap_or(f64::NAN);
+        let n = self.residual_sigmas.len();
+        self.residual_sigmas.sort_by(f64::total_cmp);
+        let scale = |share: f64| self.residual_sigmas.get(((n as f64 - 1.0) * share) as usize).copied().unwrap_or(f64::NAN);
         println!("\n{name}: {n} poses; from {} more starts nothing converged", self.nothing);
         println!("  given where new: {}, where a track would continue: {}", self.new, self.continued);
         println!("  residuals, sigmas: 5 % below {:.2}, half below {:.2}, 95 % below {:.2}", scale(0.05), scale(0.5), scale(0.95));
-        for (k, count) in self.by_share.iter().enumerate().filter(|(_, count)| **count > 0) {
+        for (k, count) in self.by_inlier_ratio.iter().enumerate().filter(|(_, count)| **count > 0) {
             println!("  {:>3} % of the tiles agree: {count}", 100 / BINS * k);
         }
     }
@@ -142,5 +142,5 @@ fn moved(truth: &Pose<Camera, Body>, off: f64, random: &mut Pcg64Mcg) -> Pose<Ca
 
 fn is_right(pose: &Pose<Camera, Body>, truth: &Pose<Camera, Body>) -> bool {
     let centre = |p: &Pose<Camera, Body>| p.inverse().translation;
-    (centre(pose) - centre(truth)).norm() < WRONG_SHIFT * truth.translation.norm() && pose.angle_to(truth) < WRONG_TURN
+    (centre(pose) - centre(truth)).norm() < WRONG_SHIFT * truth.translation.norm() && pose.angle_to(truth) < WRONG_ROTATION
 }

@@ -77,9 +77,9 @@ fn camera(focal_of_width: f64, distortion: [f64; 5]) -> CameraModel {
 }
 
 /// A painted surface that stands at a place, turned about the vertical.
-fn painted(name: &str, seed: u64, size_m: [f64; 2], at: [f64; 3], turn_rad: f64) -> SurfaceSpec {
+fn painted(name: &str, seed: u64, size_m: [f64; 2], at: [f64; 3], rotation_rad: f64) -> SurfaceSpec {
     let [width, height] = size_m.map(|side| (side * TEXELS_A_METRE) as u32);
-    artwork_surface(name, grey(&paint(width, height, seed)), size_m, upright(Vector3::from(at), turn_rad))
+    artwork_surface(name, grey(&paint(width, height, seed)), size_m, upright(Vector3::from(at), rotation_rad))
 }
 
 fn backdrop(seed: u64, size_m: [f64; 2]) -> BodySpec {
@@ -231,9 +231,9 @@ fn relief() -> Film {
 /// Objects that move before a moving camera, and a person before them: one object leaves and comes
 /// back.
 fn props() -> Film {
-    let object = |name: &str, seed: u64, size_m: [f64; 2], turn_rad: f64, turn_rate_rad_s: f64, keys: &[(f64, [f64; 3])]| {
+    let object = |name: &str, seed: u64, size_m: [f64; 2], rotation_rad: f64, angular_velocity_rad_s: f64, keys: &[(f64, [f64; 3])]| {
         let body = BodySpec::new(name, vec![painted(name, seed, size_m, [0.0; 3], 0.0)]);
-        MovingObject { body, path: ObjectPath { position: spline(keys.iter().copied()), turn_rad, turn_rate_rad_s } }
+        MovingObject { body, path: ObjectPath { position: spline(keys.iter().copied()), rotation_rad, angular_velocity_rad_s } }
     };
     let mut path = path(&[
         (0.0, [0.8, -4.0, 0.2], [0.0, -0.3, 0.0]),

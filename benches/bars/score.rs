@@ -59,7 +59,7 @@ impl Found {
 pub fn figures(frames: usize, found: Vec<Found>) -> Figures {
     let right = || found.iter().map(|f| f.error).filter(|error| !error.is_wrong());
     let shifts = sorted(right().map(|error| 1e3 * error.position_m));
-    let turns = sorted(right().map(|error| 1e3 * error.rotation_deg));
+    let rotations = sorted(right().map(|error| 1e3 * error.rotation_deg));
     let nees: Vec<f64> = found.iter().filter_map(|f| f.nees6).collect();
     let rounds = sorted(found.iter().map(|f| f.rounds as f64));
     Figures {
@@ -68,8 +68,8 @@ pub fn figures(frames: usize, found: Vec<Found>) -> Figures {
         wrong: found.len() - shifts.len(),
         median_mm: percentile(&shifts, 0.5).map(rounded),
         p95_mm: percentile(&shifts, 0.95).map(rounded),
-        median_mdeg: percentile(&turns, 0.5).map(rounded),
-        p95_mdeg: percentile(&turns, 0.95).map(rounded),
+        median_mdeg: percentile(&rotations, 0.5).map(rounded),
+        p95_mdeg: percentile(&rotations, 0.95).map(rounded),
         nees6: mean(&nees).map(rounded),
         mean_rounds: mean(&rounds).map(rounded),
         p95_rounds: percentile(&rounds, 0.95).map(rounded),

@@ -245,9 +245,9 @@ mod tests {
     fn view(axis: Vector3<f64>, tilt_deg: f64, x_m: f64) -> ViewShape {
         let board = Board::new(7, 5, 0.03).unwrap();
         let lens = Lens::pinhole([640.0; 2], centre((640, 480)));
-        let turn = UnitQuaternion::from_scaled_axis(axis * tilt_deg.to_radians());
+        let rotation = UnitQuaternion::from_scaled_axis(axis * tilt_deg.to_radians());
         let seen = |k: usize| {
-            let p = turn * (board.corner(k) - Vector2::new(0.09, 0.06)).push(0.0) + Vector3::new(x_m, 0.0, 0.5);
+            let p = rotation * (board.corner(k) - Vector2::new(0.09, 0.06)).push(0.0) + Vector3::new(x_m, 0.0, 0.5);
             Observation { board_m: board.corner(k), pixel: lens.project(p.xy() / p.z) }
         };
         ViewShape::new(&(0..35).map(seen).collect::<Vec<_>>(), (640, 480), None).unwrap()

@@ -116,8 +116,8 @@ pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOpt
     }
     let repeated = (shown - working.len(), pictures.len());
     let too_few = |usable: usize| {
-        let (all, mend) = (pictures.len(), judge::mend_for_few(pictures, board));
-        CalibrationError(format!("only {usable} of {all} pictures can be used, at least {MIN_VIEWS} are needed; {mend}"))
+        let (all, hint) = (pictures.len(), judge::hint_for_few(pictures, board));
+        CalibrationError(format!("only {usable} of {all} pictures can be used, at least {MIN_VIEWS} are needed; {hint}"))
     };
     if working.len() < MIN_VIEWS {
         return Err(too_few(working.len()));
@@ -196,7 +196,7 @@ fn common_size(pictures: &[Inspected]) -> Result<(u32, u32), CalibrationError> {
             other.file.display(),
             other_size.0,
             other_size.1,
-            judge::mend_for_sizes(pictures, size, other_size)
+            judge::hint_for_sizes(pictures, size, other_size)
         ))),
     }
 }
@@ -247,9 +247,9 @@ const ILL_CONDITIONED: [f64; 2] = [0.05, 0.05];
 /// Returns a remark about a view whose own pose is poorly determined. The view is still used, since
 /// it does no harm.
 fn ill_conditioned(pose: &Extrinsics) -> Option<String> {
-    let (turn, place) = (pose.rotation_uncertainty.amax(), pose.translation_uncertainty_m.norm() / pose.translation_m.norm());
-    (turn > ILL_CONDITIONED[0] || place > ILL_CONDITIONED[1]).then(|| {
-        let (degrees, percent) = (turn.to_degrees(), 100.0 * place);
+    let (rotation, place) = (pose.rotation_uncertainty.amax(), pose.translation_uncertainty_m.norm() / pose.translation_m.norm());
+    (rotation > ILL_CONDITIONED[0] || place > ILL_CONDITIONED[1]).then(|| {
+        let (degrees, percent) = (rotation.to_degrees(), 100.0 * place);
         format!("ill-conditioned: its own pose is known to {degrees:.1} degrees and {percent:.0} % only; bring the board nearer, or tilt it less far")
     })
 }

@@ -25,10 +25,10 @@ fn rendered(camera: &BoardPhotographer, board: &Board, count: usize, tilt: f64) 
     (0..count)
         .map(|k| {
             let azimuth = 1.57 * k as f64 + 0.4;
-            let turn = UnitQuaternion::from_scaled_axis(Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * tilt);
+            let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * tilt);
             let middle = board.corner(board.corner_count() - 1).push(0.0) * 0.5;
-            let aside = Vector3::new(0.09 * ((k % 3) as f64 - 1.0), 0.06 * ((k / 3 % 3) as f64 - 1.0), 0.38 + 0.03 * (k % 2) as f64);
-            let pose: Pose<Camera, BoardFrame> = Pose::new(turn, aside - turn * middle);
+            let offset = Vector3::new(0.09 * ((k % 3) as f64 - 1.0), 0.06 * ((k / 3 % 3) as f64 - 1.0), 0.38 + 0.03 * (k % 2) as f64);
+            let pose: Pose<Camera, BoardFrame> = Pose::new(rotation, offset - rotation * middle);
             let how = Photograph { blur_px: 0.7, noise: 2.0, seed: k as u64, ..Photograph::default() };
             inspect(PathBuf::from(format!("view{k}.png")), &camera.photograph(board, &pose, &how), board)
         })
@@ -57,8 +57,8 @@ fn corners_refined_with_the_lens_are_more_accurate() {
     let distortion = [-0.42, 0.2, 0.0, 0.0, 0.0];
     let intrinsics = Intrinsics { width: 640, height: 480, fx: 380.0, fy: 380.0, cx: 319.5, cy: 239.5, skew: 0.0, distortion };
     let (camera, board) = (BoardPhotographer::new(CameraModel::new(intrinsics).unwrap()), Board::new(7, 5, 0.04).unwrap());
-    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.3, 0.5, 0.0));
-    let pose: Pose<Camera, BoardFrame> = Pose::new(turn, Vector3::new(0.02, 0.01, 0.24) - turn * Vector3::new(0.12, 0.08, 0.0));
+    let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(0.3, 0.5, 0.0));
+    let pose: Pose<Camera, BoardFrame> = Pose::new(rotation, Vector3::new(0.02, 0.01, 0.24) - rotation * Vector3::new(0.12, 0.08, 0.0));
     let picture = camera.photograph(&board, &pose, &Photograph { blur_px: 2.0, noise: 0.5, falloff: 0.0, ..Photograph::default() });
     let seen = inspect("wide.png".into(), &picture, &board);
     let (found, truth) = (seen.board.unwrap(), camera.corners(&board, &pose));
@@ -110,12 +110,12 @@ fn seen_wide(board: &Board, nearer: usize, bent: impl Fn(f64) -> f64) -> Vec<Ins
     let view = |k: usize| {
         let azimuth = 2.4 * k as f64;
         let tilt = Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * (0.2 + 0.03 * (k % 8) as f64);
-        let turn = UnitQuaternion::from_scaled_axis(tilt);
+        let rotation = UnitQuaternion::from_scaled_axis(tilt);
         let away = if k < nearer { 0.07 } else { 0.13 } + 0.02 * (k % 4) as f64;
-        let aside = Vector3::new(0.10 * ((k % 3) as f64 - 1.0), 0.06 * ((k / 3 % 3) as f64 - 1.0), away);
+        let offset = Vector3::new(0.10 * ((k % 3) as f64 - 1.0), 0.06 * ((k / 3 % 3) as f64 - 1.0), away);
         let middle = board.corner(board.corner_count() - 1).push(0.0) * 0.5;
         let corner = |index: usize| {
-            let at = turn * (board.corner(index).push(0.0) - middle) + aside;
+            let at = rotation * (board.corner(index).push(0.0) - middle) + offset;
             let (across, noise) = (at.xy().norm(), 0.05 * (1.7 * index as f64 + 0.9 * k as f64).sin());
             let away = at.xy() * (bent(across.atan2(at.z)) / across.max(1e-9));
             Some(away + Vector2::new(319.5 + noise, 199.5 - noise)).filter(|p| (0.0..639.0).contains(&p.x) && (0.0..399.0).contains(&p.y))
@@ -216,14 +216,14 @@ type RightFromLeft = Pose<Camera, Camera>;
 fn between(left: &CameraCalibration, l: usize, right: &CameraCalibration, r: usize) -> (RightFromLeft, Matrix6<f64>) {
     let (from_left, from_right) = (&left.estimate.bundle.poses[l], &right.estimate.bundle.poses[r]);
     let pose = *from_right * from_left.inverse();
-    let turn = pose.rotation_matrix();
-    let lever = (turn * from_left.translation).cross_matrix();
+    let rotation = pose.rotation_matrix();
+    let lever = (rotation * from_left.translation).cross_matrix();
     let mut by_right = Matrix6::identity();
     by_right.fixed_view_mut::<3, 3>(3, 0).copy_from(&lever);
     let mut by_left = Matrix6::zeros();
-    by_left.fixed_view_mut::<3, 3>(0, 0).copy_from(&-turn);
-    by_left.fixed_view_mut::<3, 3>(3, 0).copy_from(&(-lever * turn));
-    by_left.fixed_view_mut::<3, 3>(3, 3).copy_from(&-turn);
+    by_left.fixed_view_mut::<3, 3>(0, 0).copy_from(&-rotation);
+    by_left.fixed_view_mut::<3, 3>(3, 0).copy_from(&(-lever * rotation));
+    by_left.fixed_view_mut::<3, 3>(3, 3).copy_from(&-rotation);
     let covariance = by_right * right.estimate.pose_covariances[r] * by_right.transpose()
         + by_left * left.estimate.pose_covariances[l] * by_left.transpose();
     (pose, covariance)
@@ -243,8 +243,8 @@ fn fused(each: &[(RightFromLeft, Matrix6<f64>)]) -> RightFromLeft {
             sum += weight * off;
         }
         let step = information.try_inverse().unwrap() * sum;
-        let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned());
-        mean = Pose::new(turn * mean.rotation, mean.translation + step.fixed_rows::<3>(3));
+        let rotation = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned());
+        mean = Pose::new(rotation * mean.rotation, mean.translation + step.fixed_rows::<3>(3));
     }
     mean
 }

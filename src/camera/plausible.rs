@@ -47,7 +47,7 @@ const BENT: RangeInclusive<f64> = 0.5..=8.0;
 const MIN_INVERTIBLE: f64 = 0.75;
 /// Number of test points along each side of the picture, edges included. A fold is a ring around
 /// the axis, so a coarse grid finds it. Raised, reading a calibration takes longer.
-const ASKED: u32 = 17;
+const POINTS_PER_SIDE: u32 = 17;
 
 /// Refuses impossible calibrations; returns remarks on unusual ones, one sentence each.
 ///
@@ -110,9 +110,9 @@ fn judge_distortion(model: &CameraModel) -> Result<Option<String>, CameraError> 
     if i.distortion == [0.0; 5] {
         return Ok(None);
     }
-    let at = |k: u32, side: u32| f64::from(side) * f64::from(k) / f64::from(ASKED - 1) - 0.5;
+    let at = |k: u32, side: u32| f64::from(side) * f64::from(k) / f64::from(POINTS_PER_SIDE - 1) - 0.5;
     let (mut rays, mut sound) = (0, 0);
-    for (row, column) in (0..ASKED).flat_map(|row| (0..ASKED).map(move |column| (row, column))) {
+    for (row, column) in (0..POINTS_PER_SIDE).flat_map(|row| (0..POINTS_PER_SIDE).map(move |column| (row, column))) {
         let pixel = Vector2::new(at(column, i.width), at(row, i.height));
         let Some(ray) = model.unproject(Pixel(pixel)) else { continue };
         rays += 1;
@@ -120,11 +120,11 @@ fn judge_distortion(model: &CameraModel) -> Result<Option<String>, CameraError> 
         // Near the axis the tangential terms dominate, and the ratio is meaningless.
         sound += u32::from(straight < 0.05 || BENT.contains(&(ray.0.norm() / straight)));
     }
-    let share = f64::from(sound) / f64::from(ASKED * ASKED);
+    let share = f64::from(sound) / f64::from(POINTS_PER_SIDE * POINTS_PER_SIDE);
     if share < MIN_INVERTIBLE {
         return Err(CameraError::NotInvertible { distortion: i.distortion, percent: 100.0 * (1.0 - share) });
     }
-    let without = 100.0 * (1.0 - f64::from(rays) / f64::from(ASKED * ASKED));
+    let without = 100.0 * (1.0 - f64::from(rays) / f64::from(POINTS_PER_SIDE * POINTS_PER_SIDE));
     Ok((without > 0.0).then(|| format!("its distortion folds over {without:.0} % of the picture, at the edges, which are not used")))
 }
 

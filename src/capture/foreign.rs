@@ -34,8 +34,8 @@ const FORMS: [Form; 18] = [
 ];
 /// Brands of the container that HEIC and AVIF share with MP4.
 const HEIC_BRANDS: [&[u8; 4]; 9] = [b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"mif2"];
-const HEIC_MEND: &str = "convert it: heif-convert PICTURE NEW.png, or set the phone's camera to \"most compatible\" (JPEG)";
-const AVIF_MEND: &str = "convert it: avifdec PICTURE NEW.png";
+const HEIC_HINT: &str = "convert it: heif-convert PICTURE NEW.png, or set the phone's camera to \"most compatible\" (JPEG)";
+const AVIF_HINT: &str = "convert it: avifdec PICTURE NEW.png";
 /// Number of leading bytes inspected.
 const LOOKED_AT: u64 = 64;
 
@@ -46,7 +46,7 @@ pub fn form_of(bytes: &[u8]) -> Option<(&'static str, &'static str)> {
     }
     let text = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
     let has = |(at, mark, ..): &&Form| text.get(*at..).is_some_and(|rest| rest.starts_with(mark));
-    FORMS.iter().find(has).map(|(.., name, mend)| (*name, *mend))
+    FORMS.iter().find(has).map(|(.., name, hint)| (*name, *hint))
 }
 
 /// Recognises HEIC and AVIF, which ffmpeg takes for damaged videos.
@@ -56,11 +56,11 @@ pub(super) fn still_of_a_phone(bytes: &[u8]) -> Option<(&'static str, &'static s
         return None;
     }
     match brand {
-        b"avif" | b"avis" => Some(("AVIF", AVIF_MEND)),
+        b"avif" | b"avis" => Some(("AVIF", AVIF_HINT)),
         brand if HEIC_BRANDS.contains(&brand) => {
             // AVIF uses the general brands, too.
             let is_avif = bytes[..bytes.len().min(LOOKED_AT as usize)].windows(4).any(|w| w == b"avif");
-            Some(if is_avif { ("AVIF", AVIF_MEND) } else { ("HEIC", HEIC_MEND) })
+            Some(if is_avif { ("AVIF", AVIF_HINT) } else { ("HEIC", HEIC_HINT) })
         }
         _ => None,
     }
@@ -77,9 +77,9 @@ pub fn in_folder(folder: &Path) -> Option<String> {
             *counts.entry(form).or_default() += 1;
         }
     }
-    let ((_, mend), _) = counts.iter().max_by_key(|(_, count)| **count)?;
+    let ((_, hint), _) = counts.iter().max_by_key(|(_, count)| **count)?;
     let found: Vec<String> = counts.iter().map(|((form, _), count)| format!("{count} {form}")).collect();
-    Some(format!("{}; {mend}", found.join(", ")))
+    Some(format!("{}; {hint}", found.join(", ")))
 }
 
 fn first_bytes(file: std::fs::File) -> Option<Vec<u8>> {

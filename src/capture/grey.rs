@@ -35,12 +35,12 @@ pub enum DecodeError {
     #[error("the picture is not JPEG, PNG or PGM")]
     UnknownForm,
     /// A known but unsupported format.
-    #[error("the picture is not JPEG, PNG or PGM but {form}; {mend}")]
+    #[error("the picture is not JPEG, PNG or PGM but {form}; {hint}")]
     Foreign {
         /// Its name.
         form: &'static str,
         /// How to convert it.
-        mend: &'static str,
+        hint: &'static str,
     },
     /// The bytes end before the picture does.
     #[error("the picture is cut off")]
@@ -212,7 +212,7 @@ fn decode_other(bytes: &[u8], grey: impl FnOnce(DynamicImage) -> GrayImage) -> R
     let format = match image::guess_format(bytes) {
         Ok(ImageFormat::Png) if !png_is_whole(bytes) => return Err(DecodeError::CutOff),
         Ok(format @ (ImageFormat::Png | ImageFormat::Pnm)) => format,
-        _ => return Err(foreign::form_of(bytes).map_or(DecodeError::UnknownForm, |(form, mend)| DecodeError::Foreign { form, mend })),
+        _ => return Err(foreign::form_of(bytes).map_or(DecodeError::UnknownForm, |(form, hint)| DecodeError::Foreign { form, hint })),
     };
     let mut decoder = ImageReader::with_format(Cursor::new(bytes), format).into_decoder().map_err(not_decoded)?;
     let (width, height) = decoder.dimensions();

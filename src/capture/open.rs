@@ -116,8 +116,8 @@ fn open_file(path: &Path, given: Option<FrameRate>, default: FrameRate, colours:
         }
         _ if foreign::still_of_a_phone(&start).is_some() => {
             // ffmpeg would report a truncated video.
-            let (form, mend) = foreign::still_of_a_phone(&start).unwrap_or_default();
-            let reason = format!("it is not a video but a picture in {form}; {mend}");
+            let (form, hint) = foreign::still_of_a_phone(&start).unwrap_or_default();
+            let reason = format!("it is not a video but a picture in {form}; {hint}");
             Err(CaptureError::Stream { path: path.to_owned(), reason })
         }
         _ => ffmpeg(path, given, colours),

@@ -53,7 +53,7 @@ impl EntryOrder {
     pub fn follow(&mut self, stamp: Timestamp, ahead: &[Timestamp]) -> Result<Option<String>, String> {
         let (last, ahead) = (self.last_stamp, &ahead[..ahead.len().min(AHEAD)]);
         if last.is_none_or(|last| stamp > last) {
-            if is_stray(stamp, last, ahead) {
+            if is_outlier(stamp, last, ahead) {
                 return Err(format!("the time stamp {stamp} is later than those of the rows behind it"));
             }
             (self.last_stamp, self.refused) = (Some(stamp), None);
@@ -88,7 +88,7 @@ impl EntryOrder {
 
 /// Whether a stamp lies so far ahead that accepting its row would lose more of the following rows
 /// than it is worth.
-fn is_stray(stamp: Timestamp, last: Option<Timestamp>, ahead: &[Timestamp]) -> bool {
+fn is_outlier(stamp: Timestamp, last: Option<Timestamp>, ahead: &[Timestamp]) -> bool {
     let mut at = last;
     let mut lost = 0;
     for next in ahead.iter().filter(|next| **next <= stamp) {

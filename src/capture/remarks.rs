@@ -51,16 +51,16 @@ mod tests {
 
     #[test]
     fn rotations_and_mirroring_are_described_in_words() {
-        let says = |degrees, is_mirrored, words: &str| {
+        let assert_words = |degrees, is_mirrored, words: &str| {
             let said = shown_turned(degrees, is_mirrored).unwrap();
             assert!(said.starts_with(&format!("the file says to show its pictures {words} (display matrix); ")), "{said}");
         };
-        says(-180.0, false, "turned by 180 degrees");
-        says(90.0, false, "turned by 90 degrees to the left");
-        says(-90.0, false, "turned by 90 degrees to the right");
-        says(90.0, true, "turned by 90 degrees to the left and mirrored");
-        says(-180.0, true, "mirrored");
-        says(-0.0, true, "mirrored");
+        assert_words(-180.0, false, "turned by 180 degrees");
+        assert_words(90.0, false, "turned by 90 degrees to the left");
+        assert_words(-90.0, false, "turned by 90 degrees to the right");
+        assert_words(90.0, true, "turned by 90 degrees to the left and mirrored");
+        assert_words(-180.0, true, "mirrored");
+        assert_words(-0.0, true, "mirrored");
         assert_eq!((shown_turned(0.0, false), shown_turned(360.0, false)), (None, None));
     }
 

@@ -37,11 +37,11 @@ pub(super) fn doubt(stamps: &[Timestamp]) -> Option<String> {
     if step < MIN_NS {
         let fps = 1e9 / step as f64;
         let unit = UNITS.iter().find(|(_, ns)| CAMERA_NS.contains(&step.saturating_mul(*ns)));
-        let (guess, mend) = match unit {
+        let (guess, hint) = match unit {
             Some((unit, ns)) => (format!("are they {unit}? "), format!("multiply them by {ns}")),
             None => (String::new(), "write nanoseconds".to_owned()),
         };
-        return Some(format!("stamps lie {step} ns apart, {fps:.0} frames a second; {guess}{read}: {mend}"));
+        return Some(format!("stamps lie {step} ns apart, {fps:.0} frames a second; {guess}{read}: {hint}"));
     }
     let is_too_fine = step > MAX_NS && VIDEO_NS.contains(&(step / 1000));
     is_too_fine.then(|| {

@@ -54,9 +54,9 @@ impl Read for Waiting {
             if (self.is_stopped)() {
                 return Ok(0);
             }
-            let mut asked = [PollFd::new(self.file.as_fd(), PollFlags::POLLIN)];
+            let mut fds = [PollFd::new(self.file.as_fd(), PollFlags::POLLIN)];
             let look = PollTimeout::try_from(LOOK).unwrap_or(PollTimeout::ZERO);
-            match poll(&mut asked, look) {
+            match poll(&mut fds, look) {
                 Ok(0) if self.writer_until.is_none() => continue,
                 // Without data, only a read can tell a pipe without a writer from a slow writer.
                 Ok(_) => {}
@@ -114,11 +114,11 @@ mod tests {
         let (_folder, path) = pipe();
         let mut reader = Waiting::named_pipe(&path, || STOP.load(Ordering::Relaxed)).unwrap();
         let _writer = std::fs::OpenOptions::new().write(true).open(&path).unwrap();
-        let asked = std::thread::spawn(|| {
+        let stopper = std::thread::spawn(|| {
             std::thread::sleep(Duration::from_millis(150));
             STOP.store(true, Ordering::Relaxed);
         });
         assert_eq!(reader.read(&mut [0; 8]).unwrap(), 0);
-        asked.join().unwrap();
+        stopper.join().unwrap();
     }
 }

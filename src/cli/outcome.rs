@@ -18,7 +18,7 @@ pub(super) struct Outcome {
 
 /// Number of most frequent reasons that get a sentence each; the others are only counted. Chosen,
 /// not tuned. Raised, the summary is longer.
-const TOLD: usize = 2;
+const MAX_DETAILED_REASONS: usize = 2;
 /// The sentence for a clip of one picture.
 const ONE_FRAME: &str =
     "One picture is not enough for a pose, because every pose is checked against another frame's: give two or more pictures, or a clip";
@@ -77,7 +77,8 @@ impl Outcome {
         self.frames == 1 && self.count(Reason::Unconfirmed) == 1
     }
 
-    /// Returns one sentence on what was tracked and up to [`TOLD`] on why the rest was not.
+    /// Returns one sentence on what was tracked and up to [`MAX_DETAILED_REASONS`] on why the rest
+    /// was not.
     pub fn sentences(&self) -> String {
         let Self { frames, tracked, .. } = *self;
         if frames == 0 {
@@ -96,10 +97,10 @@ impl Outcome {
         // Every acquisition waits one frame for its confirmation, so a few of these are normal.
         let faults: Vec<(Reason, u64)> = self.reasons().into_iter().filter(|(r, n)| *r != Reason::Unconfirmed || *n * 4 > frames).collect();
         let worth = |k: usize, n: u64| k == 0 || n as f64 >= MIN_SHARE * frames as f64;
-        let told = faults.iter().enumerate().take(TOLD).filter(|(k, (_, n))| worth(*k, *n));
-        for (_, (reason, n)) in told {
+        let detailed = faults.iter().enumerate().take(MAX_DETAILED_REASONS).filter(|(k, (_, n))| worth(*k, *n));
+        for (_, (reason, n)) in detailed {
             let of = if *n == 1 { "1 frame".to_owned() } else { format!("{n} frames") };
-            text += &format!(" In {of} {}: {}.", reason.says(), reason.mend());
+            text += &format!(" In {of} {}: {}.", reason.message(), reason.hint());
         }
         text
     }

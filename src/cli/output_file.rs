@@ -95,8 +95,8 @@ impl OutputFile {
     fn wait(&self) -> io::Result<()> {
         let begun = Instant::now();
         loop {
-            let mut asked = [PollFd::new(self.to.as_fd(), PollFlags::POLLOUT)];
-            match poll(&mut asked, PollTimeout::try_from(LOOK).unwrap_or(PollTimeout::ZERO)) {
+            let mut fds = [PollFd::new(self.to.as_fd(), PollFlags::POLLOUT)];
+            match poll(&mut fds, PollTimeout::try_from(LOOK).unwrap_or(PollTimeout::ZERO)) {
                 Ok(0) | Err(Errno::EINTR) => {}
                 Ok(_) => return Ok(()),
                 Err(e) => return Err(e.into()),

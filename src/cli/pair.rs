@@ -35,6 +35,6 @@ pub(super) fn run(arguments: &PairArguments) -> Result<(), Failure> {
 }
 
 fn missing(file: &Path, error: &std::io::Error) -> Failure {
-    let mend = "start the daemon with [http] in its config, and run this as its user or as root, with its --port";
-    Failure::Pairing(format!("no code is kept in {} ({error}); {mend}", file.display()))
+    let hint = "start the daemon with [http] in its config, and run this as its user or as root, with its --port";
+    Failure::Pairing(format!("no code is kept in {} ({error}); {hint}", file.display()))
 }

@@ -286,10 +286,10 @@ impl Comparison {
     pub fn remarks(&self) -> Vec<String> {
         let mut remarks = Vec::new();
         if let Some(found) = &self.camera_move {
-            let turn = found.rotation.angle().to_degrees();
+            let rotation = found.rotation.angle().to_degrees();
             remarks.push(match found.direction {
-                Some(t) => format!("The camera turned by {turn:.2} degrees and moved {}.", direction_words(&t, &found.rotation)),
-                None => format!("The camera turned by {turn:.2} degrees; no translation is visible."),
+                Some(t) => format!("The camera turned by {rotation:.2} degrees and moved {}.", direction_words(&t, &found.rotation)),
+                None => format!("The camera turned by {rotation:.2} degrees; no translation is visible."),
             });
             if found.is_ambiguous {
                 remarks.push(

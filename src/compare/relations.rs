@@ -193,9 +193,9 @@ fn verdict_off_the_plane(first: &[usize], second: &[usize]) -> Option<bool> {
 /// slant. 1 head-on, 0 edge-on.
 fn squareness(motion: &PlanarMotion, seen: &[RayPair]) -> f64 {
     let Some(normal) = motion.normal else { return 0.0 };
-    let turned = motion.rotation * normal;
+    let rotated = motion.rotation * normal;
     let [first, second] = seen.iter().fold([0.0; 2], |[a, b], pair| {
-        [a + normal.dot(&pair.first.push(1.0).normalize()), b + turned.dot(&pair.second.push(1.0).normalize())]
+        [a + normal.dot(&pair.first.push(1.0).normalize()), b + rotated.dot(&pair.second.push(1.0).normalize())]
     });
     first * second / (seen.len() as f64).powi(2)
 }

@@ -57,8 +57,8 @@ impl BodyReader<'_> {
     pub fn stage(&mut self, typed: Option<&Spanned<as_typed::Stage>>) -> Result<BodySpec, ConfigError> {
         let surfaces = typed.map_or(&[][..], |stage| &stage.get_ref().surface);
         if surfaces.is_empty() {
-            let mend = "a section [[stage.surface]] with an `image` or a `photo` of the stage and its `size_m`";
-            return Err(self.origin.missing("the config".to_owned(), "stage.surface", mend));
+            let hint = "a section [[stage.surface]] with an `image` or a `photo` of the stage and its `size_m`";
+            return Err(self.origin.missing("the config".to_owned(), "stage.surface", hint));
         }
         let mut stage = BodySpec { name: STAGE.to_owned(), surfaces: self.surfaces(surfaces, "[[stage.surface]]")? };
         self.first_as_typed = stage.surfaces.first().map_or_else(Pose::identity, |first| first.pose);
@@ -125,8 +125,8 @@ impl BodyReader<'_> {
         let here = || self.origin.section_at(name, &typed.span());
         let surface = typed.get_ref();
         let Some(typed_size) = &surface.size_m else {
-            let mend = "the width and height between the picture's outer edges in metres, such as size_m = [4.0, 3.0]";
-            return Err(self.origin.missing(here(), "size_m", mend));
+            let hint = "the width and height between the picture's outer edges in metres, such as size_m = [4.0, 3.0]";
+            return Err(self.origin.missing(here(), "size_m", hint));
         };
         let size_m = typed_size.get_ref().values();
         if !size_m.iter().all(|v| *v > 0.0) {
@@ -187,9 +187,9 @@ impl BodyReader<'_> {
         here: String,
     ) -> Result<SurfaceRead, ConfigError> {
         let Some(typed_corners) = &typed.corners_px else {
-            let mend =
+            let hint =
                 "the surface's corners in the photograph, clockwise from the top left: corners_px = [[u, v], [u, v], [u, v], [u, v]]";
-            return Err(self.origin.missing(here, "corners_px", mend));
+            return Err(self.origin.missing(here, "corners_px", hint));
         };
         let corners = typed_corners.get_ref().0.map(|corner| corner.values());
         if !corners.iter().flatten().all(|v| v.is_finite()) {

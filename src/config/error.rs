@@ -31,7 +31,7 @@ pub enum ConfigError {
         reason: String,
     },
     /// An unknown key or section.
-    #[error("{}: unknown {what}, line {line}; {mend}", file.display())]
+    #[error("{}: unknown {what}, line {line}; {hint}", file.display())]
     Unknown {
         /// The config file.
         file: PathBuf,
@@ -40,10 +40,10 @@ pub enum ConfigError {
         /// "key \`x\` in \[y\]", or "section \[x\]".
         what: String,
         /// The nearest known name, or all known names.
-        mend: String,
+        hint: String,
     },
     /// A required key is missing.
-    #[error("{}: {section} has no `{key}`; add {mend}", file.display())]
+    #[error("{}: {section} has no `{key}`; add {hint}", file.display())]
     Missing {
         /// The config file.
         file: PathBuf,
@@ -52,7 +52,7 @@ pub enum ConfigError {
         /// The key.
         key: &'static str,
         /// An example of the key.
-        mend: &'static str,
+        hint: &'static str,
     },
     /// A value that cannot be used.
     #[error("{}: `{key}` in {section}, line {line}: {problem}", file.display())]

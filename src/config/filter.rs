@@ -42,11 +42,11 @@ pub(super) fn filter(origin: &Origin<'_>, typed: Option<&as_typed::Filter>) -> R
             above,
             "metres per second squared, above 0",
         )?,
-        turn_acceleration_rad_s2: section
+        angular_acceleration_rad_s2: section
             .number(
                 "turn_acceleration_deg_s2",
                 typed.turn_acceleration_deg_s2.as_ref(),
-                kalman.turn_acceleration_rad_s2.to_degrees(),
+                kalman.angular_acceleration_rad_s2.to_degrees(),
                 above,
                 "degrees per second squared, above 0",
             )?

@@ -77,7 +77,7 @@ fn refusal(path: &[&str], key: &str, span: &Range<usize>, value: &DeValue<'_>, o
     let (file, line) = (origin.file.to_owned(), origin.line(span));
     let is_section = path.is_empty() && !is_plain(value);
     let what = if is_section { format!("section [{key}]") } else { format!("key `{key}` in {name}") };
-    Some(ConfigError::Unknown { file, line, what, mend: suggestion(key, name, known) })
+    Some(ConfigError::Unknown { file, line, what, hint: suggestion(key, name, known) })
 }
 
 /// Returns the error for a text that is not TOML, with a hint for a section that occurs twice.

@@ -41,16 +41,16 @@ impl LensSource {
 const ANY_SIZE: (u32, u32) = (1280, 720);
 
 /// What to write if the config has no lens.
-const MEND: &str = "calibration = \"camera.toml\" (width, height, fx, fy, cx, cy, skew, distortion), or for a first look fov_deg = 60 (degrees across the picture)";
+const HINT: &str = "calibration = \"camera.toml\" (width, height, fx, fy, cx, cy, skew, distortion), or for a first look fov_deg = 60 (degrees across the picture)";
 
 /// Reads the lens and builds its camera.
 pub(super) fn lens(section: &Section<'_>, typed: Option<&Spanned<as_typed::Camera>>) -> Result<(LensSource, CameraModel), ConfigError> {
     let Some(camera) = typed else {
-        return Err(section.origin.missing("the config".to_owned(), "camera.calibration", MEND));
+        return Err(section.origin.missing("the config".to_owned(), "camera.calibration", HINT));
     };
     match found(section, camera.get_ref())? {
         Some(lens) => Ok(lens),
-        None => Err(section.origin.missing(section.origin.section_at("[camera]", &camera.span()), "calibration", MEND)),
+        None => Err(section.origin.missing(section.origin.section_at("[camera]", &camera.span()), "calibration", HINT)),
     }
 }
 

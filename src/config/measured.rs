@@ -40,12 +40,12 @@ fn distance(origin: &Origin<'_>, typed: &Spanned<as_typed::SurveyDistance>, stag
     let (section, here) = (Section { origin, name: DISTANCE }, || origin.section_at(DISTANCE, &typed.span()));
     let distance = typed.get_ref();
     let Some(surfaces) = &distance.surfaces else {
-        let mend = "the two surfaces by their numbers in the file, such as surfaces = [1, 2] (or [1, 1])";
-        return Err(origin.missing(here(), "surfaces", mend));
+        let hint = "the two surfaces by their numbers in the file, such as surfaces = [1, 2] (or [1, 1])";
+        return Err(origin.missing(here(), "surfaces", hint));
     };
     let Some(at) = &distance.at else {
-        let mend = "where the two points are on their pictures, such as at = [\"top left\", [812.0, 40.5]] (pixels of the picture)";
-        return Err(origin.missing(here(), "at", mend));
+        let hint = "where the two points are on their pictures, such as at = [\"top left\", [812.0, 40.5]] (pixels of the picture)";
+        return Err(origin.missing(here(), "at", hint));
     };
     let Some(length) = &distance.length_m else {
         return Err(origin.missing(here(), "length_m", "what was measured between them, such as length_m = 3.254"));
@@ -71,8 +71,8 @@ fn point(origin: &Origin<'_>, typed: &Spanned<as_typed::SurveyPoint>, stage: &Bo
         return Err(origin.missing(here(), "surface", "the surface by its number in the file, such as surface = 2"));
     };
     let Some(at) = &point.at else {
-        let mend = "where the point is on its picture, such as at = \"top left\", or at = [812.0, 40.5] (pixels of the picture)";
-        return Err(origin.missing(here(), "at", mend));
+        let hint = "where the point is on its picture, such as at = \"top left\", or at = [812.0, 40.5] (pixels of the picture)";
+        return Err(origin.missing(here(), "at", hint));
     };
     if point.position_m.is_none() {
         return Err(origin.missing(

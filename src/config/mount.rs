@@ -37,8 +37,8 @@ pub(super) fn mount(
     let section = Section { origin, name: MOUNT };
     let (span, typed) = (typed.span(), typed.get_ref());
     let Some(typed_offset) = &typed.offset_m else {
-        let mend = "where the filming camera's lens is, seen from the tracking camera's: metres to its right, forward and up, such as offset_m = [0.0, 0.05, 0.12]";
-        return Err(origin.missing(origin.section_at(MOUNT, &span), "offset_m", mend));
+        let hint = "where the filming camera's lens is, seen from the tracking camera's: metres to its right, forward and up, such as offset_m = [0.0, 0.05, 0.12]";
+        return Err(origin.missing(origin.section_at(MOUNT, &span), "offset_m", hint));
     };
     let offset = section.position("offset_m", typed.offset_m.as_ref())?;
     if offset.norm() > MAX_M {

@@ -79,8 +79,8 @@ impl<'a> Origin<'a> {
 
     /// Returns the error for a missing key. `section` may include its line ("[[object]], line 7,"),
     /// since a missing key has none.
-    pub fn missing(&self, section: String, key: &'static str, mend: &'static str) -> ConfigError {
-        ConfigError::Missing { file: self.file.to_owned(), section, key, mend }
+    pub fn missing(&self, section: String, key: &'static str, hint: &'static str) -> ConfigError {
+        ConfigError::Missing { file: self.file.to_owned(), section, key, hint }
     }
 
     /// Returns a section's name with the line on which it starts.

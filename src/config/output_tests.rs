@@ -56,7 +56,7 @@ fn every_key_reaches_the_settings() {
     assert_eq!((placement.scale, placement.position_signs, placement.angle_signs), (100.0, [-1.0, 1.0, 1.0], [1.0, -1.0, 1.0]));
     assert!(matches!(&output.protocol, Protocol::Psn(psn) if psn.first_tracker == 12 && psn.system == "s"));
     assert_eq!(settings.safety.permitted_box_m, Some([[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]]));
-    assert!((settings.safety.blend.unwrap().turn_rad_s - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+    assert!((settings.safety.blend.unwrap().angular_speed_rad_s - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
     let http = settings.http.unwrap();
     assert_eq!(http.listen.to_string(), "0.0.0.0:80");
     assert_eq!(http.hosts.iter().map(ToString::to_string).collect::<Vec<_>>(), ["stage.example.org", "192.0.2.7", "fd00::7"]);
@@ -71,8 +71,8 @@ fn single_values_need_no_brackets_and_words_ignore_case() {
     let [osc, freed, open] = &settings.outputs[..] else { panic!("three outputs") };
     assert_eq!((osc.udp.to.len(), osc.on_loss, osc.placement.angle_signs), (1, OnLoss::Flag, [1.0, -1.0, 1.0]));
     assert_eq!(osc.bodies, [BodyChoice::Camera]);
-    let turned = osc.placement.rotation * nalgebra::Vector3::x();
-    assert!((turned + nalgebra::Vector3::x()).norm() < 1e-12);
+    let rotated = osc.placement.rotation * nalgebra::Vector3::x();
+    assert!((rotated + nalgebra::Vector3::x()).norm() < 1e-12);
     assert!(matches!(&osc.protocol, Protocol::Osc(osc) if osc.messages.len() == 1));
     assert_eq!((freed.udp.to.len(), freed.protocol.word(), open.protocol.word()), (2, "freed", "opentrackio"));
     // An object of that name takes precedence over the camera.
@@ -273,7 +273,7 @@ fn filter_settings_are_read_and_prediction_needs_a_filter() {
     let read = filter("kind = \"kalman\"\npredict_s = 0.033\nacceleration_m_s2 = 5\nturn_acceleration_deg_s2 = 180").unwrap().filter;
     let FilterKind::Kalman(kalman) = read.kind else { panic!("{read:?}") };
     assert_eq!((read.predict_s, kalman.acceleration_m_s2), (0.033, 5.0));
-    assert!((kalman.turn_acceleration_rad_s2 - std::f64::consts::PI).abs() < 1e-12);
+    assert!((kalman.angular_acceleration_rad_s2 - std::f64::consts::PI).abs() < 1e-12);
     assert!(
         matches!(filter("kind = \"one-euro\"\nbeta = 1\nmin_cutoff_hz = 2").unwrap().filter.kind, FilterKind::OneEuro(e) if e.beta == 1.0)
     );

@@ -88,8 +88,8 @@ impl OutputReader<'_> {
         if has_stream || !udp.to.is_empty() {
             return Ok(());
         }
-        let mend = "the receiver's address and port, such as to = [\"192.168.1.20:40000\"] (json: or `tcp_listen`, or `file`)";
-        Err(self.origin.missing(self.origin.section_at(OUTPUT, span), "to", mend))
+        let hint = "the receiver's address and port, such as to = [\"192.168.1.20:40000\"] (json: or `tcp_listen`, or `file`)";
+        Err(self.origin.missing(self.origin.section_at(OUTPUT, span), "to", hint))
     }
 
     fn udp(&self, section: &Section<'_>, output: &as_typed::Output) -> Result<UdpSettings, ConfigError> {
@@ -249,11 +249,11 @@ pub(super) fn safety(origin: &Origin<'_>, typed: Option<&as_typed::Safety>) -> R
         let value = section.number(key, typed.as_ref(), 0.0, |v| v > 0.0 && v <= most, wanted)?;
         Ok::<_, ConfigError>(typed.as_ref().map(|_| value))
     };
-    let (speed, turn) = ("metres per second, above 0, at most 100", "degrees per second, above 0, at most 10000");
+    let (speed, rotation) = ("metres per second, above 0, at most 100", "degrees per second, above 0, at most 10000");
     let blend_speed = limit("blend_speed_m_s", &typed.blend_speed_m_s, 100.0, speed)?;
-    let blend_turn = limit("blend_turn_deg_s", &typed.blend_turn_deg_s, 10_000.0, turn)?;
+    let blend_turn = limit("blend_turn_deg_s", &typed.blend_turn_deg_s, 10_000.0, rotation)?;
     let blend = match (blend_speed, blend_turn) {
-        (Some(speed_m_s), Some(turn)) => Some(BlendRates { speed_m_s, turn_rad_s: turn.to_radians() }),
+        (Some(speed_m_s), Some(rotation)) => Some(BlendRates { speed_m_s, angular_speed_rad_s: rotation.to_radians() }),
         (None, None) => None,
         _ => {
             let alone = typed.blend_speed_m_s.as_ref().or(typed.blend_turn_deg_s.as_ref()).map_or(0..0, Spanned::span);
@@ -265,7 +265,9 @@ pub(super) fn safety(origin: &Origin<'_>, typed: Option<&as_typed::Safety>) -> R
         section.number("stale_after_s", typed.stale_after_s.as_ref(), 0.5, |v| (0.02..=60.0).contains(&v), "seconds from 0.02 to 60")?;
     Ok(SafetySettings {
         max_speed_m_s: limit("max_speed_m_s", &typed.max_speed_m_s, 100.0, speed)?.or(default.max_speed_m_s),
-        max_turn_rad_s: limit("max_turn_deg_s", &typed.max_turn_deg_s, 10_000.0, turn)?.map(f64::to_radians).or(default.max_turn_rad_s),
+        max_angular_speed_rad_s: limit("max_turn_deg_s", &typed.max_turn_deg_s, 10_000.0, rotation)?
+            .map(f64::to_radians)
+            .or(default.max_angular_speed_rad_s),
         permitted_box_m: permitted_box(&section, typed)?,
         blend,
         stale_after: Duration::from_secs_f64(stale),

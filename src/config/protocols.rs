@@ -34,8 +34,8 @@ enum Kind {
 pub(super) fn protocol(section: &Section<'_>, output: &as_typed::Output, span: &Range<usize>) -> Result<Protocol, ConfigError> {
     let kinds = [("freed", Kind::Freed), ("opentrackio", Kind::OpenTrackIo), ("psn", Kind::Psn), ("osc", Kind::Osc), ("json", Kind::Json)];
     let Some(typed) = &output.kind else {
-        let mend = "kind = \"freed\", \"opentrackio\", \"psn\", \"osc\" or \"json\"";
-        return Err(section.origin.missing(section.origin.section_at(section.name, span), "kind", mend));
+        let hint = "kind = \"freed\", \"opentrackio\", \"psn\", \"osc\" or \"json\"";
+        return Err(section.origin.missing(section.origin.section_at(section.name, span), "kind", hint));
     };
     let kind = section.word("kind", Some(typed), Kind::Json, &kinds, "freed, opentrackio, psn, osc or json")?;
     refuse_others_keys(section, output, kind)?;
@@ -74,9 +74,9 @@ fn refuse_others_keys(section: &Section<'_>, o: &as_typed::Output, kind: Kind) -
         ("file", at(&o.file), &[Json], "it belongs to json; remove it"),
     ];
     let value = o.value.first().map(|v| ("value", v.span(), "it belongs to osc; remove it"));
-    let foreign = keys.into_iter().filter(|(.., kinds, _)| !kinds.contains(&kind)).find_map(|(key, at, _, mend)| Some((key, at?, mend)));
+    let foreign = keys.into_iter().filter(|(.., kinds, _)| !kinds.contains(&kind)).find_map(|(key, at, _, hint)| Some((key, at?, hint)));
     match foreign.or(value.filter(|_| kind != Osc)) {
-        Some((key, span, mend)) => Err(section.refuse(key, &span, Problem::Combination(mend))),
+        Some((key, span, hint)) => Err(section.refuse(key, &span, Problem::Combination(hint))),
         None => Ok(()),
     }
 }

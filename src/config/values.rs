@@ -93,11 +93,11 @@ impl Section<'_> {
         wanted: &'static str,
     ) -> Result<T, ConfigError> {
         let Some(typed) = typed else { return Ok(default) };
-        let said = plain(typed.get_ref());
-        if let Some((_, value)) = words.iter().find(|(word, _)| plain(word) == said) {
+        let typed_word = plain(typed.get_ref());
+        if let Some((_, value)) = words.iter().find(|(word, _)| plain(word) == typed_word) {
             return Ok(*value);
         }
-        let nearest = words.iter().map(|(word, _)| (strsim::jaro_winkler(&said, word), *word)).max_by(|a, b| a.0.total_cmp(&b.0));
+        let nearest = words.iter().map(|(word, _)| (strsim::jaro_winkler(&typed_word, word), *word)).max_by(|a, b| a.0.total_cmp(&b.0));
         let nearest = nearest.filter(|(likeness, _)| *likeness > 0.8).map(|(_, word)| word.to_owned());
         Err(self.refuse(key, &typed.span(), Problem::Word { value: typed.get_ref().clone(), wanted, nearest }))
     }

@@ -12,7 +12,7 @@ use crate::contain::contained;
 const REMEMBERED: usize = 20;
 /// Minimum interval between progress messages. Chosen: a progress bar looks smooth. Raised, the bar
 /// jumps.
-const TOLD_EVERY: Duration = Duration::from_millis(500);
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(500);
 
 /// All jobs of a daemon.
 #[derive(Debug, Default)]
@@ -43,25 +43,25 @@ pub struct Progress {
     board: Arc<Mutex<Board>>,
     events: Arc<EventLog>,
     cancelled: Arc<AtomicBool>,
-    told: Instant,
+    reported_at: Instant,
 }
 
 impl Progress {
     /// Reports the share done, 0 to 1; returns false if the job was cancelled and should end.
-    pub fn tell(&mut self, done: f64) -> bool {
-        if self.told.elapsed() >= TOLD_EVERY {
-            self.told = Instant::now();
-            let told = held(&self.board).job(self.job).map(|job| {
+    pub fn report(&mut self, done: f64) -> bool {
+        if self.reported_at.elapsed() >= PROGRESS_INTERVAL {
+            self.reported_at = Instant::now();
+            let changed = held(&self.board).job(self.job).map(|job| {
                 job.done = done;
                 job.clone()
             });
-            told.into_iter().for_each(|job| self.events.publish(Event::Job(job)));
+            changed.into_iter().for_each(|job| self.events.publish(Event::Job(job)));
         }
         !self.cancelled.load(Ordering::Relaxed)
     }
 
     fn end(&self, outcome: Result<String, String>) {
-        let told = held(&self.board).job(self.job).map(|job| {
+        let changed = held(&self.board).job(self.job).map(|job| {
             (job.state, job.text) = match outcome {
                 Ok(text) => (JobState::Done, text),
                 Err(_) if self.cancelled.load(Ordering::Relaxed) => (JobState::Failed, "it was cancelled".to_owned()),
@@ -72,7 +72,7 @@ impl Progress {
             }
             job.clone()
         });
-        told.into_iter().for_each(|job| self.events.publish(Event::Job(job)));
+        changed.into_iter().for_each(|job| self.events.publish(Event::Job(job)));
     }
 }
 
@@ -102,7 +102,7 @@ impl Jobs {
             board.jobs.push_back(Job { job: number, kind: kind.to_owned(), done: 0.0, state: JobState::Running, text });
             board.cancelled = Arc::default();
             let (cancelled, board) = (board.cancelled.clone(), self.board.clone());
-            Progress { job: number, board, events: events.clone(), cancelled, told: Instant::now() }
+            Progress { job: number, board, events: events.clone(), cancelled, reported_at: Instant::now() }
         };
         let number = progress.job;
         let run = move || {
@@ -155,9 +155,9 @@ mod tests {
     #[test]
     fn one_job_runs_at_a_time_and_each_reports_its_end() {
         let (jobs, events) = (Jobs::default(), Arc::new(EventLog::default()));
-        let heard = events.listen();
+        let received = events.listen();
         let first = jobs.start("test", "a".to_owned(), &events, |progress| {
-            while progress.tell(0.5) {}
+            while progress.report(0.5) {}
             Err("it ended".to_owned())
         });
         assert_eq!(first, Ok(1));
@@ -177,7 +177,7 @@ mod tests {
         }
         assert!(jobs.job(bad).is_none());
         events.close();
-        let ends = heard.iter().filter(|e| matches!(&e.event, Event::Job(job) if job.state != JobState::Running)).count();
+        let ends = received.iter().filter(|e| matches!(&e.event, Event::Job(job) if job.state != JobState::Running)).count();
         assert_eq!(ends, 3 + REMEMBERED);
     }
 }

@@ -11,7 +11,7 @@ use crate::track::Reason;
 /// Time without a pose after which a loss is reported, and again when its reason changes. Shorter
 /// gaps (a hand in front of the lens, a whip pan) would fill the log. Raised, a loss is reported
 /// later.
-const TOLD_AFTER: Duration = Duration::from_secs(1);
+const REPORT_AFTER: Duration = Duration::from_secs(1);
 
 /// Watches samples, by their stamps.
 #[derive(Debug, Default)]
@@ -21,12 +21,12 @@ pub struct ReasonWatch {
     /// When tracking ended, or the first frame came.
     lost: Option<Timestamp>,
     counts: [u32; Reason::ALL.len()],
-    told: Told,
+    last_report: LastReport,
 }
 
 /// What was reported last.
 #[derive(Debug, Default, PartialEq, Eq)]
-enum Told {
+enum LastReport {
     #[default]
     Nothing,
     Tracking,
@@ -43,23 +43,23 @@ impl ReasonWatch {
         let Some(reason) = sample.reason.filter(|_| sample.state != State::Tracking) else {
             let after_ms = self.lost.take().map_or(0.0, |lost| now.ms_since(lost));
             self.start_window(None);
-            let is_new = self.told != Told::Tracking;
-            self.told = Told::Tracking;
+            let is_new = self.last_report != LastReport::Tracking;
+            self.last_report = LastReport::Tracking;
             return is_new.then_some(Event::Tracked { after_ms });
         };
         self.lost.get_or_insert(now);
         let since = *self.since.get_or_insert(now);
         self.counts[reason as usize] += 1;
-        if now.duration_since(since) < TOLD_AFTER {
+        if now.duration_since(since) < REPORT_AFTER {
             return None;
         }
         let most = Reason::ALL.into_iter().max_by_key(|r| self.counts[*r as usize]).unwrap_or(reason);
         self.start_window(Some(now));
-        let is_new = self.told != Told::Reason(most);
-        self.told = Told::Reason(most);
+        let is_new = self.last_report != LastReport::Reason(most);
+        self.last_report = LastReport::Reason(most);
         // Mixed frames have their own report, which names the setting.
         (is_new && most != Reason::Mixed)
-            .then(|| Event::NotTracked { reason: most.word().into(), text: format!("{}: {}", most.says(), most.mend()) })
+            .then(|| Event::NotTracked { reason: most.word().into(), text: format!("{}: {}", most.message(), most.hint()) })
     }
 
     fn start_window(&mut self, since: Option<Timestamp>) {

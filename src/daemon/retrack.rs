@@ -26,7 +26,7 @@ const MAX_ABOUT: u64 = 1 << 20;
 
 /// The compared fields of a record.
 #[derive(Debug, Deserialize)]
-struct Told {
+struct ComparedRecord {
     state: String,
     measured: Option<Placed>,
     rms_px: Option<f64>,
@@ -88,13 +88,13 @@ pub fn retrack(clip: &Path, settings: &Settings, progress: &mut Progress) -> Res
         let difference = compared.add(before.as_deref(), &line);
         writeln!(poses, "{line}").and_then(|()| writeln!(differences, "{difference}")).map_err(|e| unwritable(clip, &e))?;
         let done = rows.filter(|rows| *rows > 0).map_or(0.0, |rows| (compared.rows as f64 / rows as f64).min(1.0));
-        if !progress.tell(done) {
+        if !progress.report(done) {
             return Err("it was cancelled".to_owned());
         }
     }
-    let says = compared.says();
-    let written = poses.flush().and_then(|()| differences.flush()).and_then(|()| part.finish(&compared.told()));
-    written.map_err(|e| unwritable(clip, &e)).map(|()| says)
+    let message = compared.message();
+    let written = poses.flush().and_then(|()| differences.flush()).and_then(|()| part.finish(&compared.summary()));
+    written.map_err(|e| unwritable(clip, &e)).map(|()| message)
 }
 
 fn unwritable(clip: &Path, error: &io::Error) -> String {
@@ -150,36 +150,36 @@ impl Drop for Part<'_> {
 impl Compared {
     /// Adds a row's two records and returns the line with their difference.
     fn add(&mut self, recorded: Option<&str>, retracked: &str) -> String {
-        let read = |line: &str| serde_json::from_str::<Told>(line).ok();
-        let told = [recorded.and_then(read), read(retracked)];
-        let [before, after] = &told;
+        let read = |line: &str| serde_json::from_str::<ComparedRecord>(line).ok();
+        let records = [recorded.and_then(read), read(retracked)];
+        let [before, after] = &records;
         let row = self.rows;
         self.rows += 1;
         self.same_record += u64::from(recorded == Some(retracked));
-        let state = |told: &Option<Told>| told.as_ref().map(|told| told.state.clone());
+        let state = |record: &Option<ComparedRecord>| record.as_ref().map(|record| record.state.clone());
         self.same_state += u64::from(state(before).is_some() && state(before) == state(after));
-        for (k, told) in told.iter().enumerate() {
-            let Some(told) = told else { continue };
-            *self.states[k].entry(told.state.clone()).or_default() += 1;
-            self.rms_px[k].extend(told.rms_px);
+        for (k, record) in records.iter().enumerate() {
+            let Some(record) = record else { continue };
+            *self.states[k].entry(record.state.clone()).or_default() += 1;
+            self.rms_px[k].extend(record.rms_px);
         }
-        let placed = |told: &Option<Told>| told.as_ref().and_then(|told| told.measured.as_ref()).map(Placed::parts);
+        let placed = |record: &Option<ComparedRecord>| record.as_ref().and_then(|record| record.measured.as_ref()).map(Placed::parts);
         let moved = placed(before).zip(placed(after)).map(|((p, r), (q, s))| ((q - p).norm() * 1e3, r.angle_to(&s).to_degrees()));
         self.position_mm.extend(moved.map(|(mm, _)| mm));
         self.angle_deg.extend(moved.map(|(_, degrees)| degrees));
         let difference = Difference {
             row,
-            recorded: before.as_ref().map(|told| told.state.as_str()),
-            retracked: after.as_ref().map_or("", |told| told.state.as_str()),
+            recorded: before.as_ref().map(|record| record.state.as_str()),
+            retracked: after.as_ref().map_or("", |record| record.state.as_str()),
             position_mm: moved.map(|(mm, _)| mm),
             angle_deg: moved.map(|(_, degrees)| degrees),
-            rms_px: [before, after].map(|told| told.as_ref().and_then(|told| told.rms_px)),
+            rms_px: [before, after].map(|record| record.as_ref().and_then(|record| record.rms_px)),
         };
         // Serialising to a string fails only for non-string map keys, and a difference has none.
         serde_json::to_string(&difference).expect("a difference has only string keys")
     }
 
-    fn told(mut self) -> Value {
+    fn summary(mut self) -> Value {
         let [recorded_rms, retracked_rms] = self.rms_px.each_mut().map(|all| spread(all));
         let [recorded, retracked] = self.states;
         json!({
@@ -190,7 +190,7 @@ impl Compared {
         })
     }
 
-    fn says(&self) -> String {
+    fn message(&self) -> String {
         let tracked = |k: usize| self.states[k].get("tracking").copied().unwrap_or(0);
         format!("of {} rows {} were tracked and {} are now", self.rows, tracked(0), tracked(1))
     }
@@ -214,7 +214,7 @@ fn spread(values: &mut [f64]) -> Value {
 /// Returns the result of a comparison without rows: its fields, without numbers.
 #[cfg(test)]
 pub fn nothing_compared() -> Value {
-    Compared::default().told()
+    Compared::default().summary()
 }
 
 #[cfg(test)]
@@ -228,19 +228,19 @@ mod tests {
         };
         let lost = r#"{"state":"lost","measured":null,"rms_px":null}"#;
         let mut compared = Compared::default();
-        let told: Value =
+        let difference: Value =
             serde_json::from_str(&compared.add(Some(&line("tracking", 1.0, "0.5")), &line("tracking", 1.002, "0.25"))).unwrap();
-        assert!((told["position_mm"].as_f64().unwrap() - 2.0).abs() < 1e-9 && told["angle_deg"] == 0.0, "{told}");
-        assert_eq!(told["rms_px"], json!([0.5, 0.25]));
-        let told: Value = serde_json::from_str(&compared.add(Some(lost), &line("tracking", 1.0, "0.3"))).unwrap();
-        assert_eq!((&told["row"], &told["recorded"], &told["position_mm"]), (&1.into(), &"lost".into(), &Value::Null));
+        assert!((difference["position_mm"].as_f64().unwrap() - 2.0).abs() < 1e-9 && difference["angle_deg"] == 0.0, "{difference}");
+        assert_eq!(difference["rms_px"], json!([0.5, 0.25]));
+        let difference: Value = serde_json::from_str(&compared.add(Some(lost), &line("tracking", 1.0, "0.3"))).unwrap();
+        assert_eq!((&difference["row"], &difference["recorded"], &difference["position_mm"]), (&1.into(), &"lost".into(), &Value::Null));
         compared.add(Some(lost), lost);
         // The recording ended before all its records were written.
         compared.add(None, lost);
-        assert_eq!(compared.says(), "of 4 rows 1 were tracked and 2 are now");
-        let told = compared.told();
-        assert_eq!((&told["same_record"], &told["same_state"], &told["both_tracked"]), (&1.into(), &2.into(), &1.into()));
-        assert_eq!(told["states"]["retracked"], json!({"lost": 2, "tracking": 2}));
-        assert_eq!(told["rms_px"]["retracked"]["max"], 0.3);
+        assert_eq!(compared.message(), "of 4 rows 1 were tracked and 2 are now");
+        let summary = compared.summary();
+        assert_eq!((&summary["same_record"], &summary["same_state"], &summary["both_tracked"]), (&1.into(), &2.into(), &1.into()));
+        assert_eq!(summary["states"]["retracked"], json!({"lost": 2, "tracking": 2}));
+        assert_eq!(summary["rms_px"]["retracked"]["max"], 0.3);
     }
 }

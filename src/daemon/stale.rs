@@ -40,7 +40,7 @@ impl StaleWatch {
         }
         match (self.silent, self.link.pulse.time_left(monotonic_now())) {
             (_, Some(left)) => left,
-            (Some((_, said)), None) => REPEAT.saturating_sub(said.elapsed()).max(Duration::from_millis(1)),
+            (Some((_, sent_at)), None) => REPEAT.saturating_sub(sent_at.elapsed()).max(Duration::from_millis(1)),
             (None, None) => Duration::ZERO,
         }
     }
@@ -62,8 +62,8 @@ impl StaleWatch {
         }
         let age_ms = self.link.pulse.age_ms(now);
         match &mut self.silent {
-            Some((_, said)) if said.elapsed() < REPEAT => return None,
-            Some((_, said)) => *said = Instant::now(),
+            Some((_, sent_at)) if sent_at.elapsed() < REPEAT => return None,
+            Some((_, sent_at)) => *sent_at = Instant::now(),
             None => {
                 self.silent = Some((Instant::now(), Instant::now()));
                 self.link.statistics.set_silent(true);

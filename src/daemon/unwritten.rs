@@ -4,14 +4,14 @@ use std::io::{self, ErrorKind};
 
 /// Returns the error with its fix, for a recording.
 pub fn unwritten(error: &io::Error) -> String {
-    let mend = match error.kind() {
+    let hint = match error.kind() {
         ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => {
             "let this program's user write there, or set `folder` in [recorder] to a folder that it may write"
         }
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge | ErrorKind::WriteZero => "make room on the disk",
         _ => "check that folder and its disk",
     };
-    format!("{error}; {mend}")
+    format!("{error}; {hint}")
 }
 
 #[cfg(test)]
@@ -20,11 +20,11 @@ mod tests {
 
     #[test]
     fn the_hint_matches_the_cause_of_a_write_error() {
-        let says = |kind: ErrorKind| unwritten(&io::Error::new(kind, "/etc/stagepose/recordings: it failed"));
-        assert!(says(ErrorKind::StorageFull).ends_with("it failed; make room on the disk"));
+        let explained = |kind: ErrorKind| unwritten(&io::Error::new(kind, "/etc/stagepose/recordings: it failed"));
+        assert!(explained(ErrorKind::StorageFull).ends_with("it failed; make room on the disk"));
         for kind in [ErrorKind::PermissionDenied, ErrorKind::ReadOnlyFilesystem] {
-            assert!(says(kind).contains("user write there") && !says(kind).contains("make room"), "{}", says(kind));
+            assert!(explained(kind).contains("user write there") && !explained(kind).contains("make room"), "{}", explained(kind));
         }
-        assert!(!says(ErrorKind::NotFound).contains("make room"));
+        assert!(!explained(ErrorKind::NotFound).contains("make room"));
     }
 }

@@ -84,7 +84,7 @@ pub fn corners_begun_at_top_left(surface: &SurfaceSpec) -> Option<String> {
 /// are not conclusive, so the finding is only a warning.
 pub fn of_corners(body: &BodySpec, is_guess: bool) -> Vec<Finding> {
     let graded = |surface: &SurfaceSpec, f: Finding| match f.grade {
-        Grade::Doubt if is_guess || is_assumed(surface) => Finding::warning(f.says),
+        Grade::Doubt if is_guess || is_assumed(surface) => Finding::warning(f.message),
         _ => f,
     };
     body.surfaces.iter().filter_map(|surface| Some(graded(surface, of_surface(surface)?))).collect()
@@ -104,7 +104,7 @@ fn of_surface(surface: &SurfaceSpec) -> Option<Finding> {
     let (log_sigma, angle_sigma) = spread(camera, &corners, &found);
     let ratio = surface.size_m[1] / surface.size_m[0];
     let name = &surface.name;
-    let told = format!(
+    let measured = format!(
         "{name}: from its corners and the lens, it is {:.3} +- {:.3} times as high as wide",
         found.ratio,
         3.0 * log_sigma * found.ratio
@@ -121,20 +121,20 @@ fn of_surface(surface: &SurfaceSpec) -> Option<Finding> {
     }
     let off = (found.ratio / ratio).ln();
     if off.abs() < 3.0 * log_sigma {
-        return Some(Finding::note(format!("{told}; size_m says {ratio:.3}")));
+        return Some(Finding::note(format!("{measured}; size_m says {ratio:.3}")));
     }
     let [w, h] = surface.size_m;
     if (found.ratio * ratio).ln().abs() < 3.0 * log_sigma {
         let first = top_left(&corners);
-        let mend = match first % 2 {
+        let hint = match first % 2 {
             1 => format!("the corners do not start at the top left: write {}", begun_at(&corners, first)),
             _ => format!("width and height are swapped: write size_m = {}", list(&[h, w])),
         };
-        return Some(Finding::doubt(format!("{told}; size_m says {ratio:.3}: {mend}")));
+        return Some(Finding::doubt(format!("{measured}; size_m says {ratio:.3}: {hint}")));
     }
     Some(Finding::doubt(
         format!(
-            "{told}; size_m says {ratio:.3}: measure it again, or write size_m = {} if its width is right (a wrong photo_calibration has \
+            "{measured}; size_m says {ratio:.3}: measure it again, or write size_m = {} if its width is right (a wrong photo_calibration has \
              the same effect)",
             list(&[w, w * found.ratio])
         ) + &format!("; corner 1 is configured at {}", written_corner(&corners[0])),
@@ -160,8 +160,9 @@ mod tests {
 
     /// A rectangle of 2 x 1.5 m, tilted, in front of a chequered wall.
     fn corners() -> [Vector2<f64>; 4] {
-        let turn = UnitQuaternion::from_euler_angles(0.3, 0.5, 0.05) * UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0);
-        let pose = Pose::<Camera, SurfaceFrame>::new(turn, Vector3::new(0.0, 0.0, 4.0));
+        let rotation =
+            UnitQuaternion::from_euler_angles(0.3, 0.5, 0.05) * UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0);
+        let pose = Pose::<Camera, SurfaceFrame>::new(rotation, Vector3::new(0.0, 0.0, 4.0));
         [(-1.0, 0.75), (1.0, 0.75), (1.0, -0.75), (-1.0, -0.75)].map(|(x, y)| {
             let c = pose.transform(&nalgebra::Point3::new(x, y, 0.0));
             camera().project(Normalized(c.coords.xy() / c.z)).0
@@ -172,7 +173,7 @@ mod tests {
         let photo = GrayImage::from_fn(640, 480, |x, y| Luma([if (x / 17 + y / 13) % 2 == 0 { 200 } else { 40 }]));
         let spec =
             SurfaceSpec::from_photograph("wall.jpg".to_owned(), &photo, corners.map(Pixel), camera(), size_m, Pose::identity()).unwrap();
-        of_corners(&BodySpec::new("stage", vec![spec]), false).pop().unwrap().says
+        of_corners(&BodySpec::new("stage", vec![spec]), false).pop().unwrap().message
     }
 
     #[test]

@@ -19,28 +19,28 @@ pub struct Finding {
     /// Severity.
     pub grade: Grade,
     /// A plain sentence without its full stop: what is wrong, and what to write or do instead.
-    pub says: String,
+    pub message: String,
 }
 
 impl Finding {
     /// Creates a finding that must be fixed.
-    pub fn fault(says: impl Into<String>) -> Self {
-        Self { grade: Grade::Fault, says: says.into() }
+    pub fn fault(message: impl Into<String>) -> Self {
+        Self { grade: Grade::Fault, message: message.into() }
     }
 
     /// Creates a finding that should be fixed, though tracking works without.
-    pub fn doubt(says: impl Into<String>) -> Self {
-        Self { grade: Grade::Doubt, says: says.into() }
+    pub fn doubt(message: impl Into<String>) -> Self {
+        Self { grade: Grade::Doubt, message: message.into() }
     }
 
     /// Creates a finding that should be checked.
-    pub fn warning(says: impl Into<String>) -> Self {
-        Self { grade: Grade::Warning, says: says.into() }
+    pub fn warning(message: impl Into<String>) -> Self {
+        Self { grade: Grade::Warning, message: message.into() }
     }
 
     /// Creates a finding for information.
-    pub fn note(says: impl Into<String>) -> Self {
-        Self { grade: Grade::Note, says: says.into() }
+    pub fn note(message: impl Into<String>) -> Self {
+        Self { grade: Grade::Note, message: message.into() }
     }
 }
 

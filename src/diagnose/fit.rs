@@ -61,7 +61,7 @@ const NOISE_PX: f64 = 1.0;
 pub(super) const CUT: f64 = 16.0;
 /// Maximum number of matches used per view. Chosen for time: each trial solves a pose for each
 /// view. Raised, factors are known a little better, and a check takes longer.
-const ASKED: usize = 60;
+const MAX_MATCHES: usize = 60;
 /// Factors are searched from 1 / this to this, in this many steps up and down, each e^0.12 from the
 /// next. Chosen, not tuned. With the first raised, swapped sides of longer surfaces are found,
 /// whose ratio is off by its square; with fewer steps the best factor may be missed.
@@ -69,7 +69,7 @@ const MAX_FACTOR: f64 = 2.6;
 const TRIALS: i32 = 8;
 /// Maximum number of alternations when two factors are searched. Raised, a check takes longer, and
 /// long valleys are followed to their end.
-const MAX_TURNS: usize = 4;
+const MAX_ROUNDS: usize = 4;
 
 impl Views<'_> {
     /// Returns the mean capped square of the residuals of free homographies, which no lens and
@@ -80,12 +80,12 @@ impl Views<'_> {
                 let pair = PointPair { from: m.artwork, to: m.undistorted };
                 (view.homography.squared_error(&pair) / (NOISE_PX * m.scale).powi(2)).min(CUT)
             };
-            view.matches.iter().take(ASKED).map(|m| squared(&m)).sum()
+            view.matches.iter().take(MAX_MATCHES).map(|m| squared(&m)).sum()
         })
     }
 
     fn mean(&self, cost: impl Fn(&SurfaceView) -> f64) -> f64 {
-        let count: usize = self.views.iter().map(|v| v.matches.len().min(ASKED)).sum();
+        let count: usize = self.views.iter().map(|v| v.matches.len().min(MAX_MATCHES)).sum();
         self.views.iter().map(|v| cost(v)).sum::<f64>() / count.max(1) as f64
     }
 
@@ -97,7 +97,7 @@ impl Views<'_> {
 
     /// Does the same as [`left`](Self::left) with a given lens and size.
     pub fn left_by(&self, camera: &CameraModel, size_m: [f64; 2]) -> f64 {
-        self.mean(|view| self.pose_of(view, camera, size_m).map_or(CUT * view.matches.len().min(ASKED) as f64, |(cost, _)| cost))
+        self.mean(|view| self.pose_of(view, camera, size_m).map_or(CUT * view.matches.len().min(MAX_MATCHES) as f64, |(cost, _)| cost))
     }
 
     /// Returns the config's lens and size, changed by a shape; the width stays.
@@ -114,9 +114,9 @@ impl Views<'_> {
             let [w, h] = self.artwork_px;
             Vector2::new(((p.x + 0.5) / w - 0.5) * size_m[0], (0.5 - (p.y + 0.5) / h) * size_m[1])
         };
-        let mut pairs = Vec::with_capacity(ASKED);
-        let mut observations = Vec::with_capacity(ASKED);
-        for m in view.matches.iter().take(ASKED) {
+        let mut pairs = Vec::with_capacity(MAX_MATCHES);
+        let mut observations = Vec::with_capacity(MAX_MATCHES);
+        for m in view.matches.iter().take(MAX_MATCHES) {
             let Some(ray) = camera.unproject(Pixel(m.pixel)) else { continue };
             let from = metres(m.artwork);
             pairs.push(PointPair { from, to: ray.0 });
@@ -146,19 +146,19 @@ impl Views<'_> {
     /// Returns the focal length and the ratio that fit best together.
     pub fn free_both(&self) -> Found {
         let shape = |focal, ratio| Shape { focal, ratio, ..AS_CONFIGURED };
-        self.by_turns(self.free_ratio(), |found| found.shape.ratio, shape)
+        self.alternately(self.free_ratio(), |found| found.shape.ratio, shape)
     }
 
     /// Returns the pixel's shape and the focal length that fit best together.
     pub fn free_pixel(&self) -> Found {
         let alone = self.along(|pixel| Shape { pixel, ..AS_CONFIGURED });
-        self.by_turns(alone, |found| found.shape.pixel, |focal, pixel| Shape { focal, pixel, ..AS_CONFIGURED })
+        self.alternately(alone, |found| found.shape.pixel, |focal, pixel| Shape { focal, pixel, ..AS_CONFIGURED })
     }
 
     /// Alternately searches the focal length and another factor, starting from the best of the
     /// latter, until nothing more is gained.
-    fn by_turns(&self, mut best: Found, factor: impl Fn(&Found) -> f64, shape: impl Fn(f64, f64) -> Shape) -> Found {
-        for _ in 0..MAX_TURNS {
+    fn alternately(&self, mut best: Found, factor: impl Fn(&Found) -> f64, shape: impl Fn(f64, f64) -> Shape) -> Found {
+        for _ in 0..MAX_ROUNDS {
             let other = factor(&best);
             let focal = self.along(|focal| shape(focal, other)).shape.focal;
             let next = self.along(|other| shape(focal, other));
@@ -205,9 +205,9 @@ impl Views<'_> {
     fn sigma(&self, left: &impl Fn(f64) -> f64, log: f64, least: f64) -> f64 {
         /// Distance of the neighbours, as a logarithm. Chosen: well above the residual's roughness,
         /// within the parabola. Raised, the cap flattens it and sigma is too large.
-        const ASIDE: f64 = 0.04;
-        let count: usize = self.views.iter().map(|v| v.matches.len().min(ASKED)).sum();
-        let curvature = (left(log - ASIDE) + left(log + ASIDE) - 2.0 * least).max(0.0) / (ASIDE * ASIDE);
+        const LOG_STEP: f64 = 0.04;
+        let count: usize = self.views.iter().map(|v| v.matches.len().min(MAX_MATCHES)).sum();
+        let curvature = (left(log - LOG_STEP) + left(log + LOG_STEP) - 2.0 * least).max(0.0) / (LOG_STEP * LOG_STEP);
         let sigma = (2.0 * least.max(0.05) / (curvature * count.max(1) as f64)).sqrt();
         if sigma.is_finite() { sigma.max(MIN_SIGMA) } else { f64::INFINITY }
     }
@@ -238,9 +238,9 @@ mod tests {
     fn views(count: u32) -> Vec<SurfaceView> {
         let mut random = Pcg64Mcg::seed_from_u64(9);
         let view = |k: u32| {
-            let turn_over = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+            let flip = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
             let tilt = UnitQuaternion::from_euler_angles(0.3 * f64::from(k % 3) - 0.2, 0.7 - 0.4 * f64::from(k), 0.1);
-            let pose = Pose::<Camera, Body>::new(tilt * turn_over, Vector3::new(0.1, 0.0, 5.0));
+            let pose = Pose::<Camera, Body>::new(tilt * flip, Vector3::new(0.1, 0.0, 5.0));
             let mut seen = |_| {
                 let artwork = Vector2::new(random.random_range(0.0..800.0), random.random_range(0.0..600.0));
                 let metres = Vector2::new((artwork.x / 800.0 - 0.5) * SIZE_M[0], (0.5 - artwork.y / 600.0) * SIZE_M[1]);
@@ -256,14 +256,14 @@ mod tests {
         (0..count).map(view).collect()
     }
 
-    fn told(views: &[SurfaceView], focal: f64, size_m: [f64; 2]) -> Views<'_> {
+    fn configured(views: &[SurfaceView], focal: f64, size_m: [f64; 2]) -> Views<'_> {
         Views { camera: lens(focal), size_m, artwork_px: [800.0, 600.0], views: views.iter().collect() }
     }
 
     #[test]
     fn a_correct_config_leaves_only_the_floor_residual() {
         let seen = views(4);
-        let views = told(&seen, FOCAL_PX, SIZE_M);
+        let views = configured(&seen, FOCAL_PX, SIZE_M);
         let (left, floor) = (views.left(AS_CONFIGURED), views.floor());
         assert!(left < floor + 0.1, "{left} over {floor}");
         let found = views.free_ratio();
@@ -273,14 +273,14 @@ mod tests {
     #[test]
     fn swapped_sides_and_another_lens_are_found() {
         let seen = views(4);
-        let swapped = told(&seen, FOCAL_PX, [3.0, 4.0]);
+        let swapped = configured(&seen, FOCAL_PX, [3.0, 4.0]);
         assert!(swapped.left(AS_CONFIGURED) > swapped.floor() + 1.0);
         let found = swapped.free_ratio();
         assert!((found.shape.ratio - 0.5625).abs() < 0.02 && found.left < swapped.floor() + 0.1, "{found:?}");
-        let long = told(&seen, 1.7 * FOCAL_PX, SIZE_M);
+        let long = configured(&seen, 1.7 * FOCAL_PX, SIZE_M);
         let found = long.free_focal();
         assert!((found.shape.focal * 1.7 - 1.0).abs() < 0.05 && found.left < long.floor() + 0.1, "{found:?}");
-        let both = told(&seen, 1.5 * FOCAL_PX, [4.0, 2.0]);
+        let both = configured(&seen, 1.5 * FOCAL_PX, [4.0, 2.0]);
         let found = both.free_both();
         assert!(found.left < both.floor() + 0.1 && (found.shape.ratio - 1.5).abs() < 0.06, "{found:?}");
     }
@@ -305,7 +305,7 @@ mod tests {
 
     #[test]
     fn a_fit_without_views_does_not_panic() {
-        let views = told(&[], FOCAL_PX, SIZE_M);
+        let views = configured(&[], FOCAL_PX, SIZE_M);
         assert_eq!(views.left(AS_CONFIGURED), 0.0);
         assert!(views.free_both().shape.focal.is_finite());
     }

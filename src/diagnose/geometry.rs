@@ -55,7 +55,7 @@ const SAME_RATIO: f64 = 0.06;
 /// degrees. Chosen: far beyond the errors of a pose. Raised, misplaced surfaces pass; lowered,
 /// right ones are called misplaced.
 const MAX_SHIFT: f64 = 0.1;
-const MAX_TURN_DEG: f64 = 12.0;
+const MAX_ROTATION_DEG: f64 = 12.0;
 /// Maximum scatter of the displacement between frames, as a fraction of it. Raised, wrong matches
 /// pass for a displaced surface; lowered, a displaced one that appears small is not reported.
 const MAX_SCATTER: f64 = 0.3;
@@ -113,12 +113,12 @@ struct Standing {
 /// distance of the frames from the one with which the others agree most. 0 for a single frame.
 fn scatter(seen: &[Standing]) -> [f64; 2] {
     let shift = |a: &Standing, b: &Standing| (a.pose.translation - b.pose.translation).norm();
-    let turn_deg = |a: &Standing, b: &Standing| a.pose.angle_to(&b.pose).to_degrees();
+    let rotation_deg = |a: &Standing, b: &Standing| a.pose.angle_to(&b.pose).to_degrees();
     let least = |off: &dyn Fn(&Standing, &Standing) -> f64| {
         let from = |a: &Standing| median(&mut seen.iter().map(|b| off(a, b)).collect::<Vec<_>>()).unwrap_or(0.0);
         seen.iter().map(from).fold(f64::INFINITY, f64::min)
     };
-    [least(&shift), least(&turn_deg)]
+    [least(&shift), least(&rotation_deg)]
 }
 
 /// The surface with the most views, and those views.
@@ -154,10 +154,10 @@ impl Case<'_> {
             let known = |side: f64| known_to(side, side * ratio.sigma);
             let size = list(&[w, known(h * ratio.shape.ratio)]);
             let tried = self.tried(ratio.shape);
-            let told = ratio_words(h / w * ratio.shape.ratio, &ratio, h / w);
+            let measured = ratio_words(h / w * ratio.shape.ratio, &ratio, h / w);
             let or_stretched = if is_stretched { format!("; where size_m is right, {}", self.pixel_words(&pixel)) } else { String::new() };
             return Some(Finding::fault(format!(
-                "{name}: {told}, so no pose fits: measure it again, and write size_m = {size} if its width is right, {} if its height \
+                "{name}: {measured}, so no pose fits: measure it again, and write size_m = {size} if its width is right, {} if its height \
                  is{tried}{or_stretched}",
                 list(&[known(w / ratio.shape.ratio), h])
             )));
@@ -216,7 +216,7 @@ impl Case<'_> {
     /// Describes that nothing explains how it is seen.
     fn no_flat_picture(&self) -> Finding {
         let name = &self.spec.name;
-        let mend = match corners_of(self.spec) {
+        let hint = match corners_of(self.spec) {
             Some((corners, _)) => format!(
                 "check that corners_px are the four outer corners of one flat rectangle (now {}), and that the calibration is this \
                  camera's",
@@ -229,7 +229,7 @@ impl Case<'_> {
             }
         };
         Finding::fault(format!(
-            "{name}: it is recognised, but no flat picture fits, whatever its shape and the lens's focal length: {mend}"
+            "{name}: it is recognised, but no flat picture fits, whatever its shape and the lens's focal length: {hint}"
         ))
     }
 
@@ -261,7 +261,7 @@ impl Case<'_> {
         let focal_px = i.fx * found.shape.focal;
         let fov = 2.0 * (0.5 * f64::from(i.width) / focal_px).atan().to_degrees();
         let spread = (3.0 * found.sigma * focal_px).max(0.01 * focal_px);
-        let (whose, mend) = match self.guess {
+        let (whose, hint) = match self.guess {
             None => (
                 "the calibration is for another camera, picture size or zoom: it has".to_owned(),
                 format!(
@@ -284,7 +284,7 @@ impl Case<'_> {
             }
         };
         format!(
-            "{whose} a focal length of {} pixels, the clip indicates {} +- {} ({fov:.0} degrees across), {consequence}: {mend}{}",
+            "{whose} a focal length of {} pixels, the clip indicates {} +- {} ({fov:.0} degrees across), {consequence}: {hint}{}",
             written(i.fx),
             written(focal_px),
             written(spread),
@@ -324,11 +324,11 @@ impl Case<'_> {
         let ratio_off = is_off(ratio.shape.ratio.ln(), NEAR_RATIO, &ratio);
         let focal_off = is_off(focal.shape.focal.ln(), NEAR_FOCAL, &focal);
         if ratio_off && (!focal_off || ratio.left <= focal.left) {
-            let told = ratio_words(h / w * ratio.shape.ratio, &ratio, h / w);
+            let measured = ratio_words(h / w * ratio.shape.ratio, &ratio, h / w);
             let height = h * ratio.shape.ratio;
             let size = list(&[w, known_to(height, height * ratio.sigma)]);
-            let says = format!("{name}: {told}: measure it again; if its width is right, write size_m = {size}");
-            return vec![graded(ratio.shape.ratio, says)];
+            let message = format!("{name}: {measured}: measure it again; if its width is right, write size_m = {size}");
+            return vec![graded(ratio.shape.ratio, message)];
         }
         if focal_off {
             return vec![graded(focal.shape.focal, self.focal_words(&focal, "and poses are off by the same factor"))];
@@ -361,20 +361,20 @@ impl Case<'_> {
         let median = |value: &dyn Fn(&Standing) -> f64| median(&mut seen.iter().map(value).collect::<Vec<_>>()).unwrap_or(0.0);
         let place = [0, 1, 2].map(|axis| median(&|s| s.pose.translation[axis]));
         let shift = median(&|s| (s.pose.translation - spec.pose.translation).norm());
-        let turn_deg = median(&|s| s.pose.angle_to(&spec.pose)).to_degrees();
+        let rotation_deg = median(&|s| s.pose.angle_to(&spec.pose)).to_degrees();
         let distance = median(&|s| s.distance);
-        tracing::debug!(surface = %spec.name, shift, turn_deg, distance, ?place, frames = seen.len(), "where it stands");
+        tracing::debug!(surface = %spec.name, shift, turn_deg = rotation_deg, distance, ?place, frames = seen.len(), "where it stands");
         // Wrong matches, and inaccurate poses of small surfaces, put it elsewhere in every frame.
         let [scatter, scatter_deg] = scatter(&seen);
         let is_shifted = shift > MAX_SHIFT * distance && scatter < MAX_SCATTER * shift;
-        let is_turned = turn_deg > MAX_TURN_DEG && scatter_deg < MAX_SCATTER * turn_deg;
-        if !(is_shifted || is_turned) {
+        let is_rotated = rotation_deg > MAX_ROTATION_DEG && scatter_deg < MAX_SCATTER * rotation_deg;
+        if !(is_shifted || is_rotated) {
             return None;
         }
-        if turn_deg > 150.0 {
+        if rotation_deg > 150.0 {
             let (turned, upright) = if top_deg(&other_views).abs() > 90.0 { (spec, self.spec) } else { (self.spec, spec) };
             return Some(Finding::fault(format!(
-                "{}: it is upside down relative to {} (turned by {turn_deg:.0} degrees): turn the picture's file, or set its orientation \
+                "{}: it is upside down relative to {} (turned by {rotation_deg:.0} degrees): turn the picture's file, or set its orientation \
                  accordingly",
                 turned.name, upright.name
             )));
@@ -386,7 +386,7 @@ impl Case<'_> {
             Some(_) => " (position_m is in metres, these look like centimetres)",
             None => "",
         };
-        let turned = if is_turned { format!(", turned by {turn_deg:.0} degrees from its orientation") } else { String::new() };
+        let turned = if is_rotated { format!(", turned by {rotation_deg:.0} degrees from its orientation") } else { String::new() };
         Some(Finding::fault(format!(
             "{}: it is not where the config puts it, at {}, but {shift:.1} m from there{turned}: write position_m = {}{unit}, and check \
              its orientation and size_m",
@@ -406,15 +406,15 @@ impl Case<'_> {
         let Some((camera, size_m)) = self.seen.trial(shape) else { return String::new() };
         let mut stage = self.setup.stage.clone();
         stage.surfaces[self.main].size_m = size_m;
-        let (verified, asked) = Trial::new(camera, self.setup.mask.clone(), &stage, self.setup).verified(self.frames);
-        format!(" (tried: a pose then fits in {verified} of {asked} frames)")
+        let (verified, tried) = Trial::new(camera, self.setup.mask.clone(), &stage, self.setup).verified(self.frames);
+        format!(" (tried: a pose then fits in {verified} of {tried} frames)")
     }
 }
 
 /// Grades a deviation: a small one may be cloth in folds or a roughly known lens; a large one is a
 /// mistake.
-fn graded(factor: f64, says: String) -> Finding {
-    if factor.ln().abs() > LARGE_FACTOR { Finding::doubt(says) } else { Finding::warning(says) }
+fn graded(factor: f64, message: String) -> Finding {
+    if factor.ln().abs() > LARGE_FACTOR { Finding::doubt(message) } else { Finding::warning(message) }
 }
 
 /// Returns the median rotation of the picture in the frames, degrees clockwise.
@@ -425,9 +425,9 @@ fn top_deg(views: &Views<'_>) -> f64 {
         let along = at(0.6)? - at(0.4)?;
         Some(along.y.atan2(along.x).to_degrees())
     };
-    let mut turns: Vec<f64> = views.views.iter().filter_map(|v| along(v)).collect();
-    turns.iter_mut().filter(|t| **t < -150.0).for_each(|t| *t += 360.0);
-    median(&mut turns).unwrap_or(0.0)
+    let mut angles: Vec<f64> = views.views.iter().filter_map(|v| along(v)).collect();
+    angles.iter_mut().filter(|t| **t < -150.0).for_each(|t| *t += 360.0);
+    median(&mut angles).unwrap_or(0.0)
 }
 
 fn ratio_words(seen: f64, found: &Found, configured: f64) -> String {
@@ -441,23 +441,23 @@ mod tests {
 
     use super::*;
 
-    fn standing(x: f64, turn: f64) -> Standing {
-        Standing { pose: Pose::new(UnitQuaternion::from_euler_angles(0.0, turn, 0.0), Vector3::new(x, 0.0, 0.0)), distance: 3.0 }
+    fn standing(x: f64, rotation: f64) -> Standing {
+        Standing { pose: Pose::new(UnitQuaternion::from_euler_angles(0.0, rotation, 0.0), Vector3::new(x, 0.0, 0.0)), distance: 3.0 }
     }
 
     #[test]
     fn scatter_ignores_a_few_outlier_frames() {
         let seen: Vec<Standing> =
-            [(1.0, 0.3), (1.01, 0.31), (0.99, 0.3), (7.0, 2.0), (1.0, 0.29)].map(|(x, turn)| standing(x, turn)).into();
-        let [shift, turn_deg] = scatter(&seen);
-        assert!(shift < 0.02 && turn_deg < 1.2, "{shift} {turn_deg}");
+            [(1.0, 0.3), (1.01, 0.31), (0.99, 0.3), (7.0, 2.0), (1.0, 0.29)].map(|(x, rotation)| standing(x, rotation)).into();
+        let [shift, rotation_deg] = scatter(&seen);
+        assert!(shift < 0.02 && rotation_deg < 1.2, "{shift} {rotation_deg}");
         assert_eq!(scatter(&seen[..1]), [0.0; 2]);
     }
 
     #[test]
     fn wrong_matches_put_a_surface_elsewhere_in_every_frame() {
-        let seen: Vec<Standing> = [(1.0, 0.3), (-2.0, 1.0), (4.0, -1.3), (0.2, 2.2)].map(|(x, turn)| standing(x, turn)).into();
-        let [shift, turn_deg] = scatter(&seen);
-        assert!(shift > 0.7 && turn_deg > 35.0, "{shift} {turn_deg}");
+        let seen: Vec<Standing> = [(1.0, 0.3), (-2.0, 1.0), (4.0, -1.3), (0.2, 2.2)].map(|(x, rotation)| standing(x, rotation)).into();
+        let [shift, rotation_deg] = scatter(&seen);
+        assert!(shift > 0.7 && rotation_deg > 35.0, "{shift} {rotation_deg}");
     }
 }

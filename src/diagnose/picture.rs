@@ -224,18 +224,18 @@ mod tests {
         let mut letterbox = GrayImage::from_pixel(160, 160, Luma([16]));
         imageops::replace(&mut letterbox, &scene(0), 0, 20);
         let said = of_frames(&[frame(letterbox.clone())], false);
-        assert!(said[0].says.contains("black bars of 20 and 20 pixels above and below"), "{said:?}");
+        assert!(said[0].message.contains("black bars of 20 and 20 pixels above and below"), "{said:?}");
         assert!(of_frames(&[frame(letterbox)], true).is_empty());
         let mut pillarbox = GrayImage::from_pixel(200, 120, Luma([0]));
         imageops::replace(&mut pillarbox, &scene(0), 20, 0);
-        assert!(of_frames(&[frame(pillarbox)], false)[0].says.contains("left and right"));
+        assert!(of_frames(&[frame(pillarbox)], false)[0].message.contains("left and right"));
     }
 
     #[test]
     fn two_fields_are_a_comb() {
         let (odd, even) = (scene(0), scene(9));
         let woven = GrayImage::from_fn(160, 120, |x, y| *if y % 2 == 0 { even.get_pixel(x, y) } else { odd.get_pixel(x, y) });
-        assert!(of_frames(&[frame(woven)], true)[0].says.contains("interlaced"));
+        assert!(of_frames(&[frame(woven)], true)[0].message.contains("interlaced"));
     }
 
     #[test]
@@ -247,6 +247,6 @@ mod tests {
         assert!(fields_apart_px(&odd).unwrap() < 0.02);
         assert_eq!(fields_apart_px(&GrayImage::new(160, 120)), None);
         assert_eq!(fields_apart_px(&GrayImage::new(3, 2)), None);
-        assert!(of_frames(&[frame(woven)], true)[0].says.contains("interlaced"));
+        assert!(of_frames(&[frame(woven)], true)[0].message.contains("interlaced"));
     }
 }

@@ -243,11 +243,11 @@ mod tests {
         assert!(of_layout(&stage(vec![surface([0.1, 0.135], [0.0; 3]), surface([40.0, 12.0], [3.0, 8.0, 0.0])])).is_empty());
         let findings = of_layout(&stage(vec![surface([100.0, 135.0], [0.0; 3])]));
         assert!(
-            findings[0].says.contains("write size_m = [0.1, 0.135] if those are millimetres, [1.0, 1.35] if centimetres"),
+            findings[0].message.contains("write size_m = [0.1, 0.135] if those are millimetres, [1.0, 1.35] if centimetres"),
             "{findings:?}"
         );
         let findings = of_layout(&stage(vec![surface([4.0, 3.0], [0.0; 3]), surface([1.0, 2.0], [950.0, -800.0, 0.0])]));
-        assert!(findings[0].says.contains("position_m = [0.95, -0.8, 0.0] if those are millimetres"), "{findings:?}");
+        assert!(findings[0].message.contains("position_m = [0.95, -0.8, 0.0] if those are millimetres"), "{findings:?}");
     }
 
     fn lens(fx: f64, cx: f64, distortion: [f64; 5]) -> CameraModel {
@@ -257,7 +257,7 @@ mod tests {
     #[test]
     fn implausible_lenses_are_reported() {
         assert!(of_lens(&lens(600.0, 319.5, [-0.3, 0.1, 0.001, -0.002, 0.0])).is_empty());
-        let said = |lens: &CameraModel| of_lens(lens).pop().map(|f| f.says).unwrap_or_default();
+        let said = |lens: &CameraModel| of_lens(lens).pop().map(|f| f.message).unwrap_or_default();
         let swapped = said(&lens(600.0, 319.5, [-0.3, 0.1, 0.05, 0.001, -0.002]));
         assert!(swapped.contains("distortion = [-0.3, 0.1, 0.001, -0.002, 0.05]"), "{swapped}");
     }
@@ -267,7 +267,7 @@ mod tests {
         assert!(of_shutter(&Shutter { exposure_s: 0.01, readout_s: 0.03 }, 1.0 / 30.0).is_empty());
         assert!(
             of_shutter(&Shutter { exposure_s: 0.5, readout_s: 0.0 }, 1.0 / 30.0)[0]
-                .says
+                .message
                 .contains("write exposure_s = 0.0005 if 0.5 is milliseconds")
         );
     }
@@ -283,8 +283,8 @@ mod tests {
         }
         assert!((travel.roll_deg().unwrap().abs() - 180.0).abs() < 1.0, "{:?}", travel.roll_deg());
         let findings = travel.findings(&stage(vec![surface([10.0, 13.5], [0.0; 3])]));
-        assert!(findings[0].says.contains("moves at 30 m/s") && findings[0].grade == Grade::Doubt, "{findings:?}");
-        assert!(findings[1].says.contains("10.0 m wide and 13.5 m high; the camera is 40.0 to"), "{findings:?}");
+        assert!(findings[0].message.contains("moves at 30 m/s") && findings[0].grade == Grade::Doubt, "{findings:?}");
+        assert!(findings[1].message.contains("10.0 m wide and 13.5 m high; the camera is 40.0 to"), "{findings:?}");
     }
 
     #[test]
@@ -292,9 +292,9 @@ mod tests {
         let mut travel = Travel::default();
         let level = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
         travel.add(Timestamp::default(), &Pose::new(level, Vector3::new(0.0, -4.0, 0.0)));
-        let standing = |turn: f64, position: [f64; 3]| {
+        let standing = |rotation: f64, position: [f64; 3]| {
             let upright = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2);
-            let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * upright;
+            let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), rotation) * upright;
             travel.share_in_view(
                 &lens(600.0, 319.5, [0.0; 5]),
                 &SurfaceSpec { pose: Pose::new(rotation, position.into()), ..surface([1.0, 1.0], [0.0; 3]) },
@@ -302,6 +302,6 @@ mod tests {
         };
         assert_eq!(standing(0.3, [0.5, 0.0, 0.5]), 1.0);
         let hidden = [(0.0, [9.0, 0.0, 0.0]), (0.0, [0.0, -8.0, 0.0]), (std::f64::consts::PI, [0.0; 3]), (0.0, [0.0, 30.0, 0.0])];
-        assert!(hidden.iter().all(|(turn, position)| standing(*turn, *position) == 0.0));
+        assert!(hidden.iter().all(|(rotation, position)| standing(*rotation, *position) == 0.0));
     }
 }

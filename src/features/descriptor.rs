@@ -80,7 +80,7 @@ impl Patch {
     #[inline(always)]
     fn describe(&self, angle: f32) -> Descriptor {
         let direction = (angle / std::f32::consts::TAU * DIRECTIONS as f32).round() as i32;
-        let pattern = &turned()[direction.rem_euclid(DIRECTIONS as i32) as usize];
+        let pattern = &rotated()[direction.rem_euclid(DIRECTIONS as i32) as usize];
         // The table is larger than the nearest cache: request all of its lines at once rather than
         // one by one.
         std::hint::black_box(pattern.iter().step_by(PAIRS_OF_LINE).fold(0, |all, [a, _]| all | a));
@@ -154,19 +154,19 @@ fn oriented_descriptor_lanes(smooth: &GrayImage, x: u32, y: u32) -> (f32, Descri
 }
 
 /// Returns the pattern rotated to every direction, as pixel indices of a patch.
-fn turned() -> &'static [[[u16; 2]; DESCRIPTOR_BITS]] {
+fn rotated() -> &'static [[[u16; 2]; DESCRIPTOR_BITS]] {
     // The rotated pattern, computed on first use.
-    static TURNED: OnceLock<Vec<[[u16; 2]; DESCRIPTOR_BITS]>> = OnceLock::new();
-    TURNED.get_or_init(|| {
+    static ROTATED: OnceLock<Vec<[[u16; 2]; DESCRIPTOR_BITS]>> = OnceLock::new();
+    ROTATED.get_or_init(|| {
         (0..DIRECTIONS)
             .map(|k| {
                 let (sin, cos) = (std::f64::consts::TAU * k as f64 / DIRECTIONS as f64).sin_cos();
-                let turn = |(x, y): (i8, i8)| {
+                let rotation = |(x, y): (i8, i8)| {
                     let (x, y) = (f64::from(x), f64::from(y));
                     let (x, y) = ((cos * x - sin * y).round() as i32, (sin * x + cos * y).round() as i32);
                     ((y + PATCH_RADIUS) * STRIDE as i32 + x + PATCH_RADIUS) as u16
                 };
-                PAIRS.map(|(a, b)| [turn(a), turn(b)])
+                PAIRS.map(|(a, b)| [rotation(a), rotation(b)])
             })
             .collect()
     })
@@ -176,8 +176,8 @@ fn turned() -> &'static [[[u16; 2]; DESCRIPTOR_BITS]] {
 mod tests {
     use super::*;
 
-    fn picture(turn: f64) -> GrayImage {
-        let (sin, cos) = turn.sin_cos();
+    fn picture(rotation: f64) -> GrayImage {
+        let (sin, cos) = rotation.sin_cos();
         GrayImage::from_fn(101, 101, |x, y| {
             let (dx, dy) = (f64::from(x) - 50.0, f64::from(y) - 50.0);
             let (u, v) = (cos * dx + sin * dy, -sin * dx + cos * dy);
@@ -190,8 +190,8 @@ mod tests {
     fn orientation_turns_with_the_picture() {
         let base = orientation(&picture(0.0), 50, 50);
         for degrees in [10.0_f64, 45.0, 133.0, -80.0] {
-            let turned = orientation(&picture(degrees.to_radians()), 50, 50);
-            let difference = f64::from(turned - base) - degrees.to_radians();
+            let rotated = orientation(&picture(degrees.to_radians()), 50, 50);
+            let difference = f64::from(rotated - base) - degrees.to_radians();
             let wrapped = (difference + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI;
             assert!(wrapped.abs() < 0.12, "{degrees}: {wrapped}");
         }
@@ -199,17 +199,17 @@ mod tests {
 
     #[test]
     fn descriptor_survives_rotation_and_light() {
-        let describe_turned = |picture: &GrayImage| {
+        let describe_rotated = |picture: &GrayImage| {
             let mut smooth = picture.clone();
             super::super::pyramid::smooth_into(picture, &mut smooth, &mut Vec::new());
             describe(&smooth, 50, 50, orientation(picture, 50, 50))
         };
-        let base = describe_turned(&picture(0.0));
-        assert!(base.distance(&describe_turned(&picture(1.0))) < 40);
+        let base = describe_rotated(&picture(0.0));
+        assert!(base.distance(&describe_rotated(&picture(1.0))) < 40);
         let mut dim = picture(0.0);
         dim.iter_mut().for_each(|v| *v = (*v as f32 * 0.6 + 10.0) as u8);
-        assert!(base.distance(&describe_turned(&dim)) < 20);
+        assert!(base.distance(&describe_rotated(&dim)) < 20);
         let other = GrayImage::from_fn(101, 101, |x, y| image::Luma([((x * 7 + y * 13) % 251) as u8]));
-        assert!(base.distance(&describe_turned(&other)) > 60);
+        assert!(base.distance(&describe_rotated(&other)) > 60);
     }
 }

@@ -129,9 +129,9 @@ fn described(smooth: &GrayImage, x: u32, y: u32) -> (f32, Descriptor) {
         }
     }
     let angle = (my as f32).atan2(mx as f32);
-    let turn = std::f64::consts::TAU * f64::from((angle / std::f32::consts::TAU * 128.0).round() as i32 & 127) / 128.0;
+    let rotation = std::f64::consts::TAU * f64::from((angle / std::f32::consts::TAU * 128.0).round() as i32 & 127) / 128.0;
     let at = |(px, py): (i8, i8)| {
-        let ((sin, cos), px, py) = (turn.sin_cos(), f64::from(px), f64::from(py));
+        let ((sin, cos), px, py) = (rotation.sin_cos(), f64::from(px), f64::from(py));
         grey(smooth, i64::from(x) + (cos * px - sin * py).round() as i64, i64::from(y) + (sin * px + cos * py).round() as i64)
     };
     let mut bits = [0; 4];

@@ -32,8 +32,8 @@ pub struct Ellipse {
 impl Ellipse {
     /// Symmetric map from the unit circle to it.
     pub fn shape(&self) -> Matrix2<f64> {
-        let turn = Rotation2::new(self.angle).into_inner();
-        turn * Matrix2::from_diagonal(&self.axes.into()) * turn.transpose()
+        let rotation = Rotation2::new(self.angle).into_inner();
+        rotation * Matrix2::from_diagonal(&self.axes.into()) * rotation.transpose()
     }
 
     /// Distance from its centre in half axes.
@@ -94,10 +94,10 @@ impl Painting {
 }
 
 /// A view of the painting about its centre: rotated, tilted about an axis, scaled.
-pub fn view(turn: f64, tilt: f64, scale: f64) -> Homography {
-    let turned = Rotation2::new(turn).into_inner();
+pub fn view(rotation: f64, tilt: f64, scale: f64) -> Homography {
+    let rotated = Rotation2::new(rotation).into_inner();
     let axis = Rotation2::new(0.6).into_inner();
-    let matrix = turned * axis * Matrix2::new(tilt.cos(), 0.0, 0.0, 1.0) * axis.transpose() * scale;
+    let matrix = rotated * axis * Matrix2::new(tilt.cos(), 0.0, 0.0, 1.0) * axis.transpose() * scale;
     let middle = Vector2::new(149.5, 149.5);
     let offset = middle - matrix * middle;
     Homography(Matrix3::new(matrix.m11, matrix.m12, offset.x, matrix.m21, matrix.m22, offset.y, 0.0, 0.0, 1.0))

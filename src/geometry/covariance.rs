@@ -39,9 +39,9 @@ pub fn covariance_of_object(
     let mut by_camera = Matrix6::identity();
     by_camera.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-skew(&arm)));
     let mut by_object: Matrix6<f64> = Matrix6::zeros();
-    let turn: Matrix3<f64> = -r * skew(&t_object_camera.translation);
+    let rotation: Matrix3<f64> = -r * skew(&t_object_camera.translation);
     by_object.fixed_view_mut::<3, 3>(0, 0).copy_from(&(-r));
-    by_object.fixed_view_mut::<3, 3>(0, 3).copy_from(&turn);
+    by_object.fixed_view_mut::<3, 3>(0, 3).copy_from(&rotation);
     by_object.fixed_view_mut::<3, 3>(3, 3).copy_from(&(-r));
     symmetric(by_camera * camera_covariance * by_camera.transpose() + by_object * object_covariance * by_object.transpose())
 }
@@ -64,8 +64,8 @@ mod tests {
     }
 
     fn moved<A, B>(pose: &Pose<A, B>, step: &Vector6<f64>) -> Pose<A, B> {
-        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
-        Pose::new(turn * pose.rotation, pose.translation + Vector3::new(step[0], step[1], step[2]))
+        let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
+        Pose::new(rotation * pose.rotation, pose.translation + Vector3::new(step[0], step[1], step[2]))
     }
 
     fn poses() -> (Pose<Camera, Body>, Pose<Camera, Body>) {

@@ -37,13 +37,13 @@ fn basis_map(p: &[Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
     (c.x != 0.0 && c.y != 0.0 && c.z != 0.0).then_some(m)
 }
 
-fn turn(a: Vector2<f64>, b: Vector2<f64>, c: Vector2<f64>) -> f64 {
+fn orientation(a: Vector2<f64>, b: Vector2<f64>, c: Vector2<f64>) -> f64 {
     (b - a).perp(&(c - a))
 }
 
 /// Whether every triangle of the sample keeps its orientation, or every one reverses it.
 fn consistent_orientation(p: &[PointPair; 4]) -> bool {
-    let product = |i: usize, j: usize, k: usize| turn(p[i].from, p[j].from, p[k].from) * turn(p[i].to, p[j].to, p[k].to);
+    let product = |i: usize, j: usize, k: usize| orientation(p[i].from, p[j].from, p[k].from) * orientation(p[i].to, p[j].to, p[k].to);
     let signs = [product(0, 1, 2), product(0, 1, 3), product(0, 2, 3), product(1, 2, 3)];
     signs.iter().all(|s| *s > 0.0) || signs.iter().all(|s| *s < 0.0)
 }

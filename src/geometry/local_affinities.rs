@@ -37,7 +37,7 @@ const SHIFT_SHARE: f64 = 0.06;
 /// Maximum difference in rotation (tangent of 0.6 radians) and maximum scale factor between
 /// agreeing matches. Raised, wrong matches agree by chance; lowered, right ones of tilted planes do
 /// not.
-const MAX_TURN: f64 = 0.684;
+const MAX_ROTATION: f64 = 0.684;
 const MAX_GROWTH: f64 = 2.0;
 /// Noise of a derivative relative to its size, one sigma. It matters only where the positions leave
 /// a direction undetermined, e.g. along a line. Raised, derivatives count less.
@@ -155,7 +155,7 @@ fn is_alike(between: &Matrix2<f64>) -> bool {
     // Sine and cosine of the rotation, with a common factor.
     let (sin, cos) = (between.m21 - between.m12, between.m11 + between.m22);
     let growth = between.determinant();
-    sin.abs() < MAX_TURN * cos && growth > MAX_GROWTH.powi(-2) && growth < MAX_GROWTH.powi(2)
+    sin.abs() < MAX_ROTATION * cos && growth > MAX_GROWTH.powi(-2) && growth < MAX_GROWTH.powi(2)
 }
 
 /// Returns the matches that a map predicts within some sigmas plus a fraction of their distance
@@ -232,16 +232,16 @@ mod tests {
         }
 
         /// A right match whose position is off by up to `noise` and whose derivative by up to
-        /// `turn` and `growth`.
-        fn right(&mut self, noise: f64, turn: f64, growth: f64) -> LocalAffinity {
+        /// `rotation` and `growth`.
+        fn right(&mut self, noise: f64, rotation: f64, growth: f64) -> LocalAffinity {
             let from = self.point(400.0);
-            self.right_at(from, noise, turn, growth)
+            self.right_at(from, noise, rotation, growth)
         }
 
-        fn right_at(&mut self, from: Vector2<f64>, noise: f64, turn: f64, growth: f64) -> LocalAffinity {
+        fn right_at(&mut self, from: Vector2<f64>, noise: f64, rotation: f64, growth: f64) -> LocalAffinity {
             let shift = self.point(2.0 * noise) - Vector2::repeat(noise);
-            let turned = Rotation2::new(turn * self.0.random_range(-1.0..1.0)) * TRUTH * growth.powf(self.0.random_range(-1.0..1.0));
-            LocalAffinity { pair: PointPair { from, to: TRUTH * from + OFFSET + shift }, derivative: turned, noise: 1.0 }
+            let rotated = Rotation2::new(rotation * self.0.random_range(-1.0..1.0)) * TRUTH * growth.powf(self.0.random_range(-1.0..1.0));
+            LocalAffinity { pair: PointPair { from, to: TRUTH * from + OFFSET + shift }, derivative: rotated, noise: 1.0 }
         }
 
         fn wrong(&mut self) -> LocalAffinity {
@@ -342,9 +342,9 @@ mod tests {
         for seed in 0..20 {
             let mut scatter = Scatter::new(seed);
             let shift = Vector2::new(25.0, -12.0);
-            let mut off = |shift: Vector2<f64>, turn: f64| {
+            let mut off = |shift: Vector2<f64>, rotation: f64| {
                 let from = scatter.point(400.0);
-                LocalAffinity { pair: PointPair { from, to: from + shift }, derivative: Rotation2::new(turn).into(), noise: 1.0 }
+                LocalAffinity { pair: PointPair { from, to: from + shift }, derivative: Rotation2::new(rotation).into(), noise: 1.0 }
             };
             // Four are right; some have the same shift but are rotated, and the others are
             // anywhere.

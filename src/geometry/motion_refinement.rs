@@ -54,8 +54,8 @@ fn tangent(t: &Vector3<f64>) -> [Vector3<f64>; 2] {
 /// Moves a motion by a step.
 pub(super) fn moved(m: &TwoViewMotion, step: &SVector<f64, 5>) -> TwoViewMotion {
     let [a, b] = tangent(&m.direction);
-    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[0], step[1], step[2]));
-    TwoViewMotion { rotation: turn * m.rotation, direction: (m.direction + a * step[3] + b * step[4]).normalize() }
+    let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(step[0], step[1], step[2]));
+    TwoViewMotion { rotation: rotation * m.rotation, direction: (m.direction + a * step[3] + b * step[4]).normalize() }
 }
 
 /// Returns the derivatives of the essential matrix by the step.

@@ -116,13 +116,13 @@ mod tests {
     fn the_true_pose_comes_first_for_many_tilts() {
         for tilt in [0.0_f64, 5.0, 20.0, 45.0, 70.0] {
             for azimuth in [0.0_f64, 60.0, 200.0] {
-                let turn = UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0)
+                let rotation = UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0)
                     * UnitQuaternion::from_euler_angles(
                         tilt.to_radians() * azimuth.to_radians().cos(),
                         tilt.to_radians() * azimuth.to_radians().sin(),
                         0.3,
                     );
-                let truth = Pose::<Camera, SurfaceFrame>::new(turn, Vector3::new(0.3, -0.2, 5.0));
+                let truth = Pose::<Camera, SurfaceFrame>::new(rotation, Vector3::new(0.3, -0.2, 5.0));
                 let pairs = view(&truth);
                 let h = Homography::from_pairs(&pairs, None).expect("regular");
                 let poses = planar_poses(&h, &pairs);

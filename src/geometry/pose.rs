@@ -101,12 +101,12 @@ impl<To, From> Pose<To, From> {
     }
 
     /// Returns the pose with its origin shifted by `shift` (metres, axes of `To`) and rotated by
-    /// `turn` (radians, axes of `From`).
-    pub fn moved(&self, shift: &Vector3<f64>, turn: &Vector3<f64>) -> Self {
-        Self::new(self.rotation * UnitQuaternion::from_scaled_axis(*turn), self.translation + shift)
+    /// `rotation` (radians, axes of `From`).
+    pub fn moved(&self, shift: &Vector3<f64>, rotation: &Vector3<f64>) -> Self {
+        Self::new(self.rotation * UnitQuaternion::from_scaled_axis(*rotation), self.translation + shift)
     }
 
-    /// Returns the shift and turn with which [`moved`](Self::moved) leads to another pose.
+    /// Returns the shift and rotation with which [`moved`](Self::moved) leads to another pose.
     pub fn step_to(&self, other: &Self) -> [Vector3<f64>; 2] {
         [other.translation - self.translation, (self.rotation.inverse() * other.rotation).scaled_axis()]
     }

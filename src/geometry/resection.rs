@@ -48,9 +48,9 @@ impl Twist {
 
     /// Returns the motion that leads from one pose to another in `dt_s` seconds.
     pub fn between(before: &Pose<Camera, Body>, after: &Pose<Camera, Body>, dt_s: f64) -> Self {
-        let turn = after.rotation * before.rotation.inverse();
-        let shift = after.translation - turn * before.translation;
-        let angle = turn.scaled_axis();
+        let rotation = after.rotation * before.rotation.inverse();
+        let shift = after.translation - rotation * before.translation;
+        let angle = rotation.scaled_axis();
         Self(Vector6::new(shift.x, shift.y, shift.z, angle.x, angle.y, angle.z) / dt_s)
     }
 
@@ -172,8 +172,8 @@ pub fn residual_and_jacobian<P: Projection>(
 
 /// Applies a left perturbation [δt, δθ] in camera axes.
 pub fn perturbed(pose: &Pose<Camera, Body>, step: &Vector6<f64>) -> Pose<Camera, Body> {
-    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
-    Pose::new(turn * pose.rotation, turn * pose.translation + Vector3::new(step[0], step[1], step[2]))
+    let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
+    Pose::new(rotation * pose.rotation, rotation * pose.translation + Vector3::new(step[0], step[1], step[2]))
 }
 
 /// Refines `start` over all observations; `None` if they do not determine a pose.
@@ -255,9 +255,13 @@ impl<P: Projection> Problem for ReprojectionErrors<'_, P> {
         };
         self.scale = scale;
         let cost = self.cost(pose);
-        let turn = before.rotation.angle_to(&pose.rotation);
+        let rotation = before.rotation.angle_to(&pose.rotation);
         let shift = (pose.translation - before.translation).norm();
-        if turn < MIN_STEP && shift < MIN_STEP * pose.translation.norm() { ControlFlow::Break(cost) } else { ControlFlow::Continue(cost) }
+        if rotation < MIN_STEP && shift < MIN_STEP * pose.translation.norm() {
+            ControlFlow::Break(cost)
+        } else {
+            ControlFlow::Continue(cost)
+        }
     }
 }
 
@@ -483,10 +487,10 @@ mod tests {
             let observations = scene(0.5, 10, 100 + seed);
             let found = resect(&truth(), &MovingCamera::still(&Pinhole), &observations, 30).expect("regular");
             let covariance = sandwich_covariance(&found, &MovingCamera::still(&Pinhole), &observations).expect("full rank");
-            let turn = (found.pose.rotation.inverse() * truth().rotation).scaled_axis();
-            let turn = found.pose.rotation * turn;
-            let shift = truth().translation - UnitQuaternion::from_scaled_axis(turn) * found.pose.translation;
-            let e = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
+            let rotation = (found.pose.rotation.inverse() * truth().rotation).scaled_axis();
+            let rotation = found.pose.rotation * rotation;
+            let shift = truth().translation - UnitQuaternion::from_scaled_axis(rotation) * found.pose.translation;
+            let e = Vector6::new(shift.x, shift.y, shift.z, rotation.x, rotation.y, rotation.z);
             nees += (e.transpose() * covariance.try_inverse().expect("positive") * e).x / 6.0 / runs as f64;
         }
         assert!((0.6..1.4).contains(&nees), "mean NEES/6 = {nees}");

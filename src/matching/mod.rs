@@ -92,7 +92,7 @@ pub struct Match {
 pub struct MatchBuffers {
     queries: Vec<[Descriptor; QUERIES]>,
     found: Vec<[Option<NearestEntry>; QUERIES]>,
-    asked_back: Vec<[Descriptor; QUERIES]>,
+    nearest_queries: Vec<[Descriptor; QUERIES]>,
     back: Vec<[usize; QUERIES]>,
     /// The frame's features of one polarity: their indices and packed descriptors.
     numbers: Vec<usize>,
@@ -241,10 +241,10 @@ impl ReferenceIndex {
     /// Drops matches from `first` on whose entry is nearest to another feature elsewhere in the
     /// frame, among those in `buffers.numbers`.
     fn keep_mutual(&self, first: usize, frame: &[Feature], workers: &Workers, buffers: &mut MatchBuffers, matches: &mut Vec<Match>) {
-        let MatchBuffers { numbers, frame: packed, asked_back, back, .. } = buffers;
+        let MatchBuffers { numbers, frame: packed, nearest_queries, back, .. } = buffers;
         kernels::pack_into(numbers.iter().map(|k| frame[*k].descriptor), packed);
-        kernels::group_into(matches[first..].iter().map(|m| self.descriptors[m.reference as usize]), asked_back);
-        workers.map_into(asked_back, back, |asked| nearest_frame_features(asked, packed, numbers));
+        kernels::group_into(matches[first..].iter().map(|m| self.descriptors[m.reference as usize]), nearest_queries);
+        workers.map_into(nearest_queries, back, |queries| nearest_frame_features(queries, packed, numbers));
         let mut back = back.iter().flatten();
         // Two frame features at the same place (neighbouring levels) may both match a reference
         // feature.
@@ -268,8 +268,8 @@ impl ReferenceIndex {
 
 /// Returns the features nearest to the given descriptors; `numbers` are the indices of the packed
 /// ones.
-fn nearest_frame_features(asked: &[Descriptor; QUERIES], packed: &[kernels::Block], numbers: &[usize]) -> [usize; QUERIES] {
-    let neighbours = Neighbours::of(asked, packed, numbers.len());
+fn nearest_frame_features(queries: &[Descriptor; QUERIES], packed: &[kernels::Block], numbers: &[usize]) -> [usize; QUERIES] {
+    let neighbours = Neighbours::of(queries, packed, numbers.len());
     // There is at least one.
     std::array::from_fn(|n| neighbours.nearest(n).map_or(0, |(_, k)| numbers[k]))
 }

@@ -45,15 +45,15 @@ impl MotionEstimate {
     /// rad: features ignore the rolling shutter, and motion during readout stretches their picture,
     /// which looks like a tilt.
     pub fn off_by_readout(readout_s: f64, distance_m: f64) -> [f64; 2] {
-        let turn = STRETCH_TO_TILT * UNSEEN[1] * readout_s;
-        [turn * distance_m, turn]
+        let rotation = STRETCH_TO_TILT * UNSEEN[1] * readout_s;
+        [rotation * distance_m, rotation]
     }
 
-    /// Creates the estimate for a pose whose motion is unobserved. `shift` and `turn`: one sigma of
-    /// the pose, metres and radians.
-    pub fn unseen(pose: Pose<Body, Camera>, distance_m: f64, shift: f64, turn: f64) -> Self {
+    /// Creates the estimate for a pose whose motion is unobserved. `shift` and `rotation`: one
+    /// sigma of the pose, metres and radians.
+    pub fn unseen(pose: Pose<Body, Camera>, distance_m: f64, shift: f64, rotation: f64) -> Self {
         let mut covariance = MotionMatrix::zeros();
-        for (block, sigma) in [shift, turn].into_iter().enumerate() {
+        for (block, sigma) in [shift, rotation].into_iter().enumerate() {
             for k in 0..3 {
                 covariance[(3 * block + k, 3 * block + k)] = sigma * sigma;
             }
@@ -62,8 +62,8 @@ impl MotionEstimate {
         Self { motion: Motion::still(pose), covariance }
     }
 
-    /// Returns the innovations of shift and turn when a frame changes this prediction to `found`.
-    /// `None` if the frame adds almost no information, or a covariance is singular.
+    /// Returns the innovations of shift and rotation when a frame changes this prediction to
+    /// `found`. `None` if the frame adds almost no information, or a covariance is singular.
     ///
     /// A frame turns a prediction of covariance P into an estimate of covariance C; under the model
     /// the change has covariance P - C (Kalman 1960). For a well observed body that is about P. For
@@ -78,8 +78,8 @@ impl MotionEstimate {
             let change = whiten * error.fixed_rows::<3>(first);
             let gain = Matrix3::identity() - whiten * block(&found.covariance) * whiten.transpose();
             let axes = gain.symmetric_eigen();
-            let told = axes.eigenvalues.iter().zip(axes.eigenvectors.column_iter()).filter(|(gain, _)| **gain >= MIN_GAIN);
-            let (sum, freedom) = told.fold((0.0, 0), |(sum, n), (gain, axis)| (sum + axis.dot(&change).powi(2) / gain, n + 1));
+            let informative = axes.eigenvalues.iter().zip(axes.eigenvectors.column_iter()).filter(|(gain, _)| **gain >= MIN_GAIN);
+            let (sum, freedom) = informative.fold((0.0, 0), |(sum, n), (gain, axis)| (sum + axis.dot(&change).powi(2) / gain, n + 1));
             (freedom > 0).then(|| Innovation { squared: sum / freedom as f64, freedom })
         })
     }
@@ -92,14 +92,14 @@ impl MotionEstimate {
     /// Returns the transition matrix of errors from this motion to `motion`, `dt_s` later.
     fn step_to(&self, motion: &Motion, dt_s: f64) -> MotionMatrix {
         // The rotation error is expressed in the camera's axes, which rotated meanwhile.
-        let turned = (motion.pose.rotation.inverse() * self.motion.pose.rotation).to_rotation_matrix().into_inner();
+        let rotated = (motion.pose.rotation.inverse() * self.motion.pose.rotation).to_rotation_matrix().into_inner();
         let mut step = MotionMatrix::identity();
         let i = Matrix3::identity();
         let blocks = [(0, 6, dt_s), (6, 12, dt_s), (3, 9, dt_s), (9, 15, dt_s), (0, 12, 0.5 * dt_s * dt_s), (3, 15, 0.5 * dt_s * dt_s)];
         for (row, column, factor) in blocks {
             step.fixed_view_mut::<3, 3>(row, column).copy_from(&(i * factor));
         }
-        step.fixed_view_mut::<3, 3>(3, 3).copy_from(&turned);
+        step.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotated);
         step
     }
 
@@ -109,7 +109,7 @@ impl MotionEstimate {
         let step = self.step_to(&motion, dt_s);
         let mut covariance = step * self.covariance * step.transpose();
         add_jerk(&mut covariance, 0, process_noise.of_shift(distance_m), dt_s);
-        add_jerk(&mut covariance, 3, process_noise.of_turn(), dt_s);
+        add_jerk(&mut covariance, 3, process_noise.of_rotation(), dt_s);
         // Between a slow camera's frames, jerk is no longer a random walk: the motion is as
         // uncertain as a new one.
         let faded = ((dt_s - REMEMBERED_S).max(0.0) / FADES_IN_S).powi(2);
@@ -134,7 +134,7 @@ fn add_unseen(covariance: &mut MotionMatrix, distance_m: f64, share: f64) {
     }
 }
 
-/// Adds the second moments of white jerk of density `q` over `dt` to one half (shift at 0, turn
+/// Adds the second moments of white jerk of density `q` over `dt` to one half (shift at 0, rotation
 /// at 3) of the state.
 fn add_jerk(covariance: &mut MotionMatrix, first: usize, q: f64, dt: f64) {
     let moments = [
@@ -168,7 +168,7 @@ mod tests {
             let carried = estimate.motion.after(dt).error_to(&estimate.motion.corrected(&error).after(dt));
             let grown = alone.after(dt, 0.0, &ProcessNoise::default());
             let mut jerk = MotionMatrix::zeros();
-            add_jerk(&mut jerk, 3, ProcessNoise::default().of_turn(), dt);
+            add_jerk(&mut jerk, 3, ProcessNoise::default().of_rotation(), dt);
             let expected = carried * carried.transpose();
             assert!((grown.covariance - jerk - expected).norm() < 0.02 * expected.norm(), "{k}");
         }

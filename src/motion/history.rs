@@ -70,8 +70,8 @@ impl<To, From> MotionHistory<To, From> {
         let (then, last) = self.last.as_ref()?;
         let dt = timestamp.seconds_since(*then);
         let share = 1.0 - (-dt / FADE_S).exp();
-        let [way, turn] = self.reach.carries([last.velocity, last.turn_rate], FADE_S);
-        let pose = last.pose.moved(&(way * share), &(turn * share));
+        let [way, rotation] = self.reach.carries([last.velocity, last.angular_velocity], FADE_S);
+        let pose = last.pose.moved(&(way * share), &(rotation * share));
         pose.is_finite().then_some(pose)
     }
 }

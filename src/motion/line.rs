@@ -88,10 +88,10 @@ fn is_far(off: &Vector6<f64>, covariance: &Matrix6<f64>, n: f64) -> bool {
 
 /// Returns the correction of the motion at the last of `n` poses, given its deviation.
 fn correction(n: f64, off: &Vector6<f64>, dt_s: f64) -> MotionError {
-    let (shift, turn) = (line_moments(n, 0.0), parabola_moments(n, 0.0));
+    let (shift, rotation) = (line_moments(n, 0.0), parabola_moments(n, 0.0));
     MotionError::from_fn(|row, _| {
         let (power, k) = (row / 6, row % 6);
-        let gain = if k < 3 { shift[(power, 0)] } else { turn[(power, 0)] };
+        let gain = if k < 3 { shift[(power, 0)] } else { rotation[(power, 0)] };
         gain * off[k] / dt_s.powi(power as i32)
     })
 }
@@ -123,27 +123,27 @@ fn place_covariance(n: f64, of_pose: &Matrix6<f64>) -> Matrix6<f64> {
     shared_out(of_pose, line_moments(n, 1.0)[(0, 0)], parabola_moments(n, 1.0)[(0, 0)])
 }
 
-/// Scales a covariance by one factor for the shift and another for the turn. The cross terms get
-/// the factor of the straight line, which both fits contain.
-fn shared_out(of_pose: &Matrix6<f64>, of_shift: f64, of_turn: f64) -> Matrix6<f64> {
+/// Scales a covariance by one factor for the shift and another for the rotation. The cross terms
+/// get the factor of the straight line, which both fits contain.
+fn shared_out(of_pose: &Matrix6<f64>, of_shift: f64, of_rotation: f64) -> Matrix6<f64> {
     let mut covariance = of_pose * of_shift;
-    covariance.fixed_view_mut::<3, 3>(3, 3).copy_from(&(of_pose.fixed_view::<3, 3>(3, 3) * of_turn));
+    covariance.fixed_view_mut::<3, 3>(3, 3).copy_from(&(of_pose.fixed_view::<3, 3>(3, 3) * of_rotation));
     covariance
 }
 
 /// Covariance of the motion predicted by a line through `n` poses, allowing a little acceleration.
 fn line_covariance(n: f64, of_pose: &Matrix6<f64>, dt_s: f64, distance_m: f64) -> MotionMatrix {
-    let (shift, turn) = (line_moments(n, 1.0), parabola_moments(n, 1.0));
+    let (shift, rotation) = (line_moments(n, 1.0), parabola_moments(n, 1.0));
     let mut covariance = MotionMatrix::zeros();
     for (a, b) in (0..3).flat_map(|a| (0..3).map(move |b| (a, b))) {
         let per_s = dt_s.powi(-((a + b) as i32));
-        let block = shared_out(of_pose, shift[(a, b)] * per_s, turn[(a, b)] * per_s);
+        let block = shared_out(of_pose, shift[(a, b)] * per_s, rotation[(a, b)] * per_s);
         covariance.fixed_view_mut::<6, 6>(6 * a, 6 * b).copy_from(&block);
     }
-    let [_, _, of_shift, of_turn] = unseen(distance_m);
+    let [_, _, of_shift, of_rotation] = unseen(distance_m);
     for k in 0..3 {
         covariance[(12 + k, 12 + k)] += (EVEN * of_shift).powi(2);
-        covariance[(15 + k, 15 + k)] += (EVEN * of_turn).powi(2);
+        covariance[(15 + k, 15 + k)] += (EVEN * of_rotation).powi(2);
     }
     covariance
 }
@@ -186,7 +186,7 @@ mod tests {
         (Matrix6::identity() * SIGMA.powi(2), UniformMotion::new(seen(0, random)))
     }
 
-    fn leaves(line: &mut UniformMotion, pose: &Pose<Body, Camera>, covariance: &Matrix6<f64>) -> bool {
+    fn departs(line: &mut UniformMotion, pose: &Pose<Body, Camera>, covariance: &Matrix6<f64>) -> bool {
         line.add(pose, covariance, DT_S, 4.0).is_some_and(|c| c.has_left)
     }
 
@@ -197,7 +197,7 @@ mod tests {
             let (mut sum, mut left, runs) = (0.0, 0, 2000);
             for _ in 0..runs {
                 let (covariance, mut line) = begun(&mut random);
-                left += (1..frames).filter(|f| leaves(&mut line, &seen(*f, &mut random), &covariance)).count();
+                left += (1..frames).filter(|f| departs(&mut line, &seen(*f, &mut random), &covariance)).count();
                 let expected = line.motion.after(DT_S);
                 let off = pose_error(&expected, &truth(frames).pose);
                 let factor = place_covariance(line.poses, &covariance).cholesky().expect("positive definite");
@@ -215,7 +215,7 @@ mod tests {
         let mut random = Pcg64Mcg::seed_from_u64(2);
         let (covariance, mut line) = begun(&mut random);
         for frame in 1..8 {
-            assert!(!leaves(&mut line, &seen(frame, &mut random), &covariance), "{frame}");
+            assert!(!departs(&mut line, &seen(frame, &mut random), &covariance), "{frame}");
         }
         let (rests, would_be) = (seen(7, &mut random), seen(8, &mut random));
         let left = line.add(&rests, &covariance, DT_S, 4.0).expect("seven poses lie on it");
@@ -225,7 +225,7 @@ mod tests {
         // The line through the moving and the resting pose differs; the next poses are at rest.
         line.add(&rests, &covariance, DT_S, 4.0);
         for frame in 0..4 {
-            assert!(!leaves(&mut line, &rests, &covariance), "{frame}");
+            assert!(!departs(&mut line, &rests, &covariance), "{frame}");
         }
     }
 
@@ -241,7 +241,7 @@ mod tests {
                     // Its curvature from frame to frame is 16 sigmas.
                     let bend = Vector6::new(0.0, 0.0, 0.0, 1.0, 0.0, 0.0) * (0.5 * t * t);
                     let pose = Motion::still(seen(*frame, &mut random)).with_pose_corrected(&bend);
-                    !leaves(&mut line, &pose, &covariance) && line.poses > 2.0
+                    !departs(&mut line, &pose, &covariance) && line.poses > 2.0
                 })
                 .count();
         }
@@ -255,7 +255,7 @@ mod tests {
         for frame in 1..50 {
             let shake = Vector6::from_fn(|_, _| random.random_range(-0.01..0.01));
             let pose = Motion::still(seen(frame, &mut random)).with_pose_corrected(&shake);
-            assert!(!leaves(&mut line, &pose, &covariance), "{frame}");
+            assert!(!departs(&mut line, &pose, &covariance), "{frame}");
         }
     }
 }

@@ -19,13 +19,14 @@ const OWN: [f64; 4] = [4.0, 1.0, 10.0, 30.0];
 
 impl MotionEstimate {
     /// Creates the estimate for an object whose motion is unobserved. `camera`: the camera's motion
-    /// in the stage. `shift` and `turn`: one sigma of the pose, metres and radians.
-    pub fn unseen_object(pose: Pose<Body, Camera>, distance_m: f64, [shift, turn]: [f64; 2], camera: &Self) -> Self {
-        let mut found = Self::unseen(pose, distance_m, shift, turn);
+    /// in the stage. `shift` and `rotation`: one sigma of the pose, metres and radians.
+    pub fn unseen_object(pose: Pose<Body, Camera>, distance_m: f64, [shift, rotation]: [f64; 2], camera: &Self) -> Self {
+        let mut found = Self::unseen(pose, distance_m, shift, rotation);
         let object_stage = pose.rotation * camera.motion.pose.rotation.inverse();
-        found.motion = Motion { velocity: object_stage * camera.motion.velocity, turn_rate: camera.motion.turn_rate, ..found.motion };
-        let mut turned = Matrix6::identity();
-        turned.fixed_view_mut::<3, 3>(0, 0).copy_from(object_stage.to_rotation_matrix().matrix());
+        found.motion =
+            Motion { velocity: object_stage * camera.motion.velocity, angular_velocity: camera.motion.angular_velocity, ..found.motion };
+        let mut rotated = Matrix6::identity();
+        rotated.fixed_view_mut::<3, 3>(0, 0).copy_from(object_stage.to_rotation_matrix().matrix());
         // An object's velocity moves the camera the opposite way in the object's axes; when the
         // object rotates, the camera circles around it.
         let mut by_own = -Matrix6::identity();
@@ -37,7 +38,7 @@ impl MotionEstimate {
             own.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::identity() * (speed * speed)));
             own.fixed_view_mut::<3, 3>(3, 3).copy_from(&(Matrix3::identity() * (rate * rate)));
             let of_camera = camera.covariance.fixed_view::<6, 6>(first, first);
-            let block = turned * of_camera * turned.transpose() + by_own * own * by_own.transpose();
+            let block = rotated * of_camera * rotated.transpose() + by_own * own * by_own.transpose();
             found.covariance.fixed_view_mut::<6, 6>(first, first).copy_from(&((block + block.transpose()) * 0.5));
         }
         found
@@ -65,8 +66,8 @@ mod tests {
 
     /// The camera's pose in an object that moved by this within `dt_s`: shift in the stage,
     /// rotation about itself in its own axes.
-    fn camera_in_object(dt_s: f64, shift_m: Vector3<f64>, turn_rad: Vector3<f64>) -> Pose<Body, Camera> {
-        let object = object_in_stage().moved(&shift_m, &turn_rad);
+    fn camera_in_object(dt_s: f64, shift_m: Vector3<f64>, rotation_rad: Vector3<f64>) -> Pose<Body, Camera> {
+        let object = object_in_stage().moved(&shift_m, &rotation_rad);
         let camera = camera().motion.after(dt_s).pose;
         let rotation = object.rotation.inverse() * camera.rotation;
         Pose::new(rotation, object.rotation.inverse() * (camera.translation - object.translation))
@@ -77,12 +78,12 @@ mod tests {
         let still = |dt_s: f64| camera_in_object(dt_s, Vector3::zeros(), Vector3::zeros());
         let found = MotionEstimate::unseen_object(still(0.0), 4.0, [0.01, 0.003], &camera()).motion;
         let dt_s = 1e-6;
-        let [way, turn] = still(-dt_s).step_to(&still(dt_s)).map(|step| step / (2.0 * dt_s));
+        let [way, rotation] = still(-dt_s).step_to(&still(dt_s)).map(|step| step / (2.0 * dt_s));
         assert!(
-            (found.velocity - way).norm() < 1e-5 && (found.turn_rate - turn).norm() < 1e-5,
-            "{} {way} {} {turn}",
+            (found.velocity - way).norm() < 1e-5 && (found.angular_velocity - rotation).norm() < 1e-5,
+            "{} {way} {} {rotation}",
             found.velocity,
-            found.turn_rate
+            found.angular_velocity
         );
     }
 
@@ -96,8 +97,9 @@ mod tests {
         for k in 0..6 {
             let along = Vector3::ith(k % 3, if k < 3 { OWN[0] } else { OWN[1] } * small);
             let zero = Vector3::zeros();
-            let [shift, turn] = start.step_to(&if k < 3 { camera_in_object(0.0, along, zero) } else { camera_in_object(0.0, zero, along) });
-            let column = nalgebra::Vector6::from_fn(|row, _| if row < 3 { shift[row] } else { turn[row - 3] } / small);
+            let [shift, rotation] =
+                start.step_to(&if k < 3 { camera_in_object(0.0, along, zero) } else { camera_in_object(0.0, zero, along) });
+            let column = nalgebra::Vector6::from_fn(|row, _| if row < 3 { shift[row] } else { rotation[row - 3] } / small);
             should += column * column.transpose();
         }
         let is = found.covariance.fixed_view::<6, 6>(6, 6);

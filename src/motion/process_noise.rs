@@ -11,20 +11,20 @@
 /// distance), and rad²/s⁵. From a prototype, where they suited dolly, hand and whip pan alike;
 /// frames refine them. Raised, the first frames' motion and pose are less certain.
 const USUAL_SHIFT: f64 = 100.0;
-const USUAL_TURN: f64 = 3000.0;
+const USUAL_ROTATION: f64 = 3000.0;
 const DISTANCE_M: f64 = 4.0;
 /// Limits of the densities as factors of the initial ones. At the lower limit earlier frames hardly
-/// smooth the pose: errors of a still camera correlate by 0.16 from frame to frame. `LEAST`
-/// lowered, they smooth more; `MOST` raised, misleading frames can leave the motion practically
-/// unknown.
-const LEAST: f64 = 0.01;
-const MOST: f64 = 1000.0;
+/// smooth the pose: errors of a still camera correlate by 0.16 from frame to frame.
+/// `MIN_DENSITY_FACTOR` lowered, they smooth more; `MAX_DENSITY_FACTOR` raised, misleading frames
+/// can leave the motion practically unknown.
+const MIN_DENSITY_FACTOR: f64 = 0.01;
+const MAX_DENSITY_FACTOR: f64 = 1000.0;
 /// The logarithm of a density follows one frame by this fraction of the logarithm of its squared
 /// innovation (in sigmas, per degree of freedom), minus that logarithm's mean. Innovations a tenth
 /// of the prediction thus halve the predicted width within two frames; with plain squares it would
 /// take seven. Raised, densities follow chance: at 0.4, covariances of steady cameras are too small
 /// by a tenth.
-const SHARE: f64 = 0.3;
+const LEARNING_RATE: f64 = 0.3;
 /// Mean logarithm of the mean of n squared normal variables, n from 1: the digamma function of n/2,
 /// plus ln(2/n). With other values, densities drift.
 const MEAN_LOG: [f64; 3] = [-1.270, -0.577, -0.369];
@@ -35,7 +35,7 @@ const LOGS: [f64; 2] = [-4.0, 3.0];
 /// Number of first frames whose innovations are ignored, because the motion is not known yet: as
 /// many as position, velocity and acceleration need. Raised, the density is learnt later; lowered,
 /// it falls because everything is within the wide first prediction.
-const UNTOLD_FRAMES: u32 = 3;
+const UNLEARNT_FRAMES: u32 = 3;
 
 /// Deviation of a frame from its prediction ([`innovations`](super::MotionEstimate::innovations)).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,14 +50,14 @@ pub struct Innovation {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProcessNoise {
     shift: f64,
-    turn: f64,
+    rotation: f64,
     /// Number of frames learnt from.
     frames: u32,
 }
 
 impl Default for ProcessNoise {
     fn default() -> Self {
-        Self { shift: 1.0, turn: 1.0, frames: 0 }
+        Self { shift: 1.0, rotation: 1.0, frames: 0 }
     }
 }
 
@@ -67,29 +67,29 @@ impl ProcessNoise {
         self.shift * USUAL_SHIFT * (distance_m / DISTANCE_M).powi(2)
     }
 
-    /// Returns the spectral density of the turn's jerk, rad²/s⁵.
-    pub fn of_turn(&self) -> f64 {
-        self.turn * USUAL_TURN
+    /// Returns the spectral density of the rotation's jerk, rad²/s⁵.
+    pub fn of_rotation(&self) -> f64 {
+        self.rotation * USUAL_ROTATION
     }
 
     /// Whether too few frames have been seen.
-    pub fn is_untold(&self) -> bool {
-        self.frames < UNTOLD_FRAMES
+    pub fn is_unlearnt(&self) -> bool {
+        self.frames < UNLEARNT_FRAMES
     }
 
-    /// Learns from the innovations of shift and turn
+    /// Learns from the innovations of shift and rotation
     /// ([`innovations`](super::MotionEstimate::innovations)).
     pub fn learn(&mut self, innovations: [Option<Innovation>; 2]) {
         self.frames = self.frames.saturating_add(1);
-        if self.frames <= UNTOLD_FRAMES {
+        if self.frames <= UNLEARNT_FRAMES {
             return;
         }
-        for (innovation, density) in innovations.into_iter().zip([&mut self.shift, &mut self.turn]) {
+        for (innovation, density) in innovations.into_iter().zip([&mut self.shift, &mut self.rotation]) {
             let Some(Innovation { squared, freedom }) = innovation else { continue };
             // The fewer the squares, the more their logarithm scatters.
-            let share = SHARE * freedom as f64 / 3.0;
+            let share = LEARNING_RATE * freedom as f64 / 3.0;
             let change = share * (squared.max(f64::MIN_POSITIVE).ln() - MEAN_LOG[freedom - 1]).clamp(LOGS[0], LOGS[1]);
-            *density = (*density * change.exp()).clamp(LEAST, MOST);
+            *density = (*density * change.exp()).clamp(MIN_DENSITY_FACTOR, MAX_DENSITY_FACTOR);
         }
     }
 }
@@ -108,7 +108,8 @@ mod tests {
     const DT_S: f64 = 1.0 / 30.0;
     const AT_M: f64 = 4.0;
 
-    /// One Kalman filter step: a pose seen with this noise, variances per axis of shift and turn.
+    /// One Kalman filter step: a pose seen with this noise, variances per axis of shift and
+    /// rotation.
     fn updated(expected: &MotionEstimate, seen: &Motion, noise: &Vector6<f64>) -> MotionEstimate {
         let innovation = expected.motion.pose_error_to(seen);
         let of_pose = expected.covariance.fixed_rows::<6>(0).into_owned();
@@ -120,7 +121,7 @@ mod tests {
     /// Returns the logarithm of learnt over true jerk density, averaged over the later frames.
     /// `noise`: standard deviations of the observed pose; `known_every`: number of frames after
     /// which the whole motion becomes known again.
-    fn learnt(shift: f64, turn: f64, noise: &Vector6<f64>, known_every: usize) -> [f64; 2] {
+    fn learnt(shift: f64, rotation: f64, noise: &Vector6<f64>, known_every: usize) -> [f64; 2] {
         let mut random = Pcg64Mcg::seed_from_u64(5);
         let mut normal = || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
         let rest = Motion::still(Pose::new(UnitQuaternion::identity(), Vector3::zeros()));
@@ -137,14 +138,14 @@ mod tests {
                 truth = truth.after(DT_S / STEPS as f64);
                 let mut step = |q: f64| Vector3::from_fn(|_, _| normal() * (q * DT_S / STEPS as f64).sqrt());
                 truth.acceleration += step(shift);
-                truth.turn_acceleration += step(turn);
+                truth.angular_acceleration += step(rotation);
             }
             let off = MotionError::from_fn(|row, _| if row < 6 { noise[row] * normal() } else { 0.0 });
             let expected = estimate.after(DT_S, AT_M, &process_noise);
             estimate = updated(&expected, &truth.corrected(&off), &noise.map(|sigma| sigma * sigma));
             process_noise.learn(expected.innovations(&estimate));
             if frame >= 100 {
-                sums = [sums[0] + (process_noise.of_shift(AT_M) / shift).ln(), sums[1] + (process_noise.of_turn() / turn).ln()];
+                sums = [sums[0] + (process_noise.of_shift(AT_M) / shift).ln(), sums[1] + (process_noise.of_rotation() / rotation).ln()];
                 n += 1.0;
             }
         }
@@ -153,9 +154,9 @@ mod tests {
 
     #[test]
     fn jerk_is_learnt_from_innovations() {
-        for (shift, turn) in [(20.0, 600.0), (100.0, 3000.0), (5000.0, 90_000.0)] {
-            let off = learnt(shift, turn, &Vector6::repeat(1e-5), 1);
-            assert!(off.iter().all(|ln| ln.abs() < 0.4), "{shift}, {turn}: {off:?}");
+        for (shift, rotation) in [(20.0, 600.0), (100.0, 3000.0), (5000.0, 90_000.0)] {
+            let off = learnt(shift, rotation, &Vector6::repeat(1e-5), 1);
+            assert!(off.iter().all(|ln| ln.abs() < 0.4), "{shift}, {rotation}: {off:?}");
         }
     }
 

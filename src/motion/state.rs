@@ -19,11 +19,11 @@ pub struct Motion<To = Body, From = Camera> {
     /// Velocity, m/s in the axes of `To`.
     pub velocity: Vector3<f64>,
     /// Angular velocity, rad/s in the axes of `From`.
-    pub turn_rate: Vector3<f64>,
+    pub angular_velocity: Vector3<f64>,
     /// Acceleration, m/s² in the axes of `To`.
     pub acceleration: Vector3<f64>,
     /// Angular acceleration, rad/s² in the axes of `From`.
-    pub turn_acceleration: Vector3<f64>,
+    pub angular_acceleration: Vector3<f64>,
 }
 
 impl<To, From> Clone for Motion<To, From> {
@@ -37,35 +37,35 @@ impl<To, From> Motion<To, From> {
     /// Creates a motion at rest.
     pub fn still(pose: Pose<To, From>) -> Self {
         let zero = Vector3::zeros();
-        Self { pose, velocity: zero, turn_rate: zero, acceleration: zero, turn_acceleration: zero }
+        Self { pose, velocity: zero, angular_velocity: zero, acceleration: zero, angular_acceleration: zero }
     }
 
     /// Creates the uniform motion from one pose to another within `dt_s`, at the latter.
     pub fn between(before: &Pose<To, From>, pose: &Pose<To, From>, dt_s: f64) -> Self {
-        let [way, turn] = before.step_to(pose);
-        Self { velocity: way / dt_s, turn_rate: turn / dt_s, ..Self::still(*pose) }
+        let [way, rotation] = before.step_to(pose);
+        Self { velocity: way / dt_s, angular_velocity: rotation / dt_s, ..Self::still(*pose) }
     }
 
     /// Returns the same pose with reversed motion.
     pub fn reversed(&self) -> Self {
-        Self { velocity: -self.velocity, turn_rate: -self.turn_rate, ..*self }
+        Self { velocity: -self.velocity, angular_velocity: -self.angular_velocity, ..*self }
     }
 
     /// Returns the same motion without acceleration.
     pub fn even(&self) -> Self {
         let zero = Vector3::zeros();
-        Self { acceleration: zero, turn_acceleration: zero, ..*self }
+        Self { acceleration: zero, angular_acceleration: zero, ..*self }
     }
 
     /// Returns [v, ω]: velocity and angular velocity.
     pub fn twist(&self) -> Vector6<f64> {
-        let (v, w) = (self.velocity, self.turn_rate);
+        let (v, w) = (self.velocity, self.angular_velocity);
         Vector6::new(v.x, v.y, v.z, w.x, w.y, w.z)
     }
 
     /// Returns the same motion with this velocity and angular velocity.
     pub fn with_twist(&self, twist: &Vector6<f64>) -> Self {
-        Self { velocity: twist.fixed_rows::<3>(0).into_owned(), turn_rate: twist.fixed_rows::<3>(3).into_owned(), ..*self }
+        Self { velocity: twist.fixed_rows::<3>(0).into_owned(), angular_velocity: twist.fixed_rows::<3>(3).into_owned(), ..*self }
     }
 
     /// Returns the state after correcting an error.
@@ -74,9 +74,9 @@ impl<To, From> Motion<To, From> {
         Self {
             pose: self.pose.moved(&part(0), &part(3)),
             velocity: self.velocity + part(6),
-            turn_rate: self.turn_rate + part(9),
+            angular_velocity: self.angular_velocity + part(9),
             acceleration: self.acceleration + part(12),
-            turn_acceleration: self.turn_acceleration + part(15),
+            angular_acceleration: self.angular_acceleration + part(15),
         }
     }
 
@@ -87,11 +87,11 @@ impl<To, From> Motion<To, From> {
 
     /// Returns the error with which [`corrected`](Self::corrected) leads from here to `other`.
     pub fn error_to(&self, other: &Self) -> MotionError {
-        let [shift, turn] = self.pose.step_to(&other.pose);
-        let (velocity, turn_rate) = (other.velocity - self.velocity, other.turn_rate - self.turn_rate);
+        let [shift, rotation] = self.pose.step_to(&other.pose);
+        let (velocity, angular_velocity) = (other.velocity - self.velocity, other.angular_velocity - self.angular_velocity);
         let acceleration = other.acceleration - self.acceleration;
-        let turn_acceleration = other.turn_acceleration - self.turn_acceleration;
-        let parts = [shift, turn, velocity, turn_rate, acceleration, turn_acceleration];
+        let angular_acceleration = other.angular_acceleration - self.angular_acceleration;
+        let parts = [shift, rotation, velocity, angular_velocity, acceleration, angular_acceleration];
         MotionError::from_fn(|row, _| parts[row / 3][row % 3])
     }
 
@@ -103,11 +103,11 @@ impl<To, From> Motion<To, From> {
     /// Returns the state `dt_s` later, at constant acceleration.
     pub fn after(&self, dt_s: f64) -> Self {
         let half = 0.5 * dt_s * dt_s;
-        let turn = self.turn_rate * dt_s + self.turn_acceleration * half;
+        let rotation = self.angular_velocity * dt_s + self.angular_acceleration * half;
         Self {
-            pose: self.pose.moved(&(self.velocity * dt_s + self.acceleration * half), &turn),
+            pose: self.pose.moved(&(self.velocity * dt_s + self.acceleration * half), &rotation),
             velocity: self.velocity + self.acceleration * dt_s,
-            turn_rate: self.turn_rate + self.turn_acceleration * dt_s,
+            angular_velocity: self.angular_velocity + self.angular_acceleration * dt_s,
             ..*self
         }
     }
@@ -116,8 +116,8 @@ impl<To, From> Motion<To, From> {
     /// R2, exact to second order.
     pub fn rotation_polynomial(&self) -> [Matrix3<f64>; 3] {
         let r = self.pose.rotation_matrix();
-        let w = skew(&self.turn_rate);
-        [r, r * w, r * (skew(&self.turn_acceleration) + w * w) * 0.5]
+        let w = skew(&self.angular_velocity);
+        [r, r * w, r * (skew(&self.angular_acceleration) + w * w) * 0.5]
     }
 
     /// Returns the camera centre `tau` seconds from the stamp as a polynomial: p0 + tau p1 + tau²
@@ -128,7 +128,7 @@ impl<To, From> Motion<To, From> {
 
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
-        let parts = [&self.velocity, &self.turn_rate, &self.acceleration, &self.turn_acceleration];
+        let parts = [&self.velocity, &self.angular_velocity, &self.acceleration, &self.angular_acceleration];
         self.pose.is_finite() && parts.iter().all(|v| v.iter().all(|x| x.is_finite()))
     }
 }
@@ -143,9 +143,9 @@ pub(super) mod tests {
         Motion {
             pose: Pose::new(UnitQuaternion::from_euler_angles(1.2, 0.3, -0.4), Vector3::new(0.3, -4.0, 0.5)),
             velocity: Vector3::new(0.4, -0.2, 0.1),
-            turn_rate: Vector3::new(0.5, -0.8, 0.3),
+            angular_velocity: Vector3::new(0.5, -0.8, 0.3),
             acceleration: Vector3::new(1.0, 2.0, -0.5),
-            turn_acceleration: Vector3::new(3.0, -5.0, 2.0),
+            angular_acceleration: Vector3::new(3.0, -5.0, 2.0),
         }
     }
 

@@ -100,7 +100,7 @@ const MOVES: [([f64; 2], f64, &str); 8] = [
 /// then the filming one.
 pub fn next_view(models: [ObservationModel<'_>; 2], pairs: &[ViewPair], solution: &Solution, stages: Stages) -> Option<NextView> {
     if stages == Stages::Apart {
-        return least_turned(pairs).map(|words| NextView { words, sigmas: None });
+        return least_rotated(pairs).map(|words| NextView { words, sigmas: None });
     }
     let scales = [models[0].scale(pairs.iter().map(|p| &p.tracking))?, models[1].scale(pairs.iter().map(|p| &p.filming))?];
     let unknowns = Unknowns { mount: solution.mount, between: Pose::identity() };
@@ -139,16 +139,16 @@ fn gone_round(
     share: f64,
 ) -> Pose<Stage, crate::geometry::Camera> {
     let about = |axis, degrees: f64| UnitQuaternion::from_axis_angle(&axis, degrees.to_radians());
-    let turned = about(Vector3::z_axis(), turn_deg) * about(Vector3::x_axis(), tilt_deg);
-    Pose::new(turned * pose.rotation, middle + turned * (pose.translation - middle) * share)
+    let rotated = about(Vector3::z_axis(), turn_deg) * about(Vector3::x_axis(), tilt_deg);
+    Pose::new(rotated * pose.rotation, middle + rotated * (pose.translation - middle) * share)
 }
 
 /// Advises to rotate the rig about the one of its axes about which it rotated least.
-fn least_turned(pairs: &[ViewPair]) -> Option<String> {
+fn least_rotated(pairs: &[ViewPair]) -> Option<String> {
     let first = pairs.first()?.tracking.pose.rotation;
-    let turns: Vec<Vector3<f64>> = pairs.iter().map(|pair| (first.inverse() * pair.tracking.pose.rotation).scaled_axis()).collect();
-    let mean = turns.iter().sum::<Vector3<f64>>() / turns.len() as f64;
-    let scatter: Matrix3<f64> = turns.iter().map(|t| (t - mean) * (t - mean).transpose()).sum();
+    let rotations: Vec<Vector3<f64>> = pairs.iter().map(|pair| (first.inverse() * pair.tracking.pose.rotation).scaled_axis()).collect();
+    let mean = rotations.iter().sum::<Vector3<f64>>() / rotations.len() as f64;
+    let scatter: Matrix3<f64> = rotations.iter().map(|t| (t - mean) * (t - mean).transpose()).sum();
     Some(match scatter.diagonal().imin() {
         0 => "take views with the rig tilted up and down by 20 degrees or more".to_owned(),
         1 => "take views with the rig panned to both sides by 20 degrees or more".to_owned(),

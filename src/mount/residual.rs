@@ -35,7 +35,7 @@ impl Unknowns {
     pub(super) fn residual(&self, pair: &ViewPair) -> (Vector6<f64>, Jacobian) {
         let predicted = self.predicted(pair);
         let shift = pair.filming.pose.translation - predicted.translation;
-        let turn = (pair.filming.pose.rotation * predicted.rotation.inverse()).scaled_axis();
+        let rotation = (pair.filming.pose.rotation * predicted.rotation.inverse()).scaled_axis();
         let back = self.between.rotation_matrix().transpose();
         let forth = back * pair.tracking.pose.rotation_matrix();
         let arm = self.between.rotation_matrix() * predicted.translation;
@@ -45,7 +45,7 @@ impl Unknowns {
         jacobian.fixed_view_mut::<3, 3>(0, 6).copy_from(&-back);
         jacobian.fixed_view_mut::<3, 3>(0, 9).copy_from(&(back * skew(&arm)));
         jacobian.fixed_view_mut::<3, 3>(3, 9).copy_from(&-back);
-        (Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z), jacobian)
+        (Vector6::new(shift.x, shift.y, shift.z, rotation.x, rotation.y, rotation.z), jacobian)
     }
 
     /// Returns the covariance of a pair's residual: the filming camera's own, and the tracking
@@ -86,6 +86,6 @@ impl ViewPair {
 
 /// Applies [δt, δφ], in the axes of the target frame, to a pose.
 fn moved<To, From>(pose: &Pose<To, From>, step: Vector6<f64>) -> Pose<To, From> {
-    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
-    Pose::new(turn * pose.rotation, pose.translation + Vector3::new(step[0], step[1], step[2]))
+    let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
+    Pose::new(rotation * pose.rotation, pose.translation + Vector3::new(step[0], step[1], step[2]))
 }

@@ -48,10 +48,10 @@ pub enum Unsolvable {
         wanted: usize,
     },
     /// The rig did not rotate between the views.
-    #[error("the rig turned by {turned_deg:.1} degrees at most between the views")]
-    NotTurned {
+    #[error("the rig turned by {rotation_deg:.1} degrees at most between the views")]
+    NotRotated {
         /// The largest rotation between two of them, degrees.
-        turned_deg: f64,
+        rotation_deg: f64,
     },
     /// All rotations had the same axis.
     #[error("the rig turned about one axis only")]
@@ -92,7 +92,7 @@ pub fn solve(pairs: &[ViewPair], stages: Stages) -> Result<Solution, Unsolvable>
         return Err(Unsolvable::TooFew { found: pairs.len(), wanted });
     }
     if stages == Stages::Apart {
-        turns_suffice(pairs)?;
+        rotations_suffice(pairs)?;
     }
     let mut state = start::start(pairs, stages).ok_or(Unsolvable::NoSolution)?;
     // First robustly: contradicting pairs lose weight.
@@ -123,14 +123,15 @@ pub fn solve(pairs: &[ViewPair], stages: Stages) -> Result<Solution, Unsolvable>
 }
 
 /// Checks that the rotations between the views have more than one axis.
-fn turns_suffice(pairs: &[ViewPair]) -> Result<(), Unsolvable> {
-    let turn = |a: &ViewPair, b: &ViewPair| (a.tracking.pose.rotation.inverse() * b.tracking.pose.rotation).scaled_axis();
-    let turns: Vec<Vector3<f64>> = pairs.iter().enumerate().flat_map(|(k, a)| pairs[k + 1..].iter().map(move |b| turn(a, b))).collect();
-    let largest = turns.iter().map(Vector3::norm).fold(0.0, f64::max).to_degrees();
+fn rotations_suffice(pairs: &[ViewPair]) -> Result<(), Unsolvable> {
+    let rotation = |a: &ViewPair, b: &ViewPair| (a.tracking.pose.rotation.inverse() * b.tracking.pose.rotation).scaled_axis();
+    let rotations: Vec<Vector3<f64>> =
+        pairs.iter().enumerate().flat_map(|(k, a)| pairs[k + 1..].iter().map(move |b| rotation(a, b))).collect();
+    let largest = rotations.iter().map(Vector3::norm).fold(0.0, f64::max).to_degrees();
     if largest < MIN_ACROSS_DEG {
-        return Err(Unsolvable::NotTurned { turned_deg: largest });
+        return Err(Unsolvable::NotRotated { rotation_deg: largest });
     }
-    let scatter: Matrix3<f64> = turns.iter().map(|v| v * v.transpose()).sum::<Matrix3<f64>>() / turns.len() as f64;
+    let scatter: Matrix3<f64> = rotations.iter().map(|v| v * v.transpose()).sum::<Matrix3<f64>>() / rotations.len() as f64;
     let eigen = scatter.symmetric_eigen();
     let main = eigen.eigenvalues.imax();
     let across = (eigen.eigenvalues.sum() - eigen.eigenvalues[main]).max(0.0).sqrt().to_degrees();

@@ -13,8 +13,8 @@ fn random_vector(random: &mut Pcg64Mcg, size: f64) -> Vector3<f64> {
     Vector3::from_fn(|_, _| random.random_range(-size..=size))
 }
 
-fn random_pose<A, B>(random: &mut Pcg64Mcg, shift: f64, turn: f64) -> Pose<A, B> {
-    Pose::new(UnitQuaternion::from_scaled_axis(random_vector(random, turn)), random_vector(random, shift))
+fn random_pose<A, B>(random: &mut Pcg64Mcg, shift: f64, rotation: f64) -> Pose<A, B> {
+    Pose::new(UnitQuaternion::from_scaled_axis(random_vector(random, rotation)), random_vector(random, shift))
 }
 
 /// 0.4 m and 25 degrees apart, as on a typical rig.
@@ -37,25 +37,25 @@ fn noisy(truth: &Pose<Stage, Camera>, covariance: Matrix6<f64>, random: &mut Pcg
     // The sum of twelve uniform numbers is normal to good approximation.
     let normal = Vector6::from_fn(|_, _| (0..12).map(|_| random.random_range(-0.5..0.5)).sum::<f64>());
     let step = covariance.cholesky().expect("positive definite").l() * normal;
-    let turn = UnitQuaternion::from_scaled_axis(-Vector3::new(step[3], step[4], step[5]));
-    View { pose: Pose::new(turn * truth.rotation, truth.translation - Vector3::new(step[0], step[1], step[2])), covariance }
+    let rotation = UnitQuaternion::from_scaled_axis(-Vector3::new(step[3], step[4], step[5]));
+    View { pose: Pose::new(rotation * truth.rotation, truth.translation - Vector3::new(step[0], step[1], step[2])), covariance }
 }
 
-/// Views of a rig that rotates by up to `turn` about all axes; the filming camera's stage is
+/// Views of a rig that rotates by up to `rotation` about all axes; the filming camera's stage is
 /// `between` away.
 fn views(
     n: usize,
     mount: &Pose<Camera, FilmingCamera>,
     between: &Pose<Stage, Stage>,
     noise: f64,
-    turn: Vector3<f64>,
+    rotation: Vector3<f64>,
     random: &mut Pcg64Mcg,
 ) -> Vec<ViewPair> {
     let ahead = UnitQuaternion::from_scaled_axis(Vector3::new(-std::f64::consts::FRAC_PI_2, 0.0, 0.0));
     let pair = |_| {
         let place = Vector3::new(0.0, -4.0, 0.0) + random_vector(random, 1.0);
-        let turned = UnitQuaternion::from_scaled_axis(random_vector(random, 1.0).component_mul(&turn));
-        let tracking = Pose::<Stage, Camera>::new(ahead * turned, place);
+        let rotated = UnitQuaternion::from_scaled_axis(random_vector(random, 1.0).component_mul(&rotation));
+        let tracking = Pose::<Stage, Camera>::new(ahead * rotated, place);
         let filming: Pose<Stage, Camera> = (between.inverse() * tracking * *mount).renamed();
         let covariances = [covariance(random) * (noise * noise), covariance(random) * (noise * noise)];
         if noise == 0.0 {
@@ -69,8 +69,8 @@ fn views(
 
 fn error(found: &Pose<Camera, FilmingCamera>, truth: &Pose<Camera, FilmingCamera>) -> Vector6<f64> {
     let shift = truth.translation - found.translation;
-    let turn = (truth.rotation * found.rotation.inverse()).scaled_axis();
-    Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z)
+    let rotation = (truth.rotation * found.rotation.inverse()).scaled_axis();
+    Vector6::new(shift.x, shift.y, shift.z, rotation.x, rotation.y, rotation.z)
 }
 
 const ALL_WAYS: Vector3<f64> = Vector3::new(0.5, 0.6, 0.4);
@@ -189,7 +189,7 @@ fn separate_boards_need_rotations_about_two_axes() {
             other => panic!("noise {noise}: {other:?}"),
         }
         let still = views(8, &truth, &between, noise, Vector3::zeros(), &mut random);
-        assert!(matches!(solve(&still, Stages::Apart), Err(Unsolvable::NotTurned { .. })));
+        assert!(matches!(solve(&still, Stages::Apart), Err(Unsolvable::NotRotated { .. })));
         // With a shared stage, one view is enough.
         assert!(solve(&views(1, &truth, &Pose::identity(), noise, Vector3::zeros(), &mut random), Stages::Shared).is_ok());
     }

@@ -37,6 +37,6 @@ pub enum Stages {
 pub(super) fn mean<To, From>(poses: &[Pose<To, From>]) -> Option<Pose<To, From>> {
     let (first, n) = (poses.first()?.rotation, poses.len() as f64);
     let shift = poses.iter().map(|pose| pose.translation).sum::<Vector3<f64>>() / n;
-    let turn = poses.iter().map(|pose| (pose.rotation * first.inverse()).scaled_axis()).sum::<Vector3<f64>>() / n;
-    Some(Pose::new(UnitQuaternion::from_scaled_axis(turn) * first, shift))
+    let rotation = poses.iter().map(|pose| (pose.rotation * first.inverse()).scaled_axis()).sum::<Vector3<f64>>() / n;
+    Some(Pose::new(UnitQuaternion::from_scaled_axis(rotation) * first, shift))
 }

@@ -112,7 +112,7 @@ impl PoseStage {
 /// blurred is still followed from frame to frame. Raised, such poses are reported: of poses with a
 /// stated sigma of 0.15-0.2 degrees, one in seven is wrong, of those up to 0.3, one in four.
 /// Lowered, small objects are reported in fewer frames.
-const MAX_TURN: f64 = 0.15 * std::f64::consts::PI / 180.0;
+const MAX_ROTATION: f64 = 0.15 * std::f64::consts::PI / 180.0;
 const MAX_SHIFT: f64 = 0.01;
 
 /// An object is not tracked while the stage is not, because its stage pose needs the camera's; nor
@@ -146,7 +146,7 @@ fn object_estimate(
     let distance_m = object.verified.as_ref().map_or(0.0, |v| v.pose.translation.norm());
     let is_open = measured.is_some_and(|m: Measured<Body>| {
         let sigma = |first: usize| m.noise.fixed_view::<3, 3>(first, first).trace().sqrt();
-        sigma(0) > MAX_SHIFT * distance_m || sigma(3) > MAX_TURN
+        sigma(0) > MAX_SHIFT * distance_m || sigma(3) > MAX_ROTATION
     });
     // Lost at once, not coasting: how long this will last is unknown.
     if is_open && state == State::Tracking {
@@ -162,8 +162,8 @@ fn settle<From>(state: State, measured: Option<Measured<From>>, timestamp: Times
     let BodyMotion { history, filter } = motion;
     if let (State::Tracking, Some(measured)) = (state, measured) {
         history.measured(timestamp, &measured.pose);
-        let told = filter.measured(timestamp, &measured.pose, &measured.noise);
-        return BodyEstimate { state, pose: Some(told), measured: Some(measured) };
+        let filtered = filter.measured(timestamp, &measured.pose, &measured.noise);
+        return BodyEstimate { state, pose: Some(filtered), measured: Some(measured) };
     }
     let predicted = history.predicted(timestamp).filter(|_| matches!(state, State::Tracking | State::Coasting));
     if let Some(pose) = predicted {

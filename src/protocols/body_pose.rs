@@ -98,13 +98,13 @@ mod tests {
 
     #[test]
     fn angle_signs_follow_the_standard() {
-        let turned = |pan_deg, tilt_deg, roll_deg| PanTiltRoll { pan_deg, tilt_deg, roll_deg }.rotation();
+        let rotated = |pan_deg, tilt_deg, roll_deg| PanTiltRoll { pan_deg, tilt_deg, roll_deg }.rotation();
         // Pan to the left: forward (y) becomes -x.
-        assert!((turned(90.0, 0.0, 0.0) * Vector3::y() + Vector3::x()).norm() < 1e-12);
+        assert!((rotated(90.0, 0.0, 0.0) * Vector3::y() + Vector3::x()).norm() < 1e-12);
         // Tilt up: forward becomes +z.
-        assert!((turned(0.0, 90.0, 0.0) * Vector3::y() - Vector3::z()).norm() < 1e-12);
+        assert!((rotated(0.0, 90.0, 0.0) * Vector3::y() - Vector3::z()).norm() < 1e-12);
         // Roll clockwise seen from behind: the top leans to the right.
-        assert!((turned(0.0, 0.0, 90.0) * Vector3::z() - Vector3::x()).norm() < 1e-12);
+        assert!((rotated(0.0, 0.0, 90.0) * Vector3::z() - Vector3::x()).norm() < 1e-12);
     }
 
     proptest! {

@@ -74,8 +74,8 @@ proptest! {
         let lengths = [x, y, z].into_iter().zip(back.position_mm).map(|(m, mm)| m * 1e3 - mm);
         prop_assert!(lengths.into_iter().all(|d| d.abs() <= 1.0 / 128.0 + 1e-9));
         // The rotation itself, whatever the angles: three roundings of half a step each.
-        let turned = PanTiltRoll { pan_deg: -back.pan_deg, tilt_deg: back.tilt_deg, roll_deg: back.roll_deg }.rotation();
-        prop_assert!(turned.angle_to(&given.rotation()).to_degrees() <= 3.0 / 65536.0 + 2e-4 * f64::from(tilt.abs() > 89.999));
+        let rotated = PanTiltRoll { pan_deg: -back.pan_deg, tilt_deg: back.tilt_deg, roll_deg: back.roll_deg }.rotation();
+        prop_assert!(rotated.angle_to(&given.rotation()).to_degrees() <= 3.0 / 65536.0 + 2e-4 * f64::from(tilt.abs() > 89.999));
     }
 
     #[test]

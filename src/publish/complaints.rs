@@ -11,22 +11,22 @@ const PAUSE: Duration = Duration::from_secs(60);
 pub(super) struct Complaints {
     output: String,
     last: Option<Instant>,
-    unsaid: u64,
+    suppressed: u64,
 }
 
 impl Complaints {
     pub fn new(output: &str) -> Self {
-        Self { output: output.to_owned(), last: None, unsaid: 0 }
+        Self { output: output.to_owned(), last: None, suppressed: 0 }
     }
 
     /// Logs the sentence, unless one was logged within the last minute, with the number suppressed
     /// since. Returns whether it was logged.
     pub fn say(&mut self, sentence: impl FnOnce() -> String) -> bool {
         if self.last.is_some_and(|last| last.elapsed() < PAUSE) {
-            self.unsaid += 1;
+            self.suppressed += 1;
             return false;
         }
-        let before = match std::mem::take(&mut self.unsaid) {
+        let before = match std::mem::take(&mut self.suppressed) {
             0 => String::new(),
             n => format!(" ({n} more in the last minute)"),
         };
@@ -44,8 +44,8 @@ mod tests {
     fn complaints_are_logged_once_a_minute() {
         let mut complaints = Complaints::new("desk");
         let said = (0..1000).filter(|_| complaints.say(|| "unreachable".to_owned())).count();
-        assert_eq!((said, complaints.unsaid), (1, 999));
+        assert_eq!((said, complaints.suppressed), (1, 999));
         complaints.last = Instant::now().checked_sub(PAUSE);
-        assert!(complaints.say(|| "unreachable".to_owned()) && complaints.unsaid == 0);
+        assert!(complaints.say(|| "unreachable".to_owned()) && complaints.suppressed == 0);
     }
 }

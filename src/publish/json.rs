@@ -111,11 +111,11 @@ impl JsonEncoder {
         if self.placement.angle_signs != [1.0; 3] {
             return None;
         }
-        let turn: Matrix3<f64> = self.placement.rotation.to_rotation_matrix().into_inner();
+        let rotation: Matrix3<f64> = self.placement.rotation.to_rotation_matrix().into_inner();
         let signs = Matrix3::from_diagonal(&self.placement.position_signs.into());
         let mut by = Matrix6::zeros();
-        by.fixed_view_mut::<3, 3>(0, 0).copy_from(&(signs * turn * self.placement.scale));
-        by.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
+        by.fixed_view_mut::<3, 3>(0, 0).copy_from(&(signs * rotation * self.placement.scale));
+        by.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
         Some(by * covariance * by.transpose())
     }
 

@@ -144,8 +144,8 @@ fn a_stale_marker_is_an_event_with_optical_axes() {
     let mut held = report(State::Stale);
     held.bodies.iter_mut().for_each(|body| (body.state, body.held, body.is_passed) = (State::Stale, Some(Duration::from_millis(3)), false));
     let value = parsed(&held);
-    let turn = value["pose"]["orientation_xyzw"].as_array().unwrap();
-    assert!(turn.iter().zip(golden_camera().orientation_xyzw()).all(|(told, wanted)| (told.as_f64().unwrap() - wanted).abs() < 1e-12));
+    let rotation = value["pose"]["orientation_xyzw"].as_array().unwrap();
+    assert!(rotation.iter().zip(golden_camera().orientation_xyzw()).all(|(sent, wanted)| (sent.as_f64().unwrap() - wanted).abs() < 1e-12));
     assert_eq!((&value["held"], &value["objects"][1]["held_ms"]), (&json!(true), &json!(3.0)));
 }
 

@@ -51,7 +51,8 @@ impl Limiter {
         // A return is no faster than any other motion.
         if let Some(rates) = &mut limits.blend {
             rates.speed_m_s = limits.max_speed_m_s.map_or(rates.speed_m_s, |most| rates.speed_m_s.min(most));
-            rates.turn_rad_s = limits.max_turn_rad_s.map_or(rates.turn_rad_s, |most| rates.turn_rad_s.min(most));
+            rates.angular_speed_rad_s =
+                limits.max_angular_speed_rad_s.map_or(rates.angular_speed_rad_s, |most| rates.angular_speed_rad_s.min(most));
         }
         Self { limits, sent: None, has_gap: false, is_blending: false }
     }
@@ -107,25 +108,25 @@ impl Limiter {
     }
 
     fn excess(&self, from: &Pose<Stage, Body>, to: &Pose<Stage, Body>, elapsed_s: f64) -> Option<Withheld> {
-        let (way, turn) = ((to.translation - from.translation).norm(), from.angle_to(to));
+        let (way, rotation) = ((to.translation - from.translation).norm(), from.angle_to(to));
         if self.limits.max_speed_m_s.is_some_and(|limit| way > limit * elapsed_s + 1e-9) {
             return Some(Withheld::TooFast);
         }
-        self.limits.max_turn_rad_s.is_some_and(|limit| turn > limit * elapsed_s + 1e-9).then_some(Withheld::TurnsTooFast)
+        self.limits.max_angular_speed_rad_s.is_some_and(|limit| rotation > limit * elapsed_s + 1e-9).then_some(Withheld::RotatesTooFast)
     }
 
     /// Moves from `from` towards `to` for `elapsed_s` at the blend rates; arrives once distance and
     /// angle are both within reach.
     fn blended(&mut self, from: &Pose<Stage, Body>, to: &Pose<Stage, Body>, elapsed_s: f64, rates: BlendRates) -> Verdict {
-        let (way, turn) = (to.translation - from.translation, to.rotation * from.rotation.inverse());
-        let (distance, angle) = (way.norm(), turn.angle());
-        let (reach, sweep) = (rates.speed_m_s * elapsed_s, rates.turn_rad_s * elapsed_s);
+        let (way, rotation) = (to.translation - from.translation, to.rotation * from.rotation.inverse());
+        let (distance, angle) = (way.norm(), rotation.angle());
+        let (reach, sweep) = (rates.speed_m_s * elapsed_s, rates.angular_speed_rad_s * elapsed_s);
         if distance <= reach && angle <= sweep {
             self.is_blending = false;
             return Verdict::Pass(*to);
         }
         let share = |limit: f64, whole: f64| if whole > limit { limit / whole } else { 1.0 };
-        let rotation = UnitQuaternion::from_scaled_axis(turn.scaled_axis() * share(sweep, angle)) * from.rotation;
+        let rotation = UnitQuaternion::from_scaled_axis(rotation.scaled_axis() * share(sweep, angle)) * from.rotation;
         Verdict::Blend(Pose::new(rotation, from.translation + way * share(reach, distance)))
     }
 }

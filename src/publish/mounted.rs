@@ -49,10 +49,10 @@ impl Mount {
     ///
     /// With p = p_c + R_c o and R = R_c R_m: δp = δp_c + δθ_c x R_c o + R_c δo, δθ = δθ_c + R_c δφ.
     pub fn carried_covariance(&self, carrier: &Pose<Stage, Body>, covariance: &Matrix6<f64>) -> Matrix6<f64> {
-        let turn = carrier.rotation_matrix();
+        let rotation = carrier.rotation_matrix();
         let mut by_carrier = Matrix6::identity();
-        by_carrier.fixed_view_mut::<3, 3>(0, 3).copy_from(&-skew(&(turn * self.pose.translation)));
-        let by_mount = twice(&turn);
+        by_carrier.fixed_view_mut::<3, 3>(0, 3).copy_from(&-skew(&(rotation * self.pose.translation)));
+        let by_mount = twice(&rotation);
         let sum = by_carrier * covariance * by_carrier.transpose() + by_mount * self.covariance * by_mount.transpose();
         // Keep it exactly symmetric despite rounding.
         (sum + sum.transpose()) * 0.5
@@ -60,10 +60,10 @@ impl Mount {
 }
 
 /// Returns the block-diagonal matrix that rotates both shift and rotation.
-fn twice(turn: &Matrix3<f64>) -> Matrix6<f64> {
+fn twice(rotation: &Matrix3<f64>) -> Matrix6<f64> {
     let mut both = Matrix6::zeros();
-    both.fixed_view_mut::<3, 3>(0, 0).copy_from(turn);
-    both.fixed_view_mut::<3, 3>(3, 3).copy_from(turn);
+    both.fixed_view_mut::<3, 3>(0, 0).copy_from(rotation);
+    both.fixed_view_mut::<3, 3>(3, 3).copy_from(rotation);
     both
 }
 
@@ -74,8 +74,8 @@ mod tests {
     use super::*;
 
     fn stepped<A, B>(pose: &Pose<A, B>, step: &Vector6<f64>) -> Pose<A, B> {
-        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
-        Pose::new(turn * pose.rotation, pose.translation + Vector3::new(step[0], step[1], step[2]))
+        let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
+        Pose::new(rotation * pose.rotation, pose.translation + Vector3::new(step[0], step[1], step[2]))
     }
 
     #[test]
@@ -83,7 +83,7 @@ mod tests {
         let carrier = Pose::<Stage, Body>::new(UnitQuaternion::from_euler_angles(0.2, -0.3, 1.1), Vector3::new(0.5, -4.0, 1.6));
         let pose = Pose::new(UnitQuaternion::from_euler_angles(0.1, 0.2, -0.4), Vector3::new(0.3, -0.1, 0.25));
         let mount = Mount { carrier: BodyChoice::Camera, pose, covariance: Matrix6::identity() };
-        let told = mount.carried_covariance(&carrier, &Matrix6::identity());
+        let covariance = mount.carried_covariance(&carrier, &Matrix6::identity());
         let base = mount.carried(&carrier);
         let mut sum = Matrix6::zeros();
         for k in 0..6 {
@@ -97,7 +97,7 @@ mod tests {
                 sum += d * d.transpose();
             }
         }
-        assert!((told - sum).norm() < 1e-4, "{told} {sum}");
+        assert!((covariance - sum).norm() < 1e-4, "{covariance} {sum}");
     }
 
     #[test]

@@ -78,11 +78,11 @@ impl Placement {
     pub fn apply(&self, pose: &Pose<Stage, Body>) -> Pose<Stage, Body> {
         let position = (self.rotation * pose.translation + self.offset_m) * self.scale;
         let position = Vector3::from(self.order.map(|axis| position[axis])).component_mul(&Vector3::from(self.position_signs));
-        let turned = self.rotation * pose.rotation;
+        let rotated = self.rotation * pose.rotation;
         if self.angle_signs == [1.0; 3] {
-            return Pose::new(turned, position);
+            return Pose::new(rotated, position);
         }
-        let angles = PanTiltRoll::of_rotation(&turned, 0.0);
+        let angles = PanTiltRoll::of_rotation(&rotated, 0.0);
         let [pan, tilt, roll] = self.angle_signs;
         let inverted = PanTiltRoll { pan_deg: pan * angles.pan_deg, tilt_deg: tilt * angles.tilt_deg, roll_deg: roll * angles.roll_deg };
         Pose::new(inverted.rotation(), position)

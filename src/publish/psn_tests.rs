@@ -67,16 +67,21 @@ fn long_name_lists_are_split_into_packets_of_one_frame() {
     let mut encoder = PsnEncoder::new(&settings, &names, Timestamp::default());
     let mut sent = Vec::new();
     encoder.repeat(Timestamp::default(), &mut |packet| sent.push(packet.to_vec()));
-    let mut told = Vec::new();
+    let mut received = Vec::new();
     for packet in &sent {
         assert!(packet.len() <= 1472, "{} bytes", packet.len());
         let PsnPacket::Info(header, system, names) = PsnPacket::decode(packet).unwrap() else { panic!("no info packet") };
         assert_eq!((header.frame_id, usize::from(header.packets), system.len()), (1, sent.len(), 255));
-        told.extend(names);
+        received.extend(names);
     }
     assert!(sent.len() > 1);
-    assert_eq!(told.iter().map(|(id, _)| *id).collect::<Vec<_>>(), (7..47).collect::<Vec<u16>>());
-    assert!(told.iter().zip(&names).all(|((_, told), name)| name.starts_with(told.as_str()) && told.len() >= name.len().min(254)));
+    assert_eq!(received.iter().map(|(id, _)| *id).collect::<Vec<_>>(), (7..47).collect::<Vec<u16>>());
+    assert!(
+        received
+            .iter()
+            .zip(&names)
+            .all(|((_, received), name)| name.starts_with(received.as_str()) && received.len() >= name.len().min(254))
+    );
 }
 
 #[test]

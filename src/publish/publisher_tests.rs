@@ -126,7 +126,7 @@ fn story() -> Vec<PoseSample> {
 }
 
 /// Returns (x in millimetres, spare) of every packet that the story produces.
-fn told(spare: Spare, on_loss: OnLoss) -> Vec<(f64, u16)> {
+fn received(spare: Spare, on_loss: OnLoss) -> Vec<(f64, u16)> {
     let ear = Ear::new();
     let publisher = start(&[OutputSettings { on_loss, ..output(freed(spare), &ear) }]);
     story().iter().for_each(|s| publisher.send(s));
@@ -136,12 +136,12 @@ fn told(spare: Spare, on_loss: OnLoss) -> Vec<(f64, u16)> {
 
 #[test]
 fn a_loss_is_stopped_held_or_flagged() {
-    assert_eq!(told(Spare::Quality, OnLoss::Stop), [(0.0, 1), (1000.0, 2), (4000.0, 1)]);
-    assert_eq!(told(Spare::Quality, OnLoss::Hold), [(0.0, 1), (1000.0, 2), (1000.0, 3), (1000.0, 3), (4000.0, 1)]);
-    assert_eq!(told(Spare::Quality, OnLoss::Flag), [(0.0, 1), (1000.0, 2), (1000.0, 3), (1000.0, 3), (4000.0, 1)]);
+    assert_eq!(received(Spare::Quality, OnLoss::Stop), [(0.0, 1), (1000.0, 2), (4000.0, 1)]);
+    assert_eq!(received(Spare::Quality, OnLoss::Hold), [(0.0, 1), (1000.0, 2), (1000.0, 3), (1000.0, 3), (4000.0, 1)]);
+    assert_eq!(received(Spare::Quality, OnLoss::Flag), [(0.0, 1), (1000.0, 2), (1000.0, 3), (1000.0, 3), (4000.0, 1)]);
     // A prediction that cannot be marked is not sent.
-    assert_eq!(told(Spare::Frame, OnLoss::Stop), [(0.0, 0), (4000.0, 4)]);
-    assert_eq!(told(Spare::Frame, OnLoss::Hold), [(0.0, 0), (0.0, 1), (0.0, 2), (0.0, 3), (4000.0, 4)]);
+    assert_eq!(received(Spare::Frame, OnLoss::Stop), [(0.0, 0), (4000.0, 4)]);
+    assert_eq!(received(Spare::Frame, OnLoss::Hold), [(0.0, 0), (0.0, 1), (0.0, 2), (0.0, 3), (4000.0, 4)]);
 }
 
 #[test]
@@ -175,8 +175,8 @@ fn every_nth_frame_of_the_chosen_body_is_sent() {
     let publisher = start(&[thinned]);
     (0..6).for_each(|k| publisher.send(&sample(k, State::Tracking, 0.0)));
     assert_eq!(publisher.close()[0].sent, 3);
-    let told: Vec<_> = (0..3).map(|_| ear.freed()).map(|p| (p.position_mm[0], p.spare)).collect();
-    assert_eq!(told, [(9000.0, 0), (9000.0, 2), (9000.0, 4)]);
+    let received: Vec<_> = (0..3).map(|_| ear.freed()).map(|p| (p.position_mm[0], p.spare)).collect();
+    assert_eq!(received, [(9000.0, 0), (9000.0, 2), (9000.0, 4)]);
 }
 
 #[test]
@@ -276,22 +276,22 @@ fn an_old_frame_is_never_sent_as_good() {
             camera.publisher.send(&PoseSample { timestamp, ..sample(7, State::Tracking, 0.002) });
             // Time enough for both kinds of output to process it.
             std::thread::sleep(Duration::from_millis(150));
-            let mut told = all_freed(&ear);
-            assert!(told.iter().all(|(_, spare)| *spare != 1), "{rate:?} {suspends}: {told:?}");
+            let mut received = all_freed(&ear);
+            assert!(received.iter().all(|(_, spare)| *spare != 1), "{rate:?} {suspends}: {received:?}");
             // Frames that are in time are good again.
             for _ in 0..100 {
                 camera.clocks.advance_ms(20);
                 camera.frame(10, State::Tracking, 0.003);
                 std::thread::sleep(Duration::from_millis(20));
-                told.extend(all_freed(&ear));
-                if told.iter().any(|(_, spare)| *spare == 1) {
+                received.extend(all_freed(&ear));
+                if received.iter().any(|(_, spare)| *spare == 1) {
                     break;
                 }
             }
             camera.publisher.close();
-            told.extend(all_freed(&ear));
-            let good: Vec<_> = told.iter().filter(|(_, spare)| *spare == 1).collect();
-            assert!(!good.is_empty() && good.iter().all(|(x, _)| (x - 3.0).abs() < 0.01), "{rate:?} {suspends}: {told:?}");
+            received.extend(all_freed(&ear));
+            let good: Vec<_> = received.iter().filter(|(_, spare)| *spare == 1).collect();
+            assert!(!good.is_empty() && good.iter().all(|(x, _)| (x - 3.0).abs() < 0.01), "{rate:?} {suspends}: {received:?}");
         }
     }
 }
@@ -327,8 +327,8 @@ fn repeated_or_foreign_stamps_are_ignored() {
     camera.frame(-5_000, State::Tracking, 9.0);
     camera.frame(10, State::Tracking, 0.2);
     let sent = camera.publisher.close()[0].sent;
-    let told: Vec<_> = (0..sent).map(|_| ear.json()).map(|l| (l["state"].clone(), l["pose"]["position_m"][0].clone())).collect();
-    assert_eq!(told, [("tracking".into(), 0.1.into()), ("tracking".into(), 0.2.into())]);
+    let received: Vec<_> = (0..sent).map(|_| ear.json()).map(|l| (l["state"].clone(), l["pose"]["position_m"][0].clone())).collect();
+    assert_eq!(received, [("tracking".into(), 0.1.into()), ("tracking".into(), 0.2.into())]);
 }
 
 #[test]
@@ -356,19 +356,19 @@ fn late_ticks_coast_and_are_sent_only_if_it_can_be_marked() {
 #[test]
 fn a_stale_limit_below_the_frame_interval_freezes_no_blend() {
     let ear = Ear::new();
-    let safety = SafetySettings { blend: Some(BlendRates { speed_m_s: 1.0, turn_rad_s: 1.0 }), ..stale_after(100) };
+    let safety = SafetySettings { blend: Some(BlendRates { speed_m_s: 1.0, angular_speed_rad_s: 1.0 }), ..stale_after(100) };
     let mut camera = Stepped::start(&[output(freed(Spare::Quality), &ear)], safety);
-    let mut told = Vec::new();
+    let mut received = Vec::new();
     // Five frames per second, each stale before the next one comes.
     for k in 0..6 {
         camera.frame(20, State::Tracking, if k == 0 { 0.0 } else { 0.3 });
-        told.push(ear.freed());
+        received.push(ear.freed());
         camera.clocks.advance_ms(200);
         std::thread::sleep(Duration::from_millis(120));
     }
     camera.publisher.close();
-    let told: Vec<_> = told.iter().map(|p| (p.position_mm[0].round(), p.spare)).collect();
-    assert_eq!(told[..4], [(0.0, 1), (0.0, 2), (200.0, 2), (300.0, 1)]);
+    let received: Vec<_> = received.iter().map(|p| (p.position_mm[0].round(), p.spare)).collect();
+    assert_eq!(received[..4], [(0.0, 1), (0.0, 2), (200.0, 2), (300.0, 1)]);
 }
 
 #[test]
@@ -430,8 +430,8 @@ fn limits_hold_for_guarded_outputs_only() {
     let statistics = publisher.close();
     assert_eq!((statistics[0].withheld, statistics[1].withheld), (2, 0));
     // Raised once, at the beginning.
-    let told: Vec<_> = events.try_iter().map(|e| (e.output, e.body, e.reason.words())).collect();
-    assert_eq!(told, [(outputs[0].name.clone(), "camera".to_owned(), "outside the permitted box")]);
+    let received: Vec<_> = events.try_iter().map(|e| (e.output, e.body, e.reason.words())).collect();
+    assert_eq!(received, [(outputs[0].name.clone(), "camera".to_owned(), "outside the permitted box")]);
     assert_eq!(guarded.json()["pose"]["position_m"][0], 0.5);
     let withheld = guarded.json();
     assert_eq!((&withheld["pose"], &withheld["withheld"]), (&serde_json::Value::Null, &"outside the permitted box".into()));
@@ -442,13 +442,13 @@ fn limits_hold_for_guarded_outputs_only() {
 #[test]
 fn after_a_loss_a_blended_output_resumes_from_its_last_pose() {
     let ear = Ear::new();
-    let safety = SafetySettings { blend: Some(BlendRates { speed_m_s: 3.0, turn_rad_s: 1.0 }), ..patient() };
+    let safety = SafetySettings { blend: Some(BlendRates { speed_m_s: 3.0, angular_speed_rad_s: 1.0 }), ..patient() };
     let publisher = Publisher::start(&[output(freed(Spare::Quality), &ear)], &context(safety)).unwrap();
     let states = [State::Tracking, State::Lost, State::Tracking, State::Tracking, State::Tracking];
     (0..5).zip(states).for_each(|(k, state)| publisher.send(&sample(k, state, if k < 2 { 0.0 } else { 0.15 })));
     publisher.close();
-    let told: Vec<_> = (0..4).map(|_| ear.freed()).map(|p| (p.position_mm[0].round(), p.spare)).collect();
-    assert_eq!(told, [(0.0, 1), (0.0, 2), (100.0, 2), (150.0, 1)]);
+    let received: Vec<_> = (0..4).map(|_| ear.freed()).map(|p| (p.position_mm[0].round(), p.spare)).collect();
+    assert_eq!(received, [(0.0, 1), (0.0, 2), (100.0, 2), (150.0, 1)]);
 }
 
 #[test]

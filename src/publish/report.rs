@@ -29,7 +29,7 @@ pub enum Withheld {
     /// Faster than the permitted speed.
     TooFast,
     /// Turning faster than permitted.
-    TurnsTooFast,
+    RotatesTooFast,
     /// Outside the range of the protocol's numbers.
     OutOfRange,
 }
@@ -41,7 +41,7 @@ impl Withheld {
             Self::NotFinite => "not finite",
             Self::OutsideBox => "outside the permitted box",
             Self::TooFast => "faster than permitted",
-            Self::TurnsTooFast => "turning faster than permitted",
+            Self::RotatesTooFast => "turning faster than permitted",
             Self::OutOfRange => "farther than the protocol's numbers reach",
         }
     }

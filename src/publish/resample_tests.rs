@@ -40,7 +40,7 @@ fn uniform_motion_is_resampled_exactly() {
 }
 
 /// Returns (state, whether extrapolated) after some milliseconds.
-fn told(r: &Resampler, ms: i64) -> (State, bool) {
+fn state_at(r: &Resampler, ms: i64) -> (State, bool) {
     let known = r.at(at_ms(ms), FRAME);
     (known.state, known.is_predicted)
 }
@@ -48,43 +48,43 @@ fn told(r: &Resampler, ms: i64) -> (State, bool) {
 #[test]
 fn tracking_extends_one_frame_interval_past_the_last_frame() {
     let r = samples(&[Tracking; 3]);
-    assert_eq!([0, 20, 66].map(|ms| told(&r, ms)), [(Tracking, false); 3]);
-    assert_eq!([67, 99].map(|ms| told(&r, ms)), [(Tracking, true); 2]);
-    assert_eq!([101, 166].map(|ms| told(&r, ms)), [(Coasting, false); 2]);
-    assert_eq!(told(&r, 167), (Lost, false));
+    assert_eq!([0, 20, 66].map(|ms| state_at(&r, ms)), [(Tracking, false); 3]);
+    assert_eq!([67, 99].map(|ms| state_at(&r, ms)), [(Tracking, true); 2]);
+    assert_eq!([101, 166].map(|ms| state_at(&r, ms)), [(Coasting, false); 2]);
+    assert_eq!(state_at(&r, 167), (Lost, false));
 }
 
 #[test]
 fn inside_a_gap_nothing_is_tracking() {
     let r = samples(&[Tracking, Tracking, Coasting, Coasting, Tracking, Tracking]);
     // The frames themselves keep their state.
-    assert_eq!([33, 132].map(|ms| told(&r, ms).0), [Tracking; 2]);
-    assert_eq!([34, 66, 80, 99, 131].map(|ms| told(&r, ms).0), [Coasting; 5]);
-    assert_eq!(told(&r, 140).0, Tracking);
+    assert_eq!([33, 132].map(|ms| state_at(&r, ms).0), [Tracking; 2]);
+    assert_eq!([34, 66, 80, 99, 131].map(|ms| state_at(&r, ms).0), [Coasting; 5]);
+    assert_eq!(state_at(&r, 140).0, Tracking);
     // Frames that never came leave a gap too.
     let mut r = samples(&[Tracking; 2]);
     r.push(at_ms(99), known(Tracking, 99));
-    assert_eq!([40, 90].map(|ms| told(&r, ms).0), [Coasting; 2]);
-    assert_eq!(told(&r, 110), (Tracking, true));
+    assert_eq!([40, 90].map(|ms| state_at(&r, ms).0), [Coasting; 2]);
+    assert_eq!(state_at(&r, 110), (Tracking, true));
 }
 
 #[test]
 fn no_pose_is_interpolated_across_a_loss_or_a_long_gap() {
     let mut r = samples(&[Tracking, Tracking, Lost]);
     r.push(at_ms(99), known(Tracking, 500));
-    assert_eq!([34, 65, 66, 80].map(|ms| told(&r, ms).0), [Coasting, Coasting, Lost, Lost]);
+    assert_eq!([34, 65, 66, 80].map(|ms| state_at(&r, ms).0), [Coasting, Coasting, Lost, Lost]);
     // A single sample gives no motion.
     assert_eq!(r.at(at_ms(110), FRAME).pose, Some(moving(500)));
     r.push(at_ms(500), known(Tracking, 500));
-    assert_eq!(told(&r, 300), (Lost, false));
+    assert_eq!(state_at(&r, 300), (Lost, false));
 }
 
 #[test]
 fn a_late_tick_still_gets_the_pose_before_a_loss() {
     let mut r = samples(&[Tracking; 4]);
     r.push(at_ms(4 * 33), known(Lost, 0));
-    assert_eq!(told(&r, 50), (Tracking, false));
-    assert_eq!(told(&r, 140), (Lost, false));
+    assert_eq!(state_at(&r, 50), (Tracking, false));
+    assert_eq!(state_at(&r, 140), (Lost, false));
 }
 
 #[test]

@@ -164,7 +164,7 @@ pub struct SafetySettings {
     /// Maximum speed, metres per second; a pose that could only be reached faster is withheld.
     pub max_speed_m_s: Option<f64>,
     /// Maximum angular speed, radians per second.
-    pub max_turn_rad_s: Option<f64>,
+    pub max_angular_speed_rad_s: Option<f64>,
     /// Minimum and maximum corner of the permitted box, stage frame, metres; a pose outside is
     /// withheld.
     pub permitted_box_m: Option<[[f64; 3]; 2]>,
@@ -180,13 +180,13 @@ pub struct BlendRates {
     /// Metres per second.
     pub speed_m_s: f64,
     /// Radians per second.
-    pub turn_rad_s: f64,
+    pub angular_speed_rad_s: f64,
 }
 
 impl SafetySettings {
     /// Returns the default limits, which no stage camera exceeds. [`Default`] has none.
     pub fn usual() -> Self {
-        Self { max_speed_m_s: Some(FASTEST_M_S), max_turn_rad_s: Some(FASTEST_DEG_S.to_radians()), ..Self::default() }
+        Self { max_speed_m_s: Some(FASTEST_M_S), max_angular_speed_rad_s: Some(FASTEST_DEG_S.to_radians()), ..Self::default() }
     }
 
     /// Returns a warning if frames come so rarely that each is stale before the next one arrives.
@@ -205,7 +205,13 @@ impl SafetySettings {
 
 impl Default for SafetySettings {
     fn default() -> Self {
-        Self { max_speed_m_s: None, max_turn_rad_s: None, permitted_box_m: None, blend: None, stale_after: Duration::from_millis(500) }
+        Self {
+            max_speed_m_s: None,
+            max_angular_speed_rad_s: None,
+            permitted_box_m: None,
+            blend: None,
+            stale_after: Duration::from_millis(500),
+        }
     }
 }
 

@@ -254,11 +254,11 @@ impl Worker {
     /// Sends a report's packets. If the process was stopped since the age was checked, they would
     /// present an old frame as good: they are dropped, and the next round reports that it is stale.
     fn send(&mut self, report: &Report) {
-        let is_told_stale = report.bodies.iter().all(|body| body.state == State::Stale);
+        let is_reported_stale = report.bodies.iter().all(|body| body.state == State::Stale);
         let stale_at = self.memory.newest.after(self.stale_after);
         let (transport, counters, clock) = (&mut self.transport, &self.counters, &self.clock);
         self.encoder.encode(report, &mut |packet| {
-            if is_told_stale || clock.now().boot < stale_at {
+            if is_reported_stale || clock.now().boot < stale_at {
                 count(counters, packet, transport.send(packet));
             } else {
                 counters.dropped.fetch_add(1, Ordering::Relaxed);
@@ -319,7 +319,7 @@ mod tests {
 
     /// Returns what is sent about a frame if the process is stopped for `stop_ms` while its packet
     /// is made, and the number of packets dropped.
-    fn told(stop_ms: i64) -> (Vec<String>, u64) {
+    fn received(stop_ms: i64) -> (Vec<String>, u64) {
         let ear = UdpSocket::bind("127.0.0.1:0").unwrap();
         ear.set_nonblocking(true).unwrap();
         let settings = OutputSettings {
@@ -369,14 +369,14 @@ mod tests {
         worker.take(Arc::new(Arrival { sample: Arc::new(sample), at, recorded: None, rate_hz, interval, arrived: Instant::now() }));
         worker.round();
         let mut buffer = [0; 64];
-        let heard = std::iter::from_fn(|| ear.recv(&mut buffer).ok().map(|n| String::from_utf8_lossy(&buffer[..n]).into_owned()));
-        (heard.collect(), counters.dropped.load(Ordering::Relaxed))
+        let received = std::iter::from_fn(|| ear.recv(&mut buffer).ok().map(|n| String::from_utf8_lossy(&buffer[..n]).into_owned()));
+        (received.collect(), counters.dropped.load(Ordering::Relaxed))
     }
 
     #[test]
     fn a_pause_during_encoding_sends_stale_not_tracking() {
-        assert_eq!(told(0), (vec!["tracking".to_owned()], 0));
-        assert_eq!(told(499), (vec!["tracking".to_owned()], 0));
-        assert_eq!(told(2_500), (vec!["stale".to_owned()], 1));
+        assert_eq!(received(0), (vec!["tracking".to_owned()], 0));
+        assert_eq!(received(499), (vec!["tracking".to_owned()], 0));
+        assert_eq!(received(2_500), (vec!["stale".to_owned()], 1));
     }
 }

@@ -156,13 +156,13 @@ impl Painter {
 
     /// Paints a convex patch of three to six corners, on a stretched circle.
     fn patch(&mut self, canvas: &mut Canvas) {
-        let (middle, radius, turn) = (self.place(), self.length(0.006, 0.09), self.random.random::<f32>() * TAU);
+        let (middle, radius, rotation) = (self.place(), self.length(0.006, 0.09), self.random.random::<f32>() * TAU);
         let (stretch, corners) = (self.random.random_range(0.4..1.0), self.random.random_range(3..7));
         let points: Vec<[f32; 2]> = (0..corners)
             .map(|k| {
                 let angle = (k as f32 + self.random.random_range(-0.35..0.35)) / corners as f32 * TAU;
                 let (along, across) = (radius * angle.cos(), radius * stretch * angle.sin());
-                [middle[0] + along * turn.cos() - across * turn.sin(), middle[1] + along * turn.sin() + across * turn.cos()]
+                [middle[0] + along * rotation.cos() - across * rotation.sin(), middle[1] + along * rotation.sin() + across * rotation.cos()]
             })
             .collect();
         let (colour, opacity) = (self.colour(), self.random.random_range(0.75..1.0));

@@ -36,7 +36,7 @@ const HALVINGS: usize = 50;
 const UNSTRETCHINGS: usize = 6;
 /// Points along each side of a cloth at which its slope is sampled. Lowered, the steepest slope may
 /// be missed, for which [`STEEPER`] leaves a margin.
-const SLOPES_ASKED: u32 = 40;
+const SLOPES_PER_SIDE: u32 = 40;
 /// Margin around the cloth's bounding box, metres, so that no ray starts on the cloth.
 const MARGIN_M: f64 = 1e-6;
 
@@ -91,9 +91,9 @@ impl Cloth {
         }
         let (mut reach_m, mut slope) = (0.0, 0.0);
         for wave in waves {
-            let turns = Vector2::from(wave.wave_vector).norm();
-            (reach_m, slope) = (reach_m + wave.height_m.abs(), slope + wave.height_m.abs() * turns);
-            cloth.narrowest_m = cloth.narrowest_m.min(PI / turns.max(f64::MIN_POSITIVE));
+            let wave_number = Vector2::from(wave.wave_vector).norm();
+            (reach_m, slope) = (reach_m + wave.height_m.abs(), slope + wave.height_m.abs() * wave_number);
+            cloth.narrowest_m = cloth.narrowest_m.min(PI / wave_number.max(f64::MIN_POSITIVE));
         }
         cloth.heights_m = [cloth.heights_m[0] - reach_m - MARGIN_M, cloth.heights_m[1] + reach_m + MARGIN_M];
         cloth.steepest = cloth.steepest_at_rest() + slope;
@@ -101,8 +101,8 @@ impl Cloth {
     }
 
     fn steepest_at_rest(&self) -> f64 {
-        let along = |k: u32, half: f64| (2.0 * (f64::from(k) + 0.5) / f64::from(SLOPES_ASKED) - 1.0) * half;
-        let places = (0..SLOPES_ASKED).flat_map(|i| (0..SLOPES_ASKED).map(move |j| (i, j)));
+        let along = |k: u32, half: f64| (2.0 * (f64::from(k) + 0.5) / f64::from(SLOPES_PER_SIDE) - 1.0) * half;
+        let places = (0..SLOPES_PER_SIDE).flat_map(|i| (0..SLOPES_PER_SIDE).map(move |j| (i, j)));
         let slopes = places.map(|(i, j)| {
             let normal = self.shape.at([along(i, self.half_m[0]), along(j, self.half_m[1])]).normal();
             normal.xy().norm() / normal.z.abs()

@@ -184,8 +184,8 @@ impl CameraPath {
     pub fn pose(&self, time_s: f64) -> Pose<Stage, Camera> {
         let steady = look_at(self.position.at(time_s).into(), self.target.at(time_s).into(), self.roll_rad);
         let Some(shake) = &self.shake else { return steady };
-        let (offset, turn) = shake.at(time_s);
-        steady * Pose::<Camera, Camera>::new(UnitQuaternion::from_scaled_axis(turn), offset)
+        let (offset, rotation) = shake.at(time_s);
+        steady * Pose::<Camera, Camera>::new(UnitQuaternion::from_scaled_axis(rotation), offset)
     }
 }
 
@@ -216,16 +216,16 @@ pub struct ObjectPath {
     /// The origin of its frame in the stage.
     pub position: Spline,
     /// Rotation about z at time 0, radians; 0 faces the audience.
-    pub turn_rad: f64,
+    pub rotation_rad: f64,
     /// Rotation rate, radians per second.
-    pub turn_rate_rad_s: f64,
+    pub angular_velocity_rad_s: f64,
 }
 
 impl ObjectPath {
     /// Returns `T_stage_object` at a time.
     pub fn pose(&self, time_s: f64) -> Pose<Stage, Body> {
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.turn_rad + self.turn_rate_rad_s * time_s);
-        Pose::new(turn, self.position.at(time_s))
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.rotation_rad + self.angular_velocity_rad_s * time_s);
+        Pose::new(rotation, self.position.at(time_s))
     }
 }
 
@@ -315,9 +315,9 @@ mod tests {
         // Number of samples. Lowered, the scatter is less exact.
         const COUNT: i32 = 200_000;
         for k in 0..COUNT {
-            let (offset, turn) = shake.at(f64::from(k) * 0.003);
+            let (offset, rotation) = shake.at(f64::from(k) * 0.003);
             along_x += offset.x.powi(2) / f64::from(COUNT);
-            about_z += turn.z.powi(2) / f64::from(COUNT);
+            about_z += rotation.z.powi(2) / f64::from(COUNT);
         }
         assert!((along_x.sqrt() - 0.01).abs() < 0.0005);
         assert!((about_z.sqrt() - 0.02).abs() < 0.001);

@@ -111,7 +111,7 @@ pub struct Renderer {
 #[derive(Debug, Clone, Copy)]
 struct BentView {
     eye: Vector3<f64>,
-    turn: Matrix3<f64>,
+    rotation: Matrix3<f64>,
     time_s: f64,
 }
 
@@ -189,7 +189,7 @@ impl Renderer {
         let planes = self.planes.iter().map(|plane| plane.view(&plane.pose_at(&self.stage, time_s), &camera)).collect();
         let bent = self.bent.iter().map(|(plane, _)| {
             let t_surface_camera = plane.pose_at(&self.stage, time_s).inverse() * camera;
-            BentView { eye: t_surface_camera.translation, turn: t_surface_camera.rotation_matrix(), time_s }
+            BentView { eye: t_surface_camera.translation, rotation: t_surface_camera.rotation_matrix(), time_s }
         });
         let beams = self.stage.spots.iter().map(|spot| spot.beam(time_s)).collect();
         Views { planes, bent: bent.collect(), beams, camera }
@@ -224,7 +224,7 @@ impl Renderer {
             light = if view.height > 0.0 { face.light(u, v, texels as f32) } else { self.back };
         }
         for ((plane, cloth), view) in self.bent.iter().zip(&views.bent) {
-            let toward = view.turn * direction;
+            let toward = view.rotation * direction;
             let Some(met) = cloth.meet(&view.eye, &toward, NEAREST_M, view.time_s).filter(|met| met.depth < nearest) else { continue };
             nearest = met.depth;
             let [x, y] = met.on_picture_m;
@@ -300,11 +300,12 @@ impl Plane {
 
     fn view(&self, pose: &Pose<Stage, SurfaceFrame>, camera: &Pose<Stage, Camera>) -> View {
         let t_surface_camera = pose.inverse() * *camera;
-        let (turn, eye) = (t_surface_camera.rotation_matrix(), t_surface_camera.translation);
-        // The ray eye + s turn d meets z = 0 at s = -eye.z / (turn d).z; its x there is (eye.x
-        // (turn d).z - eye.z (turn d).x) / (turn d).z.
-        let down = turn.row(2);
-        let metres = Matrix3::from_rows(&[down * eye.x - turn.row(0) * eye.z, down * eye.y - turn.row(1) * eye.z, down.into_owned()]);
+        let (rotation, eye) = (t_surface_camera.rotation_matrix(), t_surface_camera.translation);
+        // The ray eye + s R d meets z = 0 at s = -eye.z / (R d).z; its x there is (eye.x (R d).z -
+        // eye.z (R d).x) / (R d).z.
+        let down = rotation.row(2);
+        let metres =
+            Matrix3::from_rows(&[down * eye.x - rotation.row(0) * eye.z, down * eye.y - rotation.row(1) * eye.z, down.into_owned()]);
         let h_face_ray = self.h_face_metres * metres;
         View { h_face_ray, determinant: h_face_ray.determinant(), height: eye.z }
     }

@@ -137,7 +137,7 @@ fn nearer_things_hide_farther_ones() {
     let mut scene = stage_of(checker(1200), camera([0.0; 5]), path);
     let prop = artwork_surface("prop", white, [0.4, 0.4], upright(Vector3::zeros(), 0.0));
     let keys = [(0.0, Vector3::new(-0.5, -1.0, 0.0)), (1.0, Vector3::new(0.5, -1.0, 0.0))];
-    let way = ObjectPath { position: Spline::new(&keys).unwrap(), turn_rad: 0.0, turn_rate_rad_s: 0.0 };
+    let way = ObjectPath { position: Spline::new(&keys).unwrap(), rotation_rad: 0.0, angular_velocity_rad_s: 0.0 };
     scene.objects.push(MovingObject { body: BodySpec::new("prop", vec![prop]), path: way });
     let centre = Point3::new(0.0, -2.0, 0.0);
     scene.occluders.push(Occluder { centre, swing: Vector3::zeros(), period_s: 1.0, half_size_m: [0.05, 0.2], grey: 90.0 });

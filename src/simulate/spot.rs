@@ -69,8 +69,8 @@ mod tests {
         let beam = spot.beam(0.0);
         assert_eq!(beam.light_at(&Point3::origin()), 0.8);
         // One sigma aside at a distance of 5 m: exp(-1/2).
-        let aside = beam.light_at(&Point3::new(5.0 * 0.1_f64.tan(), 0.0, 0.0));
-        assert!((aside - 0.8 * (-0.5_f32).exp()).abs() < 1e-5, "{aside}");
+        let off_axis = beam.light_at(&Point3::new(5.0 * 0.1_f64.tan(), 0.0, 0.0));
+        assert!((off_axis - 0.8 * (-0.5_f32).exp()).abs() < 1e-5, "{off_axis}");
         assert_eq!(beam.light_at(&Point3::new(0.0, -9.0, 6.0)), 0.0);
         assert_eq!(spot.beam(0.5).light_at(&Point3::new(1.0, 0.0, 0.0)), 0.8);
     }

@@ -5,11 +5,11 @@ use nalgebra::{UnitQuaternion, Vector3};
 use crate::geometry::{Body, Pose, SurfaceFrame};
 
 /// Returns `T_body_surface` of a surface that stands upright with its centre at `position` (metres)
-/// and faces the audience, turned by `turn_rad` about the vertical (positive: the face turns
+/// and faces the audience, turned by `rotation_rad` about the vertical (positive: the face turns
 /// towards stage x).
-pub fn upright(position: Vector3<f64>, turn_rad: f64) -> Pose<Body, SurfaceFrame> {
+pub fn upright(position: Vector3<f64>, rotation_rad: f64) -> Pose<Body, SurfaceFrame> {
     let stand = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2);
-    Pose::new(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_rad) * stand, position)
+    Pose::new(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), rotation_rad) * stand, position)
 }
 
 #[cfg(test)]

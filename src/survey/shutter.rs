@@ -9,7 +9,7 @@
 
 use crate::camera::Shutter;
 use crate::frame::{Frame, Timestamp};
-use crate::track::agreement::{Agreement, AgreementBuffers, Said};
+use crate::track::agreement::{Agreement, AgreementBuffers, FrameValue};
 use crate::track::{BodyTracker, Clue, TUNING};
 use crate::tracker::Tracker;
 
@@ -138,8 +138,8 @@ where
         let readout = agreed(&found.readout, TUNING.body.max_vague_readout_sigma_s);
         let exposure = agreed(&found.exposure, VAGUE_EXPOSURE);
         // The visible fraction of a change, from the answers at two shutters.
-        if let (Some(r), Some((then_s, asked))) = (readout, before.filter(|(then_s, _)| (shutter.readout_s - then_s).abs() > 2e-4)) {
-            slope = ((asked - r.value) / (shutter.readout_s - then_s)).clamp(MIN_SLOPE, 1.5);
+        if let (Some(r), Some((then_s, previous))) = (readout, before.filter(|(then_s, _)| (shutter.readout_s - then_s).abs() > 2e-4)) {
+            slope = ((previous - r.value) / (shutter.readout_s - then_s)).clamp(MIN_SLOPE, 1.5);
         }
         before = readout.map(|r| (shutter.readout_s, r.value));
         let most = MAX_READOUT_STEP * interval_s;
@@ -167,8 +167,8 @@ where
                 && step.abs() < SMALL_EXPOSURE_STEP,
         };
         // Frames that determine neither will not do so in another pass.
-        let is_told = readout.is_some() || exposure.is_some();
-        if estimate.has_settled && (pass > 0 || !is_told) {
+        let is_estimated = readout.is_some() || exposure.is_some();
+        if estimate.has_settled && (pass > 0 || !is_estimated) {
             break;
         }
     }
@@ -178,13 +178,13 @@ where
 /// Returns the change on which the frames agree; `None` if too few know it to `vague` (one sigma).
 fn agreed(clues: &[Clue], vague: f64) -> Option<Agreement> {
     let tells = |c: &&Clue| c.information > vague.powi(-2) && c.score.is_finite();
-    let said: Vec<Said> = clues.iter().filter(tells).map(|c| Said::new(c.score / c.information, 1.0 / c.information)).collect();
+    let said: Vec<FrameValue> = clues.iter().filter(tells).map(|c| FrameValue::new(c.score / c.information, 1.0 / c.information)).collect();
     agreement(&said)
 }
 
 /// Returns the robust mean of what frames say, in order; `None` for fewer than
 /// `min_agreement_frames`.
-fn agreement(said: &[Said]) -> Option<Agreement> {
+fn agreement(said: &[FrameValue]) -> Option<Agreement> {
     (said.len() >= TUNING.body.min_agreement_frames).then(|| AgreementBuffers::default().agreement(said))
 }
 

@@ -96,18 +96,18 @@ mod tests {
         let (statistics, clocks) = (Statistics::default(), SteppedClocks::new());
         let clock = FrameClock::with(Arc::new(clocks.clone()), Stamps::Live);
         statistics.sample(&PoseSample { state: State::Tracking, ..PoseSample::stale(3, START.monotonic.after_ns(-20_000_000), 0.0) });
-        let told = |wanted_s: f64| {
+        let assert_age = |wanted_s: f64| {
             let health: serde_json::Value = serde_json::from_str(&health(&statistics, &clock).body).unwrap();
             assert_eq!(health["frame_age_ms"].as_f64(), Some(wanted_s * 1e3));
             let line = format!("stagepose_last_frame_age_seconds {wanted_s}");
             let page = metrics(&statistics, &clock);
             assert!(page.body.lines().any(|l| l == line), "{line} is not in\n{}", page.body);
         };
-        told(0.02);
+        assert_age(0.02);
         clocks.suspend_ms(3_600_000);
-        told(3_600.02);
+        assert_age(3_600.02);
         clocks.step_wall_ms(-86_400_000);
         clocks.advance_ms(100);
-        told(3_600.12);
+        assert_age(3_600.12);
     }
 }

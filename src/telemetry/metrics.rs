@@ -99,18 +99,18 @@ mod tests {
         let dashboard: serde_json::Value = serde_json::from_str(text).unwrap();
         let clock = FrameClock::with(Arc::new(SteppedClocks::new()), Stamps::Live);
         let page = metrics(&Statistics::default(), &clock);
-        let told: HashSet<&str> = page.body.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next()).collect();
-        let mut asked = HashSet::new();
+        let families: HashSet<&str> = page.body.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next()).collect();
+        let mut queried = HashSet::new();
         let targets = dashboard["panels"].as_array().unwrap().iter().flat_map(|panel| panel["targets"].as_array().unwrap());
         for target in targets {
             let words = target["expr"].as_str().unwrap().split(|c: char| !c.is_ascii_alphanumeric() && c != '_');
             for name in words.filter(|word| word.starts_with("stagepose_")) {
                 let family = ["_bucket", "_sum", "_count"].iter().find_map(|end| name.strip_suffix(end)).unwrap_or(name);
-                assert!(told.contains(family), "the dashboard asks for {name}, which /metrics does not have");
-                asked.insert(family);
+                assert!(families.contains(family), "the dashboard asks for {name}, which /metrics does not have");
+                queried.insert(family);
             }
         }
-        assert_eq!(asked, told);
+        assert_eq!(queried, families);
     }
 
     #[test]

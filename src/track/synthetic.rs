@@ -107,8 +107,8 @@ pub fn seen(camera: &CameraModel, pose: &Pose<Camera, Body>, spec: &SurfaceSpec,
 /// Returns `T_camera_body` of a camera that faces a [`cloth`], tilted by rotations about its x and
 /// y.
 pub fn facing(tilt_x: f64, tilt_y: f64, shift: Vector3<f64>) -> Pose<Camera, Body> {
-    let turn_over = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
-    Pose::new(UnitQuaternion::from_euler_angles(tilt_x, tilt_y, 0.02) * turn_over, shift)
+    let flip = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    Pose::new(UnitQuaternion::from_euler_angles(tilt_x, tilt_y, 0.02) * flip, shift)
 }
 
 /// Returns anchors on a grid over every surface, `across` per side, with one pixel of noise each in

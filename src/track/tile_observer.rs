@@ -63,8 +63,8 @@ pub struct KnownRates {
 impl KnownRates {
     /// Returns the motion that has these rates at `pose`.
     pub fn on(&self, pose: &Pose<Body, Camera>) -> Motion {
-        let [velocity, turn_rate, acceleration, turn_acceleration] = self.means;
-        Motion { pose: *pose, velocity, turn_rate, acceleration, turn_acceleration }
+        let [velocity, angular_velocity, acceleration, angular_acceleration] = self.means;
+        Motion { pose: *pose, velocity, angular_velocity, acceleration, angular_acceleration }
     }
 }
 

@@ -133,18 +133,18 @@ async fn answer(request: HttpRequest<Body>, of_path: Arc<[Route]>, desk: Arc<Des
     match &route.handler {
         Handler::Quick(handler) => Ok(response(handler())),
         Handler::Whole(handler) => Ok(handler(request).await),
-        Handler::Aside(_) => Ok(answer_aside(request, route, caller, &desk).await.unwrap_or_else(response)),
+        Handler::Slow(_) => Ok(answer_slowly(request, route, caller, &desk).await.unwrap_or_else(response)),
     }
 }
 
 /// Answers on another thread when it is the request's turn. Its content has arrived by then, except
 /// a large file, which is read in pieces.
-async fn answer_aside(request: HttpRequest<Body>, route: &Route, caller: Option<Caller>, desk: &Desk) -> Result<Response<Body>, Reply> {
+async fn answer_slowly(request: HttpRequest<Body>, route: &Route, caller: Option<Caller>, desk: &Desk) -> Result<Response<Body>, Reply> {
     let peer = caller.as_ref().map_or(NOBODY, |caller| caller.peer);
     let connection = caller.as_ref().and_then(|caller| caller.connection.clone());
     let transfers = caller.map(|caller| caller.transfers).unwrap_or_default();
     let _transfer = transfers.begin();
-    let Handler::Aside(handler) = route.handler.clone() else { return Err(Reply::text(500, "this path has no handler\n")) };
+    let Handler::Slow(handler) = route.handler.clone() else { return Err(Reply::text(500, "this path has no handler\n")) };
     let (mut parts, body) = request.into_parts();
     let fields = fields(&mut parts).await;
     let (content, to_come) = match route.content {

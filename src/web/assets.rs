@@ -197,8 +197,8 @@ fn answer(request: &Request<Body>, asset: &Asset, k: usize, tag: &str) -> Respon
 
 /// Whether the browser has the file already (RFC 9110, 13.1.2).
 fn has_it(request: &Request<Body>, tag: &str) -> bool {
-    let said = request.headers().get_all(header::IF_NONE_MATCH).iter().filter_map(|value| value.to_str().ok());
-    said.flat_map(|value| value.split(',')).map(str::trim).any(|one| one == "*" || one.strip_prefix("W/").unwrap_or(one) == tag)
+    let values = request.headers().get_all(header::IF_NONE_MATCH).iter().filter_map(|value| value.to_str().ok());
+    values.flat_map(|value| value.split(',')).map(str::trim).any(|one| one == "*" || one.strip_prefix("W/").unwrap_or(one) == tag)
 }
 
 #[cfg(test)]

@@ -18,7 +18,8 @@ pub(super) struct CameraMotion {
     /// Velocity, m/s.
     pub velocity: [f64; 3],
     /// Angular velocity, rad/s.
-    pub turn_rate: [f64; 3],
+    #[serde(rename = "turn_rate")]
+    pub angular_velocity: [f64; 3],
 }
 
 /// Follows the poses of one session.
@@ -59,7 +60,7 @@ impl MotionFollower {
             Some(before.rates.map_or(between, |then| [0, 1].map(|k| between[k] + (between[k] - then[k]) * 0.5)))
         });
         self.before = Some(Before { pose, timestamp: sample.timestamp, rates });
-        now.map(|[velocity, turn_rate]| CameraMotion { velocity: velocity.into(), turn_rate: turn_rate.into() })
+        now.map(|[velocity, angular_velocity]| CameraMotion { velocity: velocity.into(), angular_velocity: angular_velocity.into() })
     }
 }
 
@@ -93,7 +94,7 @@ mod tests {
         let motion = found[3].unwrap();
         let velocity = pose(t).rotation.inverse() * (pose(t).translation - pose(t - 1e-6).translation) / 1e-6;
         assert!((Vector3::from(motion.velocity) - velocity).norm() < 1e-3, "{motion:?} {velocity}");
-        assert!((Vector3::from(motion.turn_rate) - Vector3::y() * (0.5 + 2.0 * t)).norm() < 1e-3, "{motion:?}");
+        assert!((Vector3::from(motion.angular_velocity) - Vector3::y() * (0.5 + 2.0 * t)).norm() < 1e-3, "{motion:?}");
     }
 
     #[test]

@@ -31,27 +31,27 @@ pub(super) fn routes(keys: &Arc<Keys>, about: Option<About>) -> Vec<Route> {
     let of = |keys: &Arc<Keys>| keys.clone();
     let (session, pair, clients, revoke, lock, unlock) = (of(keys), of(keys), of(keys), of(keys), of(keys), of(keys));
     vec![
-        Route::aside(Method::GET, "/api/v1/session", Access::Anyone, move |call| {
-            let mut told = about.as_ref().map_or_else(|| json!({}), |about| about());
+        Route::slow(Method::GET, "/api/v1/session", Access::Anyone, move |call| {
+            let mut session_state = about.as_ref().map_or_else(|| json!({}), |about| about());
             let is_paired = session.is_paired(&call.headers);
-            told["paired"] = is_paired.into();
-            told["needs_pairing"] = (!call.is_here() && !is_paired).into();
-            told["locked"] = session.is_locked().into();
-            told["version"] = env!("CARGO_PKG_VERSION").into();
-            told["page"] = assets::version().into();
-            Ok(Reply::json(200, told.to_string()))
+            session_state["paired"] = is_paired.into();
+            session_state["needs_pairing"] = (!call.is_here() && !is_paired).into();
+            session_state["locked"] = session.is_locked().into();
+            session_state["version"] = env!("CARGO_PKG_VERSION").into();
+            session_state["page"] = assets::version().into();
+            Ok(Reply::json(200, session_state.to_string()))
         })
         .probe(),
-        Route::aside(Method::POST, "/api/v1/pair", Access::Pair, move |call| {
+        Route::slow(Method::POST, "/api/v1/pair", Access::Pair, move |call| {
             let asked: Pairing = call.json(LARGEST)?;
             Ok(Reply::done().with("set-cookie", &pair.pair(&asked.code, &asked.name, call.permission.peer, Instant::now())?))
         })
         .takes(LARGEST),
-        Route::aside(Method::GET, "/api/v1/clients", Access::Paired, move |_| Ok(Reply::json(200, json!(clients.clients()).to_string()))),
-        Route::aside(Method::DELETE, "/api/v1/clients/{id}", Access::Change, move |call| {
+        Route::slow(Method::GET, "/api/v1/clients", Access::Paired, move |_| Ok(Reply::json(200, json!(clients.clients()).to_string()))),
+        Route::slow(Method::DELETE, "/api/v1/clients/{id}", Access::Change, move |call| {
             revoke.revoke(call.name("id")?).map(|()| Reply::done())
         }),
-        Route::aside(Method::POST, "/api/v1/lock", Access::Change, move |_| lock.lock(true).map(|()| Reply::done())),
-        Route::aside(Method::POST, "/api/v1/unlock", Access::Unlock, move |_| unlock.lock(false).map(|()| Reply::done())),
+        Route::slow(Method::POST, "/api/v1/lock", Access::Change, move |_| lock.lock(true).map(|()| Reply::done())),
+        Route::slow(Method::POST, "/api/v1/unlock", Access::Unlock, move |_| unlock.lock(false).map(|()| Reply::done())),
     ]
 }

@@ -36,7 +36,8 @@ struct Line<'a> {
     unix_ms: u64,
     /// `error`, `warn` or `info`.
     level: &'static str,
-    says: String,
+    #[serde(rename = "says")]
+    message: String,
     #[serde(flatten)]
     event: &'a StampedEvent,
 }
@@ -55,8 +56,8 @@ impl Events {
     pub fn watch(&self) {
         let source = self.source.lock().unwrap_or_else(PoisonError::into_inner);
         // Dropped frames are only counted; there may be thousands.
-        let told = source.iter().flat_map(|source| source.try_iter()).filter(|e| !matches!(e.event, Event::FrameDropped { .. }));
-        for (line, is_kept) in told.filter_map(|event| Some((line(&event)?, !event.event.is_progress()))) {
+        let events = source.iter().flat_map(|source| source.try_iter()).filter(|e| !matches!(e.event, Event::FrameDropped { .. }));
+        for (line, is_kept) in events.filter_map(|event| Some((line(&event)?, !event.event.is_progress()))) {
             let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
             if is_kept {
                 if recent.len() == REMEMBERED {
@@ -78,21 +79,21 @@ impl Events {
 }
 
 /// Returns an event's severity as a word, and its sentence.
-pub(super) fn said(event: &Event) -> (&'static str, String) {
-    let (level, says) = event.says();
+pub(super) fn level_and_message(event: &Event) -> (&'static str, String) {
+    let (level, message) = event.message();
     let level = match level {
         tracing::Level::ERROR => "error",
         tracing::Level::WARN => "warn",
         _ => "info",
     };
-    (level, says)
+    (level, message)
 }
 
 pub(super) fn line(event: &StampedEvent) -> Option<Utf8Bytes> {
     let unix_ms = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64);
-    let (level, says) = said(&event.event);
+    let (level, message) = level_and_message(&event.event);
     // Serialising fails only for non-string map keys, of which there are none.
-    let line = serde_json::to_string(&Line { unix_ms, level, says, event }).ok()?;
+    let line = serde_json::to_string(&Line { unix_ms, level, message, event }).ok()?;
     Some(printable(&line).into_owned().into())
 }
 
@@ -146,16 +147,16 @@ mod tests {
         }
         events.watch();
         let (recent, mut late) = events.listen();
-        let told = read(&recent);
-        assert_eq!((told.len(), &told[0]["reason"]), (REMEMBERED, &"reason 5".into()));
-        assert_eq!((&told[0]["event"], &told[0]["level"]), (&"camera_lost".into(), &"warn".into()));
-        assert_eq!(told[0]["says"], "the camera is lost: reason 5");
-        assert!(told[0]["unix_ms"].as_u64() > Some(1_600_000_000_000));
+        let lines = read(&recent);
+        assert_eq!((lines.len(), &lines[0]["reason"]), (REMEMBERED, &"reason 5".into()));
+        assert_eq!((&lines[0]["event"], &lines[0]["level"]), (&"camera_lost".into(), &"warn".into()));
+        assert_eq!(lines[0]["says"], "the camera is lost: reason 5");
+        assert!(lines[0]["unix_ms"].as_u64() > Some(1_600_000_000_000));
         log.publish(Event::CameraWaiting { reason: "a\u{1b}[2J".to_owned() });
         events.watch();
         let next = late.try_recv().unwrap();
         assert!(next.as_str().chars().all(crate::printable::stands_for_itself), "{next:?}");
-        let heard: Vec<_> = std::iter::from_fn(|| early.try_recv().ok()).collect();
-        assert_eq!((heard.len(), heard.last()), (REMEMBERED + 6, Some(&next)));
+        let received: Vec<_> = std::iter::from_fn(|| early.try_recv().ok()).collect();
+        assert_eq!((received.len(), received.last()), (REMEMBERED + 6, Some(&next)));
     }
 }

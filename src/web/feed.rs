@@ -46,7 +46,7 @@ struct Last {
     /// The stale message that followed it.
     silence: Option<Arc<PoseSample>>,
     /// When a silence was last reported.
-    said: Option<Timestamp>,
+    sent_at: Option<Timestamp>,
 }
 
 fn milliseconds(age: Duration) -> f64 {
@@ -99,14 +99,14 @@ impl Feed {
         let Some(ages) = self.ages() else { return };
         let now = ages.clock.now().boot;
         let mut last = self.last();
-        let is_said = last.said.is_some_and(|said| now.duration_since(said) < REPEAT);
-        if !is_said && self.is_too_old(&last) {
+        let was_just_sent = last.sent_at.is_some_and(|sent_at| now.duration_since(sent_at) < REPEAT);
+        if !was_just_sent && self.is_too_old(&last) {
             self.say_silence(&mut last);
         }
     }
 
     fn say_silence(&self, last: &mut Last) {
-        last.said = self.ages().map(|ages| ages.clock.now().boot);
+        last.sent_at = self.ages().map(|ages| ages.clock.now().boot);
         self.send(|| self.silence(last).to_json_line());
     }
 
@@ -130,8 +130,8 @@ impl Feed {
     /// Returns the stale message, with the newest frame's current age.
     fn silence(&self, last: &Last) -> PoseSample {
         let (sequence, timestamp) = last.record.as_ref().map(|(record, _)| (record.sequence, record.timestamp)).unwrap_or_default();
-        let told_ms = last.silence.as_ref().and_then(|silence| silence.times.age_ms);
-        let age_ms = self.age(last).map(milliseconds).or(told_ms);
+        let reported_ms = last.silence.as_ref().and_then(|silence| silence.times.age_ms);
+        let age_ms = self.age(last).map(milliseconds).or(reported_ms);
         PoseSample::stale(sequence, timestamp, age_ms.unwrap_or(0.0))
     }
 
@@ -165,15 +165,15 @@ impl Feed {
     pub fn known(&self) -> Value {
         let last = self.last();
         let is_too_old = self.is_too_old(&last);
-        let told = |state: State| if is_too_old { State::Stale } else { state };
+        let shown = |state: State| if is_too_old { State::Stale } else { state };
         let Some((record, _)) = &last.record else {
             let state = is_too_old.then_some(State::Stale);
             return json!({"state": state, "sequence": null, "age_s": null, "objects": []});
         };
-        let objects: Vec<_> = record.objects.iter().map(|o| json!({"name": o.name, "state": told(o.state)})).collect();
+        let objects: Vec<_> = record.objects.iter().map(|o| json!({"name": o.name, "state": shown(o.state)})).collect();
         let age_s = self.age(&last).map(|age| milliseconds(age).round() * 1e-3);
         json!({
-            "state": told(record.state), "sequence": record.sequence, "timestamp_ns": record.timestamp,
+            "state": shown(record.state), "sequence": record.sequence, "timestamp_ns": record.timestamp,
             "age_s": age_s, "objects": objects,
         })
     }

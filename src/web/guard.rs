@@ -23,7 +23,7 @@ const HTTPS_PORT: u16 = 443;
 /// # Errors
 /// Why it is not answered.
 pub(super) fn judge<B>(hosts: &AllowedHosts, request: &Request<B>, reached: IpAddr) -> Result<(), Reply> {
-    let host = asked_host(request)?;
+    let host = requested_host(request)?;
     if host.as_ref().is_some_and(|host| !hosts.allows(&host.host, reached)) {
         let sentence = "this server does not answer for that host; call it by localhost, by an address or the name of its machine, \
             or add the host to hosts in [http]\n";
@@ -38,7 +38,7 @@ pub(super) fn judge<B>(hosts: &AllowedHosts, request: &Request<B>, reached: IpAd
 }
 
 /// Returns the requested host; `None` for HTTP/1.0 without a host, which no browser uses.
-fn asked_host<B>(request: &Request<B>) -> Result<Option<HostAndPort>, Reply> {
+fn requested_host<B>(request: &Request<B>) -> Result<Option<HostAndPort>, Reply> {
     let bad = |sentence: &str| Reply::text(400, sentence);
     if request.method() == Method::CONNECT {
         return Err(bad("this server is not a proxy\n"));
@@ -93,13 +93,13 @@ fn is_from_here(headers: &HeaderMap, host: Option<&HostAndPort>) -> bool {
 /// Whether the browser says that the request is from here. Following a link from another site is
 /// allowed: only the user sees the answer.
 fn is_fetched_from_here(method: &Method, headers: &HeaderMap) -> bool {
-    let says = |name: &'static str| only(headers, HeaderName::from_static(name)).unwrap_or(Some(""));
-    match says("sec-fetch-site") {
+    let header = |name: &'static str| only(headers, HeaderName::from_static(name)).unwrap_or(Some(""));
+    match header("sec-fetch-site") {
         None | Some("same-origin" | "none") => true,
         Some(_) => {
             matches!(*method, Method::GET | Method::HEAD)
-                && says("sec-fetch-mode") == Some("navigate")
-                && says("sec-fetch-dest") == Some("document")
+                && header("sec-fetch-mode") == Some("navigate")
+                && header("sec-fetch-dest") == Some("document")
         }
     }
 }

@@ -29,7 +29,7 @@ fn parts(message: &[u8]) -> (serde_json::Value, &[u8]) {
 pub(in crate::web) fn heads() -> Vec<serde_json::Value> {
     let [tracked, mut lost] = crate::web::api::types_tests::samples();
     lost.reason = Some(Reason::Covered);
-    let motion = CameraMotion { velocity: [0.5, 0.0, 0.25], turn_rate: [0.0, 2.0, 0.0] };
+    let motion = CameraMotion { velocity: [0.5, 0.0, 0.25], angular_velocity: [0.0, 2.0, 0.0] };
     let used = Shown { pixels: vec![1, 2], hidden: vec![3, 4], displaced: vec![1.0, 2.0, 0.1, 0.2] };
     let whole = Taken { used: Some(used), ..taken(1, &row(1, None), &tracked, Some(motion)).unwrap() };
     [whole, taken(1, &row(2, None), &lost, None).unwrap()].iter().map(|row| parts(&message(row).unwrap()).0).collect()
@@ -39,7 +39,7 @@ pub(in crate::web) fn heads() -> Vec<serde_json::Value> {
 fn a_camera_jpeg_is_passed_through_with_its_frames_record() {
     let jpeg: Arc<[u8]> = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/dolly/frames/000000.jpg")).unwrap().into();
     let mut lost = sample(7, State::Lost);
-    let motion = CameraMotion { velocity: [0.5, 0.0, 0.25], turn_rate: [0.0, 2.0, 0.0] };
+    let motion = CameraMotion { velocity: [0.5, 0.0, 0.25], angular_velocity: [0.0, 2.0, 0.0] };
     lost.reason = Some(Reason::Covered);
     let taken = taken(3, &row(7, Some(Received::Jpeg(jpeg.clone()))), &lost, Some(motion)).unwrap();
     let message = message(&taken).unwrap();
@@ -48,7 +48,7 @@ fn a_camera_jpeg_is_passed_through_with_its_frames_record() {
     assert_eq!(head["record"].to_string(), serde_json::from_str::<serde_json::Value>(&lost.to_json_line()).unwrap().to_string());
     assert_eq!((&head["epoch"], &head["size"][0], &head["reason"]), (&3.into(), &64.into(), &"covered".into()));
     assert_eq!((&head["motion"]["velocity"][2], &head["motion"]["turn_rate"][1]), (&0.25.into(), &2.0.into()));
-    assert_eq!((&head["says"], &head["mend"]), (&Reason::Covered.says().into(), &Reason::Covered.mend().into()));
+    assert_eq!((&head["says"], &head["mend"]), (&Reason::Covered.message().into(), &Reason::Covered.hint().into()));
 }
 
 #[test]

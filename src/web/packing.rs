@@ -17,8 +17,8 @@ pub(super) fn packed(bytes: &[u8]) -> Vec<u8> {
 
 /// Whether the client accepts gzip (RFC 9110, 12.5.3).
 pub(super) fn unpacks(request: &Request<Body>) -> bool {
-    let said = request.headers().get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
-    said.flat_map(|value| value.split(',')).any(|one| {
+    let values = request.headers().get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
+    values.flat_map(|value| value.split(',')).any(|one| {
         let (name, weight) = one.split_once(';').unwrap_or((one, "q=1"));
         let is_refused = weight.trim().strip_prefix("q=").and_then(|weight| weight.parse::<f32>().ok()) == Some(0.0);
         ["gzip", "x-gzip"].contains(&name.trim().to_ascii_lowercase().as_str()) && !is_refused
@@ -31,12 +31,12 @@ mod tests {
 
     #[test]
     fn every_form_of_accept_encoding_is_understood() {
-        let unpacks = |said: &str| unpacks(&Request::builder().header(header::ACCEPT_ENCODING, said).body(Body::empty()).unwrap());
-        for said in ["gzip", "br, GZIP", "deflate, gzip;q=0.5", "x-gzip"] {
-            assert!(unpacks(said), "{said}");
+        let unpacks = |values: &str| unpacks(&Request::builder().header(header::ACCEPT_ENCODING, values).body(Body::empty()).unwrap());
+        for values in ["gzip", "br, GZIP", "deflate, gzip;q=0.5", "x-gzip"] {
+            assert!(unpacks(values), "{values}");
         }
-        for said in ["", "br", "gzip;q=0", "gzip; q=0.0", "identity, *;q=0"] {
-            assert!(!unpacks(said), "{said}");
+        for values in ["", "br", "gzip;q=0", "gzip; q=0.0", "identity, *;q=0"] {
+            assert!(!unpacks(values), "{values}");
         }
     }
 }

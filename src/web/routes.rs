@@ -19,7 +19,7 @@ use super::reply::Reply;
 type Quick = Arc<dyn Fn() -> Reply + Send + Sync>;
 /// A handler that may take its time: it may read, write and compute, and runs on a thread with
 /// lower priority than the tracker's.
-pub(super) type Aside = Arc<dyn Fn(&mut Call) -> Result<Reply, Reply> + Send + Sync>;
+pub(super) type Slow = Arc<dyn Fn(&mut Call) -> Result<Reply, Reply> + Send + Sync>;
 
 /// A handler that gets the whole request and makes the whole response: a WebSocket, or a file of
 /// the page.
@@ -29,7 +29,7 @@ type Whole = Arc<dyn Fn(Request<Body>) -> Pin<Box<dyn Future<Output = Response<B
 #[derive(Clone)]
 pub(super) enum Handler {
     Quick(Quick),
-    Aside(Aside),
+    Slow(Slow),
     Whole(Whole),
 }
 
@@ -65,13 +65,13 @@ impl Route {
     }
 
     /// Returns a route that may take its time, with fields such as `{id}` in its path.
-    pub(super) fn aside(
+    pub(super) fn slow(
         method: Method,
         path: &'static str,
         access: Access,
         handler: impl Fn(&mut Call) -> Result<Reply, Reply> + Send + Sync + 'static,
     ) -> Self {
-        Self::new(method, path, access, Handler::Aside(Arc::new(handler)))
+        Self::new(method, path, access, Handler::Slow(Arc::new(handler)))
     }
 
     /// Returns a route that changes nothing and gets the whole request.

@@ -250,12 +250,12 @@ mod tests {
         let mut unpacked = Vec::new();
         std::io::copy(&mut flate2::read::GzDecoder::new(scene.reply(true).body.as_slice()), &mut unpacked).unwrap();
         assert_eq!(unpacked, whole);
-        let told: Value = serde_json::from_slice(&whole).unwrap();
-        assert_eq!((&told["camera"]["fy"], &told["camera"]["valid_radius"]), (&61.0.into(), &Value::Null));
+        let value: Value = serde_json::from_slice(&whole).unwrap();
+        assert_eq!((&value["camera"]["fy"], &value["camera"]["valid_radius"]), (&61.0.into(), &Value::Null));
         // The border of a pinhole's frame, half a pixel outside the outer pixel centres.
-        let left = told["overscan"]["left"].as_f64().unwrap();
+        let left = value["overscan"]["left"].as_f64().unwrap();
         assert!((left - (-0.5 - 31.5) / 60.0).abs() < 1e-9, "{left}");
-        let surface = &told["stage"]["surfaces"][0];
+        let surface = &value["stage"]["surfaces"][0];
         let outline: Vec<[f64; 3]> = serde_json::from_value(surface["outline_m"].clone()).unwrap();
         assert_eq!((outline.len(), &surface["name"]), (64, &"backdrop.png".into()));
         // Upright at the origin: x right, z up.

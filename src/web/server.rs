@@ -82,7 +82,7 @@ const BRIEFLY: Duration = Duration::from_secs(2);
 const ENDS_WITHIN: Duration = Duration::from_millis(250);
 
 /// Threads for slow work in addition to the lanes': for the page's folder. Raised, more memory.
-const MAX_ASIDE: usize = 2;
+const EXTRA_THREADS: usize = 2;
 
 /// Interval of checks of the newest frame's age and of the events; clients learn when a frame has
 /// become too old. Chosen: shorter than a person notices. Raised, they learn later.
@@ -155,7 +155,7 @@ impl Server {
         let mut runtime = tokio::runtime::Builder::new_current_thread();
         let runtime = runtime
             .enable_all()
-            .max_blocking_threads(most_threads() + MAX_ASIDE)
+            .max_blocking_threads(most_threads() + EXTRA_THREADS)
             .on_thread_start(stand_back)
             .build()
             .map_err(WebError::Start)?;
@@ -174,7 +174,7 @@ impl Server {
         let (events, scene) = (Arc::new(Events::new()), Arc::<Scene>::default());
         let (described, pictured) = (scene.clone(), scene.clone());
         routes.push(Route::whole("/api/v1/scene", move |request| std::future::ready(response(described.reply(unpacks(&request))))));
-        routes.push(Route::aside(Method::GET, "/api/v1/surfaces/{number}/picture", Access::Anyone, move |call| {
+        routes.push(Route::slow(Method::GET, "/api/v1/surfaces/{number}/picture", Access::Anyone, move |call| {
             Ok(pictured.picture(call.name("number")?))
         }));
         routes.extend(entrance::routes(&keys, site.about));

@@ -456,8 +456,8 @@ fn events_are_sent_as_sentences() {
     server.follow_events(log.listen());
     log.publish(crate::daemon::live::Event::CameraWaiting { reason: "it is not plugged in".to_owned() });
     let mut stream = upgraded(&server, &UPGRADE.replace("/ws", "/ws/events"));
-    let told: serde_json::Value = serde_json::from_str(&next_text(&mut stream)).unwrap();
-    assert_eq!((&told["event"], &told["says"]), (&"camera_waiting".into(), &"waiting for the camera: it is not plugged in".into()));
+    let event: serde_json::Value = serde_json::from_str(&next_text(&mut stream)).unwrap();
+    assert_eq!((&event["event"], &event["says"]), (&"camera_waiting".into(), &"waiting for the camera: it is not plugged in".into()));
     log.publish(crate::daemon::live::Event::Ended { reason: "it was asked to".to_owned() });
     assert!(next_text(&mut stream).contains("ended: it was asked to"));
     server.close();

@@ -19,7 +19,7 @@ use super::lifetime::{TAKES_WITHIN, close, ended};
 
 /// Maximum frames that a client may have asked for and not received. Two keep a picture on its way
 /// while one is drawn. Raised, a slow client sees older pictures.
-const MAX_ASKED: u32 = 2;
+const MAX_PENDING: u32 = 2;
 /// Maximum interval between messages to a client. Chosen: a loss of contact is noticed within a
 /// second, even if one message is late. Raised, it is noticed later; lowered, hidden pages cost
 /// more.
@@ -32,37 +32,37 @@ const LETS_GO_AFTER: Duration = Duration::from_secs(10);
 /// Serves one client until it goes.
 pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, mut stopped: watch::Receiver<bool>) {
     let mut messages = hub.messages();
-    let mut asked = 0;
+    let mut pending = 0;
     let mut waiting: Option<Waiting> = None;
     let mut asking: Option<Asking> = None;
-    let (mut speaks_at, mut asked_at) = (Instant::now(), Instant::now());
+    let (mut speaks_at, mut requested_at) = (Instant::now(), Instant::now());
     let version = assets::version();
     loop {
         let message = tokio::select! {
-            changed = messages.changed(), if asked > 0 => {
+            changed = messages.changed(), if pending > 0 => {
                 if changed.is_err() {
                     break;
                 }
-                asked -= 1;
-                if asked == 0 {
+                pending -= 1;
+                if pending == 0 {
                     waiting = None;
                 }
                 Message::Binary(messages.borrow_and_update().clone())
             }
-            said = socket.recv() => match said {
+            message = socket.recv() => match message {
                 Some(Ok(Message::Text(text))) if matches!(text.as_str(), "n" | "u") => {
                     match (text.as_str(), &asking) {
                         ("u", None) => asking = Some(hub.ask_pixels()),
                         ("n", Some(_)) => asking = None,
                         _ => {}
                     }
-                    if asked == 0 {
+                    if pending == 0 {
                         // Skip an older frame: the next one is near.
                         messages.mark_unchanged();
                         waiting = Some(hub.wait());
                     }
-                    asked = (asked + 1).min(MAX_ASKED);
-                    asked_at = Instant::now();
+                    pending = (pending + 1).min(MAX_PENDING);
+                    requested_at = Instant::now();
                     continue;
                 }
                 Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
@@ -76,7 +76,7 @@ pub(super) async fn show(mut socket: WebSocket, hub: Arc<Hub>, feed: Arc<Feed>, 
             },
             () = sleep_until(speaks_at) => {
                 // A hidden or stopped page shows no pixels.
-                if asked == 0 && asked_at.elapsed() > LETS_GO_AFTER {
+                if pending == 0 && requested_at.elapsed() > LETS_GO_AFTER {
                     asking = None;
                 }
                 Message::Text(json!({"page": version, "state": feed.known()}).to_string().into())

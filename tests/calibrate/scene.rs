@@ -36,9 +36,9 @@ fn photographer() -> &'static BoardPhotographer {
 pub fn view(k: usize, tilt: f64) -> GrayImage {
     let board = Board::new(7, 5, 0.025).expect("a possible board");
     let azimuth = 1.57 * k as f64 + 0.4;
-    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * tilt);
+    let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * tilt);
     let aside = Vector3::new(0.07 * ((k % 3) as f64 - 1.0), 0.05 * ((k / 3 % 3) as f64 - 1.0), 0.33 + 0.03 * (k % 2) as f64);
-    let pose = Pose::new(turn, aside - turn * Vector3::new(0.075, 0.05, 0.0));
+    let pose = Pose::new(rotation, aside - rotation * Vector3::new(0.075, 0.05, 0.0));
     let is_in_view = |p: &Vector2<f64>| (0.0..320.0).contains(&p.x) && (0.0..240.0).contains(&p.y);
     assert!(photographer().corners(&board, &pose).iter().any(is_in_view), "view {k} shows no corner of the board");
     photographer().photograph(&board, &pose, &Photograph { blur_px: 0.6, noise: 1.0, seed: k as u64, ..Photograph::default() })

@@ -52,9 +52,9 @@ fn take_pictures(folder: &Path) {
     for k in 0..14_usize {
         let azimuth = 1.57 * k as f64 + 0.4;
         let tilt = 0.5 + 0.02 * (k % 4) as f64;
-        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * tilt);
+        let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * tilt);
         let place = Vector3::new(0.09 * ((k % 3) as f64 - 1.0), 0.05 * ((k / 3 % 3) as f64 - 1.0), 0.38 + 0.05 * (k % 2) as f64);
-        let pose = Pose::new(turn, place - turn * Vector3::new(0.096, 0.06, 0.0));
+        let pose = Pose::new(rotation, place - rotation * Vector3::new(0.096, 0.06, 0.0));
         let lens = Photograph { blur_px: 0.6, noise: 1.0, seed: k as u64, ..Photograph::default() };
         photographer.photograph(&board, &pose, &lens).save(folder.join(format!("{k:02}.png"))).unwrap();
     }

@@ -124,17 +124,17 @@ fn median(mut values: Vec<f64>) -> f64 {
 fn errors_deg(folder: &Path, views: &[Posed], model: Option<&str>) -> (Vec<f64>, Vec<f64>) {
     let out = tempfile::tempdir().expect("a folder");
     assert!(folder.is_dir());
-    let (mut turns, mut directions) = (Vec::new(), Vec::new());
+    let (mut rotations, mut directions) = (Vec::new(), Vec::new());
     for pair in views.windows(2) {
         for (view, name) in pair.iter().zip(["a.toml", "b.toml"]) {
             std::fs::write(out.path().join(name), &view.calibration).expect("it can be written");
         }
         let found = compare(out.path(), &pair[0].picture, &pair[1].picture, &["--camera", "a.toml", "--camera-b", "b.toml"]);
         assert_eq!(found.code, Some(0), "{}", found.stderr);
-        let turn = pair[1].rotation * pair[0].rotation.inverse();
-        let shift = pair[1].translation - turn * pair[0].translation;
+        let rotation = pair[1].rotation * pair[0].rotation.inverse();
+        let shift = pair[1].translation - rotation * pair[0].translation;
         let [x, y, z, w] = numbers::<4>(&found.json["rotation_xyzw"]);
-        turns.push(UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).angle_to(&turn).to_degrees());
+        rotations.push(UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).angle_to(&rotation).to_degrees());
         if let Some(model) = model {
             assert_eq!(found.json["model"], model, "{}", pair[0].picture);
         }
@@ -144,23 +144,23 @@ fn errors_deg(folder: &Path, views: &[Posed], model: Option<&str>) -> (Vec<f64>,
             directions.push(direction);
         }
     }
-    (turns, directions)
+    (rotations, directions)
 }
 
 #[test]
 fn the_fountain_pair_yields_the_camera_motion() {
     let Some(folder) = data_set("pose-strecha-fountain-P11") else { return };
-    let (turns, directions) = errors_deg(&folder, &posed(&folder), Some("essential"));
+    let (rotations, directions) = errors_deg(&folder, &posed(&folder), Some("essential"));
     assert_eq!(directions.len(), 10);
-    let (turn, direction) = (median(turns), median(directions));
-    assert!(turn <= 0.1 && direction <= 0.3, "{turn} {direction}");
+    let (rotation, direction) = (median(rotations), median(directions));
+    assert!(rotation <= 0.1 && direction <= 0.3, "{rotation} {direction}");
 }
 
 #[test]
 fn the_office_pair_yields_the_camera_motion() {
     let Some(folder) = data_set("pose-tum-fr3-office") else { return };
     // The first picture was taken before the first measured pose.
-    let (turns, directions) = errors_deg(&folder, &posed(&folder)[1..], None);
-    let (turn, direction) = (median(turns), median(directions));
-    assert!(turn <= 0.6 && direction <= 3.0, "{turn} {direction}");
+    let (rotations, directions) = errors_deg(&folder, &posed(&folder)[1..], None);
+    let (rotation, direction) = (median(rotations), median(directions));
+    assert!(rotation <= 0.6 && direction <= 3.0, "{rotation} {direction}");
 }

@@ -117,8 +117,8 @@ fn a_flat_scene_gives_the_homography() {
 #[test]
 fn a_pure_rotation_has_no_translation_direction() {
     let folder = tempfile::tempdir().expect("a folder");
-    let turned = (FROM_LEFT.0, [0.5, 0.0, 0.2], 0.0);
-    let truth = rendered(folder.path(), [FROM_LEFT, turned], true);
+    let rotated = (FROM_LEFT.0, [0.5, 0.0, 0.2], 0.0);
+    let truth = rendered(folder.path(), [FROM_LEFT, rotated], true);
     let found = compare(folder.path(), "a.png", "b.png", &["--camera", "camera.toml"]);
     assert_eq!(found.json["model"], "homography", "{}", found.stdout);
     assert!(found.json["translation_direction"].is_null() && found.json["E"].is_null(), "{}", found.stdout);

@@ -52,10 +52,10 @@ fn true_mount() -> Pose<Body, Body> {
 fn off(told: &Value) -> (f64, f64, f64) {
     let (offset, q) = (Vector3::from_vec(numbers(&told["offset_m"])), numbers(&told["orientation_xyzw"]));
     let rotation = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(q[3], q[0], q[1], q[2]));
-    let (shift, turn) = (true_mount().translation - offset, (true_mount().rotation * rotation.inverse()).scaled_axis());
-    let e = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
+    let (shift, rotation) = (true_mount().translation - offset, (true_mount().rotation * rotation.inverse()).scaled_axis());
+    let e = Vector6::new(shift.x, shift.y, shift.z, rotation.x, rotation.y, rotation.z);
     let covariance = Matrix6::from_row_slice(&numbers(&told["covariance"]));
-    (shift.norm() * 1e3, turn.norm().to_degrees(), e.dot(&(covariance.try_inverse().unwrap() * e)) / 6.0)
+    (shift.norm() * 1e3, rotation.norm().to_degrees(), e.dot(&(covariance.try_inverse().unwrap() * e)) / 6.0)
 }
 
 fn json(folder: &Path) -> Value {
@@ -199,10 +199,10 @@ fn boards_apart() -> Pose<Stage, Stage> {
     Pose::new(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -0.3), Vector3::new(1.2, 0.4, 0.2))
 }
 
-fn on_own_boards(turns: &[[f64; 3]]) -> tempfile::TempDir {
+fn on_own_boards(rotations: &[[f64; 3]]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let at = [0.0, -3.6, 0.1];
-    let tracking: Vec<_> = turns.iter().map(|angles| rig(at, *angles)).collect();
+    let tracking: Vec<_> = rotations.iter().map(|angles| rig(at, *angles)).collect();
     let seen: Vec<_> = tracking.iter().map(|pose| boards_apart().inverse() * filming(pose)).collect();
     write(folder.path(), "a", tracking_camera(), &Board::new(5), &tracking);
     write(folder.path(), "b", filming_camera(), &Board::new(6), &seen);
@@ -218,8 +218,8 @@ fn own_boards_need_rotations_about_two_axes() {
     for part in ["the rig turned about one axis only (it was panned)", "tilted or rolled", "omit --own-boards"] {
         assert!(said.contains(part), "{said}");
     }
-    let turns = [[0.0, 0.0, 0.0], [-14.0, 3.0, 0.0], [13.0, -4.0, 15.0], [0.0, 12.0, -15.0], [-3.0, -12.0, 20.0], [8.0, 8.0, -25.0]];
-    let told = on_own_boards(&turns);
+    let rotations = [[0.0, 0.0, 0.0], [-14.0, 3.0, 0.0], [13.0, -4.0, 15.0], [0.0, 12.0, -15.0], [-3.0, -12.0, 20.0], [8.0, 8.0, -25.0]];
+    let told = on_own_boards(&rotations);
     let output = run(told.path(), &["--own-boards", "--json", "mount.json"]);
     assert_eq!(output.status.code(), Some(0), "{}{}", text(&output.stdout), text(&output.stderr));
     let (mm, degrees, nees) = off(&json(told.path()));

@@ -55,8 +55,8 @@ pub fn filming_camera() -> CameraModel {
 
 /// Returns `T_tracking_filming`: the cameras are 0.4 m and 25 degrees apart.
 pub fn mount() -> Pose<Camera, FilmingCamera> {
-    let turn = Vector3::new(0.25, 1.0, 0.2).normalize() * 25.0_f64.to_radians();
-    Pose::new(UnitQuaternion::from_scaled_axis(turn), Vector3::new(0.3, -0.2, 0.17).normalize() * 0.4)
+    let rotation = Vector3::new(0.25, 1.0, 0.2).normalize() * 25.0_f64.to_radians();
+    Pose::new(UnitQuaternion::from_scaled_axis(rotation), Vector3::new(0.3, -0.2, 0.17).normalize() * 0.4)
 }
 
 /// Returns the tracking camera's pose for a rig at (x, y, z), panned, tilted and rolled (degrees,
@@ -65,8 +65,8 @@ pub fn rig([x, y, z]: [f64; 3], [pan, tilt, roll]: [f64; 3]) -> Pose<Stage, Came
     let level = look_at(Point3::origin(), Point3::new(0.0, 1.0, 0.0), 0.0).rotation;
     let half_back = UnitQuaternion::from_scaled_axis(mount().rotation.scaled_axis() * -0.5);
     let about = |axis, degrees: f64| UnitQuaternion::from_axis_angle(&axis, degrees.to_radians());
-    let turned = about(Vector3::z_axis(), pan) * about(Vector3::x_axis(), tilt) * about(Vector3::y_axis(), roll);
-    Pose::new(turned * level * half_back, Vector3::new(x, y, z))
+    let rotated = about(Vector3::z_axis(), pan) * about(Vector3::x_axis(), tilt) * about(Vector3::y_axis(), roll);
+    Pose::new(rotated * level * half_back, Vector3::new(x, y, z))
 }
 
 /// Returns the filming camera's pose in the tracking camera's stage.

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use stagepose::diagnostics::printable::stands_for_itself;
 
 use super::mutator::Mutator;
-use super::packets::{PROTOCOLS, good, mended};
+use super::packets::{PROTOCOLS, good, repaired};
 use super::{inputs, peak_memory_kb};
 
 /// Maximum peak memory of a listener, kB. It needs 10 MB; trusting a length in a datagram takes
@@ -97,7 +97,7 @@ fn every_datagram_is_one_printable_line() {
         let (mut understood, begun, mut longest) = (0, Instant::now(), Duration::ZERO);
         for _ in 0..inputs() {
             let damaged = mutator.input(&good);
-            let datagram = if mutator.below(4) > 0 { mended(protocol, damaged) } else { damaged };
+            let datagram = if mutator.below(4) > 0 { repaired(protocol, damaged) } else { damaged };
             let sent = Instant::now();
             let line = listener.line(&datagram);
             longest = longest.max(sent.elapsed());

@@ -22,7 +22,7 @@ pub fn good(protocol: &str) -> Vec<Vec<u8>> {
 }
 
 /// Corrects the checksum if the protocol has one.
-pub fn mended(protocol: &str, bytes: Vec<u8>) -> Vec<u8> {
+pub fn repaired(protocol: &str, bytes: Vec<u8>) -> Vec<u8> {
     match protocol {
         "freed" if bytes.len() == 29 => {
             let sum = bytes[..28].iter().fold(0x40_u8, |sum, b| sum.wrapping_sub(*b));

@@ -83,7 +83,7 @@ impl Story {
 fn safety() -> SafetySettings {
     SafetySettings {
         permitted_box_m: Some([[-10.0; 3], [10.0; 3]]),
-        blend: Some(BlendRates { speed_m_s: 3.0, turn_rad_s: 3.0 }),
+        blend: Some(BlendRates { speed_m_s: 3.0, angular_speed_rad_s: 3.0 }),
         stale_after: Duration::from_millis(500),
         ..SafetySettings::default()
     }

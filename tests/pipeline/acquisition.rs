@@ -63,7 +63,9 @@ fn object_and_stage_are_found_together_in_a_steep_view() {
     let body = BodySpec::new("prop", vec![surface("prop", &art, [0.3; 2], Vector3::zeros(), 0.0)]);
     let place = Vector3::new(-0.5, -0.3, -0.2);
     let position = Spline::straight(&[(0.0, place), (1.0, place)]).unwrap();
-    scene.objects.push(MovingObject { body, path: ObjectPath { position, turn_rad: -75_f64.to_radians(), turn_rate_rad_s: 0.0 } });
+    scene
+        .objects
+        .push(MovingObject { body, path: ObjectPath { position, rotation_rad: -75_f64.to_radians(), angular_velocity_rad_s: 0.0 } });
     let samples = track(&scene, 1);
     assert_eq!(given_right(&scene, &samples), 1);
     let object = &samples[0].objects[0];

@@ -106,8 +106,8 @@ fn random_scene(random: &mut Pcg64Mcg, most_pixels: f64) -> VirtualStage {
         let keys = [key(0.0), key(2.0), key(5.0)];
         let path = ObjectPath {
             position: Spline::new(&keys).expect("keys in order"),
-            turn_rad: 0.2,
-            turn_rate_rad_s: random.random_range(-2.0..2.0),
+            rotation_rad: 0.2,
+            angular_velocity_rad_s: random.random_range(-2.0..2.0),
         };
         scene.objects = vec![MovingObject { body, path }];
     }

@@ -11,7 +11,7 @@ fn with_prop() -> VirtualStage {
     let art = stagepose::diagnostics::simulate::grey(&paint(400, 400, 77));
     let prop = surface("prop", &art, [0.9, 0.9], Vector3::new(0.0, -0.1, 0.45), 0.0);
     let keys = [(0.0, Vector3::new(-0.5, -1.0, -0.5)), (1.0, Vector3::new(0.1, -1.1, -0.4))];
-    let path = ObjectPath { position: Spline::new(&keys).unwrap(), turn_rad: -0.3, turn_rate_rad_s: 0.2 };
+    let path = ObjectPath { position: Spline::new(&keys).unwrap(), rotation_rad: -0.3, angular_velocity_rad_s: 0.2 };
     scene.objects.push(MovingObject { body: BodySpec::new("prop", vec![prop]), path });
     scene
 }
@@ -54,9 +54,9 @@ fn prop(name: &str, seed: u64, side_m: f64, path: ObjectPath) -> MovingObject {
     MovingObject { body: BodySpec::new(name, vec![surface(name, &art, [side_m, side_m], Vector3::zeros(), 0.0)]), path }
 }
 
-fn along(keys: &[(f64, [f64; 3])], turn_rad: f64, turn_rate_rad_s: f64) -> ObjectPath {
+fn along(keys: &[(f64, [f64; 3])], rotation_rad: f64, angular_velocity_rad_s: f64) -> ObjectPath {
     let keys: Vec<_> = keys.iter().map(|(t, p)| (*t, Vector3::from(*p))).collect();
-    ObjectPath { position: Spline::straight(&keys).unwrap(), turn_rad, turn_rate_rad_s }
+    ObjectPath { position: Spline::straight(&keys).unwrap(), rotation_rad, angular_velocity_rad_s }
 }
 
 /// Returns the frames that report an object, and its worst errors: fraction of its distance from
@@ -125,7 +125,7 @@ fn two_objects_with_one_picture_are_never_swapped() {
 fn a_box_is_one_object_whichever_side_is_seen() {
     let mut scene = quiet(camera(640, 480), aside(), backdrop());
     let art = |seed| stagepose::diagnostics::simulate::grey(&paint(320, 320, seed));
-    let face = |name: &str, seed, x: f64, y: f64, turn: f64| surface(name, &art(seed), [0.8, 0.8], Vector3::new(x, y, 0.0), turn);
+    let face = |name: &str, seed, x: f64, y: f64, rotation: f64| surface(name, &art(seed), [0.8, 0.8], Vector3::new(x, y, 0.0), rotation);
     let quarter = std::f64::consts::FRAC_PI_2;
     let faces = vec![face("front", 21, 0.0, -0.4, 0.0), face("right", 22, 0.4, 0.0, quarter), face("left", 23, -0.4, 0.0, -quarter)];
     // It turns from its left side to its right side within a second.

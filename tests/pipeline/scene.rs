@@ -35,8 +35,8 @@ pub fn other_art() -> &'static GrayImage {
     ART.get_or_init(|| grey(&paint(1000, 750, 12)))
 }
 
-pub fn surface(name: &str, art: &GrayImage, size_m: [f64; 2], position: Vector3<f64>, turn_rad: f64) -> SurfaceSpec {
-    SurfaceSpec::from_artwork(name.to_owned(), art.clone(), size_m, upright(position, turn_rad)).unwrap()
+pub fn surface(name: &str, art: &GrayImage, size_m: [f64; 2], position: Vector3<f64>, rotation_rad: f64) -> SurfaceSpec {
+    SurfaceSpec::from_artwork(name.to_owned(), art.clone(), size_m, upright(position, rotation_rad)).unwrap()
 }
 
 pub fn backdrop() -> BodySpec {
@@ -75,8 +75,8 @@ pub fn nees_per_freedom(scene: &VirtualStage, sample: &PoseSample) -> f64 {
     let m = sample.measurement.expect("it tracks");
     let truth = truth_of(scene, sample);
     let shift = truth.translation - m.pose.translation;
-    let turn = (truth.rotation * m.pose.rotation.inverse()).scaled_axis();
-    let e = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
+    let rotation = (truth.rotation * m.pose.rotation.inverse()).scaled_axis();
+    let e = Vector6::new(shift.x, shift.y, shift.z, rotation.x, rotation.y, rotation.z);
     e.dot(&(m.covariance.try_inverse().expect("positive definite") * e)) / 6.0
 }
 

@@ -27,8 +27,8 @@ fn squared_error(scene: &VirtualStage, sample: &PoseSample) -> Option<(f64, f64)
     let m = sample.measurement.as_ref()?;
     let truth = truth_of(scene, sample);
     let shift = truth.translation - m.pose.translation;
-    let turn = (truth.rotation * m.pose.rotation.inverse()).scaled_axis();
-    let e = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
+    let rotation = (truth.rotation * m.pose.rotation.inverse()).scaled_axis();
+    let e = Vector6::new(shift.x, shift.y, shift.z, rotation.x, rotation.y, rotation.z);
     Some((e.dot(&(m.covariance.try_inverse().expect("positive definite") * e)), shift.norm()))
 }
 

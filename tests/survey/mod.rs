@@ -39,8 +39,8 @@ pub struct Walk {
 
 /// The true stage: a backdrop with a flat in front of it.
 fn stage() -> BodySpec {
-    let surface = |name: &str, art: &GrayImage, size_m, position, turn| {
-        SurfaceSpec::from_artwork(name.to_owned(), art.clone(), size_m, upright(position, turn)).expect("texture enough")
+    let surface = |name: &str, art: &GrayImage, size_m, position, rotation| {
+        SurfaceSpec::from_artwork(name.to_owned(), art.clone(), size_m, upright(position, rotation)).expect("texture enough")
     };
     BodySpec::new(
         "stage",

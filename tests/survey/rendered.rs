@@ -74,8 +74,8 @@ fn measured_lengths_correct_sizes_or_are_named_as_wrong() {
         let place = |line: &str| Vector3::from_iterator(line.split(' ').skip(1).take(3).map(|v| v.parse::<f64>().expect("a number")));
         (place(a) - place(b)).norm()
     };
-    let (mended, right_sizes) = (walk.read("mended.txt"), walk.read("right.txt"));
-    assert!(mended.lines().zip(right_sizes.lines()).all(|(a, b)| apart(a, b) < 0.03), "{mended}\n{right_sizes}");
+    let (corrected, right_sizes) = (walk.read("mended.txt"), walk.read("right.txt"));
+    assert!(corrected.lines().zip(right_sizes.lines()).all(|(a, b)| apart(a, b) < 0.03), "{corrected}\n{right_sizes}");
     // A third length is wrong by a decimetre.
     walk.write("slip.toml", &format!("{stage}{right}{}", length("[1, 1]", "[\"top\", \"bottom\"]", 3.1)));
     let before = walk.files("surveyed");

@@ -26,11 +26,11 @@ const ALIKE: f64 = 0.2;
 const NEAR: f64 = 0.35;
 /// Number of a piece's corners that are checked, the nearest to the board. Raised, farther ones
 /// decide too, which the board predicts worse; lowered, one bad corner counts for more.
-const TOLD: usize = 6;
+const CHECKED_CORNERS: usize = 6;
 /// Number of board corners that predict one beyond it: the nearest, five times as many as the three
 /// unknowns per axis. Raised, the fitted plane extends farther and perspective bends it; lowered,
 /// their noise counts for more.
-const FORETELLERS: usize = 16;
+const PREDICTING_CORNERS: usize = 16;
 
 impl Lattice {
     /// Drops corners that are not connected with the rest.
@@ -38,9 +38,9 @@ impl Lattice {
         let mut pieces = self.pieces();
         pieces.sort_by_key(|piece| std::cmp::Reverse(piece.len()));
         let Some((board, others)) = pieces.split_first() else { return };
-        let strays = others.iter().filter(|piece| !self.belongs(piece, board)).flatten();
-        let strays: Grid<()> = strays.map(|at| (*at, ())).collect();
-        self.retain(|at| !strays.contains(at));
+        let unconnected = others.iter().filter(|piece| !self.belongs(piece, board)).flatten();
+        let unconnected: Grid<()> = unconnected.map(|at| (*at, ())).collect();
+        self.retain(|at| !unconnected.contains(at));
     }
 
     /// Whether the piece's corners nearest to the board lie where the board predicts them; it
@@ -49,7 +49,7 @@ impl Lattice {
         let off = |a: &Place, b: &Place| (a.0 - b.0).pow(2) + (a.1 - b.1).pow(2);
         let mut nearest: Vec<(i32, Place)> = piece.iter().filter_map(|at| Some((board.iter().map(|b| off(at, b)).min()?, *at))).collect();
         nearest.sort_unstable();
-        nearest.iter().take(TOLD).all(|&(_, at)| self.is_foretold(at, board))
+        nearest.iter().take(CHECKED_CORNERS).all(|&(_, at)| self.is_predicted(at, board))
     }
 
     /// Returns the number of corners in the largest piece.
@@ -110,11 +110,11 @@ impl Lattice {
     }
 
     /// Whether a corner lies where an affine fit to the nearest corners of the board predicts it.
-    fn is_foretold(&self, at: Place, board: &[Place]) -> bool {
+    fn is_predicted(&self, at: Place, board: &[Place]) -> bool {
         let mut nearest: Vec<(i32, Place)> = board.iter().map(|b| ((b.0 - at.0).pow(2) + (b.1 - at.1).pow(2), *b)).collect();
         nearest.sort_unstable();
         let (mut normal, mut right) = (Matrix3::zeros(), Matrix3x2::zeros());
-        for (_, b) in nearest.iter().take(FORETELLERS) {
+        for (_, b) in nearest.iter().take(PREDICTING_CORNERS) {
             let Some(position) = self.at(b.0, b.1) else { continue };
             let row = Vector3::new(f64::from(b.0 - at.0), f64::from(b.1 - at.1), 1.0);
             normal += row * row.transpose();
@@ -147,11 +147,11 @@ mod tests {
 
     #[test]
     fn a_misplaced_island_is_dropped() {
-        let astray = |at: Place| (5..8).contains(&at.0) && (4..6).contains(&at.1);
-        let shifted = |at: Place| place(if astray(at) { (at.0 + 2, at.1 - 3) } else { at });
+        let is_displaced = |at: Place| (5..8).contains(&at.0) && (4..6).contains(&at.1);
+        let shifted = |at: Place| place(if is_displaced(at) { (at.0 + 2, at.1 - 3) } else { at });
         let mut folded = lattice(all().map(|at| (at, shifted(at))));
         folded.drop_islands();
-        assert!(folded.cells().all(|(at, _)| !astray(at)));
+        assert!(folded.cells().all(|(at, _)| !is_displaced(at)));
         assert_eq!(folded.len(), 12 * 9 - 6);
     }
 

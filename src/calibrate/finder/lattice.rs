@@ -58,10 +58,10 @@ impl Extent {
 /// Maximum distance, in squares, between a corner and its neighbours' prediction: half as far as
 /// the border to the next place. Raised, corners of shadows and reflections stay; lowered, true
 /// ones of bent boards and near the rim of wide lenses are dropped.
-const STRAY: f64 = 0.25;
+const MAX_CORNER_OFFSET: f64 = 0.25;
 /// Distance in squares up to which corners contribute to a prediction: follows from
 /// [`Lattice::predicted`], and must grow with it.
-const FORETELLS: i32 = 3;
+const PREDICTION_REACH: i32 = 3;
 /// Maximum residual of a clean corner: this multiple of the noise and this fraction of the
 /// contrast, added in quadrature. Chosen, not tuned: twice the median residual, and a fraction for
 /// boards with almost no residuals. Raised, corners under a shadow's edge or a reflection stay;
@@ -162,15 +162,17 @@ impl Lattice {
     }
 
     /// Drops corners that do not lie where their neighbours predict them, the worst first.
-    pub fn drop_strays(&mut self) {
+    pub fn drop_outliers(&mut self) {
         let mut off: Grid<f64> = self.cells.filter_map(|at, cell| Some(self.share_off(at, cell)));
         loop {
-            let strays = off.iter().filter(|(_, share)| **share > STRAY);
-            let Some((worst, _)) = strays.max_by(|a, b| a.1.total_cmp(b.1)) else { return };
+            let outliers = off.iter().filter(|(_, share)| **share > MAX_CORNER_OFFSET);
+            let Some((worst, _)) = outliers.max_by(|a, b| a.1.total_cmp(b.1)) else { return };
             self.cells.remove(worst);
             off.remove(worst);
             // Only the corners around it were predicted from it.
-            for at in (-FORETELLS..=FORETELLS).flat_map(|a| (-FORETELLS..=FORETELLS).map(move |b| (worst.0 + a, worst.1 + b))) {
+            for at in (-PREDICTION_REACH..=PREDICTION_REACH)
+                .flat_map(|a| (-PREDICTION_REACH..=PREDICTION_REACH).map(move |b| (worst.0 + a, worst.1 + b)))
+            {
                 if let Some(cell) = self.cells.get(at) {
                     off.insert(at, self.share_off(at, cell));
                 }

@@ -119,16 +119,16 @@ fn neighbours(smooth: &Level, saddles: &[Saddle], buckets: &Buckets, index: usiz
 #[inline(never)]
 fn edge_between(smooth: &Level, from: &Saddle, to: &Saddle, edge: usize) -> bool {
     let line = to.position - from.position;
-    let mut aside = Vector2::new(-line.y, line.x);
-    let length = aside.norm();
-    aside *= (0.15 * length).clamp(0.8, 4.0) / length;
+    let mut offset = Vector2::new(-line.y, line.x);
+    let length = offset.norm();
+    offset *= (0.15 * length).clamp(0.8, 4.0) / length;
     // Towards growing angle from edge 0 it is dark, from edge 1 light; against the edge's direction
     // both the side and the colour swap.
     let sign = if edge == 0 { -1.0 } else { 1.0 };
     let margin = 0.2 * from.contrast.min(to.contrast);
     [0.3, 0.5, 0.7].iter().all(|&t| {
         let middle = from.position + line * t;
-        sign * f64::from(smooth.sample(middle + aside) - smooth.sample(middle - aside)) > margin
+        sign * f64::from(smooth.sample(middle + offset) - smooth.sample(middle - offset)) > margin
     })
 }
 

@@ -151,7 +151,7 @@ pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBo
     let extent = lattice.extent().unwrap_or_default();
     let (mut lattice, sharp) = sharpened(lattice, index, &levels);
     let level = &levels[sharp];
-    lattice.drop_strays();
+    lattice.drop_outliers();
     if lattice.len() < board.corner_count() {
         lattice.grow(level, Some(extent));
     }
@@ -165,12 +165,12 @@ pub fn find_board(picture: &GrayImage, board: &Board) -> Result<FoundBoard, NoBo
             lattice.refit(level, Some(&margin));
         }
     }
-    lattice.drop_strays();
+    lattice.drop_outliers();
     lattice.drop_islands();
     // After the islands, since this may split the board into pieces. Corners supported only by
     // disturbed ones go too.
     lattice.drop_disturbed();
-    lattice.drop_strays();
+    lattice.drop_outliers();
     let lattice = lattice.rescaled(-(sharp as i32));
     let found = placement::placed(&lattice, extent, board, margin.lightness);
     match found {
@@ -188,7 +188,7 @@ fn search(levels: &[Level], board: &Board) -> Result<OnLevel, Option<OnLevel>> {
     let mut keep = |index: usize, mut lattice: Lattice, best: &mut Option<OnLevel>| {
         let level = &levels[index];
         lattice.complete(level);
-        lattice.drop_strays();
+        lattice.drop_outliers();
         lattice.drop_islands();
         lattice.trim();
         lattice.drop_false_ends(level, placement::sorted_size(board));

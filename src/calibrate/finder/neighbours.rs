@@ -182,8 +182,8 @@ impl Lattice {
             let place = next.unwrap_or(here + u * f64::from(di) + v * f64::from(dj));
             let ends = margin.is_some_and(|m| !m.extent.contains((i + di, j + dj)));
             // An edge's direction changes slightly from one corner to the next.
-            let turned = self.steps(i + di, j + dj).map(|[u, v]| if di == 0 { Vector2::new(-u.y, u.x) } else { Vector2::new(v.y, -v.x) });
-            let normal = turned.filter(|_| !ends).map_or(normal, |n| n.normalize());
+            let rotated = self.steps(i + di, j + dj).map(|[u, v]| if di == 0 { Vector2::new(-u.y, u.x) } else { Vector2::new(v.y, -v.x) });
+            let normal = rotated.filter(|_| !ends).map_or(normal, |n| n.normalize());
             NextEdge { normal, place: normal.dot(&place), ends }
         };
         let along = [[edge(0, -1, across_v), edge(0, 1, across_v)], [edge(-1, 0, across_u), edge(1, 0, across_u)]];

@@ -26,10 +26,10 @@ pub(super) fn sorted_size(board: &Board) -> (u32, u32) {
 /// Puts the corners in the board's order; the lattice spans `extent`, hidden corners included.
 /// Returns `None` if that is not the board.
 pub(super) fn placed(lattice: &Lattice, extent: Extent, board: &Board, margin: f64) -> Option<FoundBoard> {
-    let turns: Vec<Turn> = (0..4).filter_map(|quarter| Turn::new(lattice, extent, board, quarter)).collect();
-    let dark = turns.iter().any(|turn| turn.dark_origin);
+    let orientations: Vec<BoardOrientation> = (0..4).filter_map(|quarter| BoardOrientation::new(lattice, extent, board, quarter)).collect();
+    let dark = orientations.iter().any(|orientation| orientation.dark_origin);
     let preferred = if board.symmetry() == Symmetry::Quarter { Vector2::x() } else { Vector2::new(1.0, 1.0) };
-    let left = turns.into_iter().filter(|turn| turn.dark_origin == dark);
+    let left = orientations.into_iter().filter(|orientation| orientation.dark_origin == dark);
     let chosen = left.max_by(|a, b| a.x_axis.dot(&preferred).total_cmp(&b.x_axis.dot(&preferred)))?;
     let mut contrasts: Vec<f64> = lattice.cells().map(|(_, cell)| cell.contrast).collect();
     let contrast = median(&mut contrasts)?;
@@ -47,7 +47,7 @@ pub(super) fn placed(lattice: &Lattice, extent: Extent, board: &Board, margin: f
 }
 
 /// A lattice rotated by quarter turns so that it matches the board.
-struct Turn {
+struct BoardOrientation {
     corners: Vec<Option<Vector2<f64>>>,
     /// The corners' coordinates in the lattice.
     places: Vec<(i32, i32)>,
@@ -57,7 +57,7 @@ struct Turn {
     x_axis: Vector2<f64>,
 }
 
-impl Turn {
+impl BoardOrientation {
     fn new(lattice: &Lattice, extent: Extent, board: &Board, quarter: usize) -> Option<Self> {
         let (w, h) = extent.size();
         let (low, high) = (extent.low, extent.high);

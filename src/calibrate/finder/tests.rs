@@ -19,9 +19,9 @@ fn photographer() -> BoardPhotographer {
 /// rotated in its plane.
 fn pose(board: &Board, tilt_deg: f64, azimuth: f64, roll: f64, z: f64) -> Pose<Camera, BoardFrame> {
     let axis = Vector3::new(azimuth.cos(), azimuth.sin(), 0.0);
-    let turn = UnitQuaternion::from_scaled_axis(axis * tilt_deg.to_radians()) * UnitQuaternion::from_scaled_axis(Vector3::z() * roll);
+    let rotation = UnitQuaternion::from_scaled_axis(axis * tilt_deg.to_radians()) * UnitQuaternion::from_scaled_axis(Vector3::z() * roll);
     let middle = board.corner(board.corner_count() - 1).push(0.0) * 0.5;
-    Pose::new(turn, Vector3::new(0.01, -0.005, z) - turn * middle)
+    Pose::new(rotation, Vector3::new(0.01, -0.005, z) - rotation * middle)
 }
 
 /// Returns the rms distance to the truth over pictures of several tilts; every corner must be

@@ -51,10 +51,10 @@ pub fn places((width, height): (u32, u32)) -> impl Iterator<Item = Vector2<f64>>
 
 /// Returns how a pixel moves when the camera rotates: the derivative by a rotation vector in camera
 /// axes.
-fn by_turn(by_point: [Vector2<f64>; 2], n: Vector2<f64>) -> SMatrix<f64, 2, 3> {
+fn by_rotation(by_point: [Vector2<f64>; 2], n: Vector2<f64>) -> SMatrix<f64, 2, 3> {
     // Derivative of (x/z, y/z) of a rotated ray (x, y, 1).
-    let turn = SMatrix::<f64, 2, 3>::new(-n.x * n.y, 1.0 + n.x * n.x, -n.y, -1.0 - n.y * n.y, n.x * n.y, n.x);
-    SMatrix::<f64, 2, 2>::from_columns(&by_point) * turn
+    let rotation = SMatrix::<f64, 2, 3>::new(-n.x * n.y, 1.0 + n.x * n.x, -n.y, -1.0 - n.y * n.y, n.x * n.y, n.x);
+    SMatrix::<f64, 2, 2>::from_columns(&by_point) * rotation
 }
 
 /// Returns 3 sigma of a distant point's image position, from the lens's covariance, with the best
@@ -65,19 +65,19 @@ pub fn uncertainty(model: &CameraModel, lens: &Lens, covariance: &LensMatrix) ->
         .map(|p| {
             let Normalized(n) = model.unproject(Pixel(p))?;
             let (_, by_point, by_lens) = lens.project_with_derivatives(n);
-            Some((by_lens, by_turn(by_point, n)))
+            Some((by_lens, by_rotation(by_point, n)))
         })
         .collect();
     let (mut tt, mut tl) = (Matrix3::zeros(), SMatrix::<f64, 3, LENS_NUMBERS>::zeros());
-    for (by_lens, by_turn) in rows.iter().flatten() {
-        tt += by_turn.transpose() * by_turn;
-        tl += by_turn.transpose() * by_lens;
+    for (by_lens, by_rotation) in rows.iter().flatten() {
+        tt += by_rotation.transpose() * by_rotation;
+        tl += by_rotation.transpose() * by_lens;
     }
     let Some(inverse) = tt.try_inverse() else { return PixelMap { values_px: vec![None; rows.len()] } };
-    let turn_by_lens = inverse * tl;
+    let rotation_by_lens = inverse * tl;
     let values = rows.iter().map(|row| {
-        let (by_lens, by_turn) = row.as_ref()?;
-        let left = by_lens - by_turn * turn_by_lens;
+        let (by_lens, by_rotation) = row.as_ref()?;
+        let left = by_lens - by_rotation * rotation_by_lens;
         Some(3.0 * (left * covariance * left.transpose()).trace().max(0.0).sqrt())
     });
     PixelMap { values_px: values.collect() }
@@ -90,42 +90,42 @@ pub fn difference(first: &CameraModel, second: &CameraModel) -> Vec<Option<Vecto
     let size = (first.width(), first.height());
     let lens = Lens::of_model(second);
     let rays: Vec<Option<(Vector2<f64>, Vector3<f64>)>> = places(size).map(|p| Some((p, first.unproject(Pixel(p))?.0.push(1.0)))).collect();
-    let turn = best_turn(&lens, &rays);
+    let rotation = best_rotation(&lens, &rays);
     let apart = |(place, ray): (Vector2<f64>, Vector3<f64>)| {
-        let turned = turn * ray;
-        let n = turned.xy() / turned.z;
-        (turned.z > 0.0 && n.norm() <= second.valid_radius()).then(|| lens.project(n) - place)
+        let rotated = rotation * ray;
+        let n = rotated.xy() / rotated.z;
+        (rotated.z > 0.0 && n.norm() <= second.valid_radius()).then(|| lens.project(n) - place)
     };
     rays.into_iter().map(|ray| ray.and_then(apart)).collect()
 }
 
 /// Returns the rotation of the camera with which a lens images the rays nearest to their places.
 /// Places with large deviations (a lens that was never shown its rim) have little weight.
-fn best_turn(lens: &Lens, rays: &[Option<(Vector2<f64>, Vector3<f64>)>]) -> UnitQuaternion<f64> {
-    let mut turn = UnitQuaternion::identity();
+fn best_rotation(lens: &Lens, rays: &[Option<(Vector2<f64>, Vector3<f64>)>]) -> UnitQuaternion<f64> {
+    let mut rotation = UnitQuaternion::identity();
     for _ in 0..15 {
         let seen = rays.iter().flatten().map(|(place, ray)| {
-            let turned = turn * ray;
-            let n = turned.xy() / turned.z;
+            let rotated = rotation * ray;
+            let n = rotated.xy() / rotated.z;
             let (pixel, by_point, _) = lens.project_with_derivatives(n);
-            (place - pixel, by_turn(by_point, n))
+            (place - pixel, by_rotation(by_point, n))
         });
         let rows: Vec<(Vector2<f64>, SMatrix<f64, 2, 3>)> = seen.collect();
         let mut lengths: Vec<f64> = rows.iter().map(|(r, _)| r.norm_squared()).collect();
         let Some(middle) = median(&mut lengths) else { break };
         let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
-        for (residual, by_turn) in &rows {
+        for (residual, by_rotation) in &rows {
             let weight = 1.0 / (1.0 + residual.norm_squared() / (middle + 1e-12));
-            a += by_turn.transpose() * by_turn * weight;
-            b += by_turn.transpose() * residual * weight;
+            a += by_rotation.transpose() * by_rotation * weight;
+            b += by_rotation.transpose() * residual * weight;
         }
         let Some(step) = a.try_inverse().map(|inverse| inverse * b) else { break };
-        turn = UnitQuaternion::from_scaled_axis(step) * turn;
+        rotation = UnitQuaternion::from_scaled_axis(step) * rotation;
         if step.norm() < 1e-12 {
             break;
         }
     }
-    turn
+    rotation
 }
 
 /// Returns the lengths of a field of differences.

@@ -21,7 +21,7 @@ use halves::Halves;
 use map::PixelMap;
 pub(crate) use mixed::mixed;
 pub(crate) use words::{
-    all_blurred, another_board, blurred, implausible_squares, mend_for_few, mend_for_sizes, nothing_found, one_direction, rounded,
+    all_blurred, another_board, blurred, hint_for_few, hint_for_sizes, implausible_squares, nothing_found, one_direction, rounded,
 };
 
 /// The verdict, best first.
@@ -228,10 +228,10 @@ impl Judgement {
             let why = if 2 * self.tilted_views < estimate.bundle.poses.len() { ": a sign of views that are too much front-on" } else { "" };
             self.find(weight, format!("fx and fy differ by {percent:.1} %, yet a sensor's pixels are square{why} (if the board was printed out of shape, measure it)"));
         }
-        let aside = [(n[2] + 0.5) / f64::from(width) - 0.5, (n[3] + 0.5) / f64::from(height) - 0.5];
-        let aside = aside[0].hypot(aside[1]);
-        if aside > 0.2 {
-            let percent = 100.0 * aside;
+        let off_centre = [(n[2] + 0.5) / f64::from(width) - 0.5, (n[3] + 0.5) / f64::from(height) - 0.5];
+        let off_centre = off_centre[0].hypot(off_centre[1]);
+        if off_centre > 0.2 {
+            let percent = 100.0 * off_centre;
             let text =
                 format!("the principal point lies {percent:.0} % of the picture away from its middle (fine for a cropped picture only)");
             self.find(Verdict::Usable, text);

@@ -44,11 +44,11 @@ pub(crate) fn nothing_found(pictures: &[Inspected], board: &Board) -> String {
         return format!("{head}: {target}");
     }
     if let Some(((columns, rows), count)) = usual_other_size(pictures) {
-        let says = format!("{head}: {count} show one of {columns}x{rows} inner corners");
+        let message = format!("{head}: {count} show one of {columns}x{rows} inner corners");
         // What only a few pictures show may be anything: part of the board, a window, tiles.
         return match 2 * count >= pictures.len() {
-            true => format!("{says}; give --board {columns}x{rows}"),
-            false => format!("{says}, the others none; count the board's INNER corners, and let all of it be in every picture"),
+            true => format!("{message}; give --board {columns}x{rows}"),
+            false => format!("{message}, the others none; count the board's INNER corners, and let all of it be in every picture"),
         };
     }
     let first = pictures.iter().find_map(|p| Some((p, p.board.as_ref().err()?)));
@@ -61,7 +61,7 @@ pub(crate) fn nothing_found(pictures: &[Inspected], board: &Board) -> String {
 }
 
 /// Advises what to do if too few pictures can be used.
-pub(crate) fn mend_for_few(pictures: &[Inspected], board: &Board) -> String {
+pub(crate) fn hint_for_few(pictures: &[Inspected], board: &Board) -> String {
     let same = "take at least 10, with the board tilted to every side and in every part of the picture";
     if let Some(((columns, rows), count)) = usual_other_size(pictures).filter(|(_, count)| 2 * count >= pictures.len()) {
         return format!("{count} show a board of {columns}x{rows} inner corners instead of {board}: check --board, or {same}");
@@ -82,7 +82,7 @@ pub(crate) fn one_direction() -> String {
 }
 
 /// Advises what to do about pictures of two sizes; continues the previous sentence.
-pub(crate) fn mend_for_sizes(pictures: &[Inspected], first: (u32, u32), other: (u32, u32)) -> String {
+pub(crate) fn hint_for_sizes(pictures: &[Inspected], first: (u32, u32), other: (u32, u32)) -> String {
     if first == (other.1, other.0) {
         return " (some were taken with the camera upright; hold it the same way for all)".to_owned();
     }
@@ -228,16 +228,16 @@ mod tests {
     fn pictures_of_two_sizes_get_a_fix_hint() {
         let of = |size| Inspected { size: Some(size), ..found() };
         let pictures = [of((640, 480)), of((640, 480)), of((320, 240))];
-        assert!(mend_for_sizes(&pictures, (640, 480), (320, 240)).contains("1 of 3 are not 640 x 480"));
+        assert!(hint_for_sizes(&pictures, (640, 480), (320, 240)).contains("1 of 3 are not 640 x 480"));
         let pictures = [of((640, 480)), of((320, 240)), of((320, 240))];
-        assert!(mend_for_sizes(&pictures, (640, 480), (320, 240)).contains("1 of 3 are not 320 x 240"));
-        assert!(mend_for_sizes(&pictures, (640, 480), (480, 640)).contains("upright"));
+        assert!(hint_for_sizes(&pictures, (640, 480), (320, 240)).contains("1 of 3 are not 320 x 240"));
+        assert!(hint_for_sizes(&pictures, (640, 480), (480, 640)).contains("upright"));
     }
 
     #[test]
     fn the_repeated_view_hint_needs_three_pictures() {
         let board = Board::new(8, 6, 0.025).unwrap();
-        assert!(!mend_for_few(&[found(), found()], &board).contains("the same view"));
-        assert!(mend_for_few(&[found(), found(), found()], &board).contains("the same view again"));
+        assert!(!hint_for_few(&[found(), found()], &board).contains("the same view"));
+        assert!(hint_for_few(&[found(), found(), found()], &board).contains("the same view again"));
     }
 }

@@ -126,7 +126,7 @@ struct Oblique {
 impl Oblique {
     /// Chooses the scale so that all points fit, with room for the labels beside them.
     fn of(points: &[Vector3<f64>]) -> Self {
-        let seen: Vec<[f64; 2]> = points.iter().map(|p| Self::turned(*p)).collect();
+        let seen: Vec<[f64; 2]> = points.iter().map(|p| Self::rotated(*p)).collect();
         let end = |k: usize, f: fn(f64, f64) -> f64, start: f64| seen.iter().fold(start, |a, p| f(a, p[k]));
         let low = [0, 1].map(|k| end(k, f64::min, f64::INFINITY));
         let high = [0, 1].map(|k| end(k, f64::max, f64::NEG_INFINITY));
@@ -135,7 +135,7 @@ impl Oblique {
     }
 
     /// Rotates by 55 degrees about the vertical and looks down by 25 degrees.
-    fn turned(p: Vector3<f64>) -> [f64; 2] {
+    fn rotated(p: Vector3<f64>) -> [f64; 2] {
         let (s, c) = 55.0_f64.to_radians().sin_cos();
         let (right, depth) = (c * p.x + s * p.z, -s * p.x + c * p.z);
         let (s, c) = 25.0_f64.to_radians().sin_cos();
@@ -143,7 +143,7 @@ impl Oblique {
     }
 
     fn at(&self, p: Vector3<f64>) -> [f64; 2] {
-        let seen = Self::turned(p);
+        let seen = Self::rotated(p);
         [0, 1].map(|k| 0.5 * SPACE[k] + self.scale * (seen[k] - self.middle[k]))
     }
 }

@@ -195,8 +195,8 @@ impl Problem for Adjustment<'_> {
             lens.0[1] = lens.0[0];
         }
         let poses = bundle.poses.iter().zip(view_steps).map(|(pose, step)| {
-            let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned());
-            Pose::new(turn * pose.rotation, pose.translation + step.fixed_rows::<3>(3))
+            let rotation = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned());
+            Pose::new(rotation * pose.rotation, pose.translation + step.fixed_rows::<3>(3))
         });
         Some(Bundle { lens, poses: poses.collect() })
     }
@@ -206,8 +206,8 @@ impl Normal {
     fn add_view(&mut self, lens: &Lens, pose: &Pose<Camera, BoardFrame>, observations: &[Observation], free: &FreeNumbers, loss: Loss) {
         let mut block = ViewBlock { own: Matrix6::zeros(), coupling: Coupling::zeros(), gradient: Vector6::zeros() };
         for o in observations {
-            let turned: Vector3<f64> = pose.rotation * o.board_m.push(0.0);
-            let p = turned + pose.translation;
+            let rotated: Vector3<f64> = pose.rotation * o.board_m.push(0.0);
+            let p = rotated + pose.translation;
             if p.z <= 1e-9 {
                 continue;
             }
@@ -217,7 +217,7 @@ impl Normal {
             let (_, weight) = loss.cost_and_weight(residual.norm_squared());
             let by_point = SMatrix::<f64, 2, 3>::from_columns(&[by_x / p.z, by_y / p.z, -(by_x * point.x + by_y * point.y) / p.z]);
             let mut by_pose = SMatrix::<f64, 2, 6>::zeros();
-            by_pose.fixed_columns_mut::<3>(0).copy_from(&(-by_point * turned.cross_matrix()));
+            by_pose.fixed_columns_mut::<3>(0).copy_from(&(-by_point * rotated.cross_matrix()));
             by_pose.fixed_columns_mut::<3>(3).copy_from(&by_point);
             if free.square_pixels && free.free[0] {
                 by_lens.set_column(0, &(by_lens.column(0) + by_lens.column(1)));

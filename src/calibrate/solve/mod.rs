@@ -170,8 +170,8 @@ impl Estimate {
         let pose = &self.bundle.poses[view];
         let omc = pose.rotation.scaled_axis();
         let covariance = &self.pose_covariances[view];
-        let turn = inverse_left_jacobian(&omc);
-        let rotation = turn * covariance.fixed_view::<3, 3>(0, 0) * turn.transpose();
+        let rotation = inverse_left_jacobian(&omc);
+        let rotation = rotation * covariance.fixed_view::<3, 3>(0, 0) * rotation.transpose();
         let three_sigma = |m: Matrix3<f64>| m.diagonal().map(|v| 3.0 * v.max(0.0).sqrt());
         Extrinsics {
             rotation_vector: omc,

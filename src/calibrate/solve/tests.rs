@@ -22,9 +22,9 @@ fn poses(count: usize, tilt: f64, random: &mut Pcg64Mcg) -> Vec<Pose<Camera, Boa
         let mut between = |a: f64, b: f64| a + (b - a) * random.random::<f64>();
         let azimuth = 2.4 * k as f64;
         let axis = Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * tilt * between(0.35, 0.7);
-        let turn = UnitQuaternion::from_scaled_axis(axis) * UnitQuaternion::from_scaled_axis(Vector3::z() * between(-0.4, 0.4));
-        let middle = turn * Vector3::new(0.1, 0.0625, 0.0);
-        Pose::new(turn, Vector3::new(between(-0.08, 0.08), between(-0.05, 0.05), between(0.32, 0.5)) - middle)
+        let rotation = UnitQuaternion::from_scaled_axis(axis) * UnitQuaternion::from_scaled_axis(Vector3::z() * between(-0.4, 0.4));
+        let middle = rotation * Vector3::new(0.1, 0.0625, 0.0);
+        Pose::new(rotation, Vector3::new(between(-0.08, 0.08), between(-0.05, 0.05), between(0.32, 0.5)) - middle)
     };
     (0..count).map(|k| one(k, random)).collect()
 }
@@ -103,9 +103,9 @@ fn uncertainties_are_right() {
             inside[k] += usize::from(error.abs() <= three_sigma[k]);
         }
         let view = made.extrinsics(0);
-        let turned = view.rotation_vector - poses[0].rotation.scaled_axis();
+        let rotated = view.rotation_vector - poses[0].rotation.scaled_axis();
         let moved = view.translation_m - poses[0].translation;
-        let pairs = [(turned, view.rotation_uncertainty), (moved, view.translation_uncertainty_m)];
+        let pairs = [(rotated, view.rotation_uncertainty), (moved, view.translation_uncertainty_m)];
         for (error, sigma) in pairs.iter().flat_map(|(e, s)| e.iter().zip(s.iter())) {
             pose_squares += (3.0 * error / sigma).powi(2);
             pose_inside += usize::from(error.abs() <= *sigma);

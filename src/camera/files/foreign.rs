@@ -102,32 +102,32 @@ pub(super) fn refuse_other_lenses(root: &Node) -> Result<(), Fault> {
 
 /// Refuses files in unsupported formats of other programs, with what to do.
 pub(super) fn refuse_other_programs(root: &Node) -> Result<(), Fault> {
-    let refused = |line: usize, program: &'static str, mend: &'static str| {
-        Err(Fault { line: Some(line), problem: CalibrationProblem::OtherProgram { program, mend } })
+    let refused = |line: usize, program: &'static str, hint: &'static str| {
+        Err(Fault { line: Some(line), problem: CalibrationProblem::OtherProgram { program, hint } })
     };
     if let Some((_, node)) = root.find(&["pinhole"])
         && matches!(node.content, Content::Map(_))
     {
-        let mend = "write its numbers to a .toml file: width, height, fx, fy, cx, cy, skew = skew / fx, distortion = [radial 1, radial 2, t1, t2, 0]";
-        return refused(node.line, "BoofCV", mend);
+        let hint = "write its numbers to a .toml file: width, height, fx, fy, cx, cy, skew = skew / fx, distortion = [radial 1, radial 2, t1, t2, 0]";
+        return refused(node.line, "BoofCV", hint);
     }
     if let Some((_, node)) = root.find(&["Camera.fx", "Camera1.fx"]) {
-        let mend = "write its numbers to a .toml file: width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3]";
-        return refused(node.line, "ORB-SLAM", mend);
+        let hint = "write its numbers to a .toml file: width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, k3]";
+        return refused(node.line, "ORB-SLAM", hint);
     }
     if let Some((_, node)) = root.find(&["projection_parameters"]) {
-        let mend = "write its numbers to a .toml file: width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, 0]";
-        return refused(node.line, "Camodocal (VINS)", mend);
+        let hint = "write its numbers to a .toml file: width, height, fx, fy, cx, cy, distortion = [k1, k2, p1, p2, 0]";
+        return refused(node.line, "Camodocal (VINS)", hint);
     }
     Ok(())
 }
 
 /// Whether the file names Brown's model, so that four coefficients are unambiguous.
 pub(super) fn names_brown(root: &Node) -> bool {
-    let says = |key: &str| root.find(&[key]).and_then(|(_, node)| node.text().map(plain));
+    let text_of = |key: &str| root.find(&[key]).and_then(|(_, node)| node.text().map(plain));
     ["distortion_model", "distortion_type", "model_type"]
         .into_iter()
-        .filter_map(says)
+        .filter_map(text_of)
         .any(|name| !name.is_empty() && name != "none" && name != "pinhole" && BROWN.contains(&name.as_str()))
 }
 

@@ -108,12 +108,12 @@ pub enum CalibrationProblem {
     #[error("{0}; write the numbers of the pictures as they come: width, height and a matrix of the window, and a `roi` of zeros")]
     Window(String),
     /// An unsupported format of another program.
-    #[error("this is a file of {program}, whose format is not supported; {mend}")]
+    #[error("this is a file of {program}, whose format is not supported; {hint}")]
     OtherProgram {
         /// The program.
         program: &'static str,
         /// What to do.
-        mend: &'static str,
+        hint: &'static str,
     },
     /// ROS's way of saying that the camera is not calibrated.
     #[error(

@@ -42,22 +42,23 @@ impl Log {
         if let Some((_, complaint)) = COMPLAINT_LEVELS.iter().find_map(|level| line.split_once(level)) {
             self.complain(complaint.trim());
         }
-        let (_, said) = line.split_once("showinfo").and_then(|(_, rest)| rest.split_once("] "))?;
-        if let Some(base) = word_after(said, "config in time_base:") {
+        let (_, message) = line.split_once("showinfo").and_then(|(_, rest)| rest.split_once("] "))?;
+        if let Some(base) = word_after(message, "config in time_base:") {
             let (numerator, denominator) = base.trim_end_matches(',').split_once('/')?;
             self.time_base = Some((numerator.parse().ok()?, denominator.parse().ok()?));
             return None;
         }
-        let (width, height) = word_after(said, " s:")?.split_once('x')?;
-        let ticks = word_after(said, " pts:").and_then(|t| t.parse::<i64>().ok());
-        let shape = word_after(said, " sar:").and_then(|s| s.split_once('/')).and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+        let (width, height) = word_after(message, " s:")?.split_once('x')?;
+        let ticks = word_after(message, " pts:").and_then(|t| t.parse::<i64>().ok());
+        let shape =
+            word_after(message, " sar:").and_then(|s| s.split_once('/')).and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
         Some(Announced {
             stamp: ticks.zip(self.time_base).and_then(|(ticks, base)| stamp_of(ticks, base)),
             width: width.parse().ok()?,
             height: height.parse().ok()?,
-            bits: word_after(said, " fmt:").map_or(8, bits_of),
+            bits: word_after(message, " fmt:").map_or(8, bits_of),
             pixel_shape: shape.filter(|(w, h)| *w > 0 && *h > 0 && w != h),
-            is_interlaced: matches!(word_after(said, " i:"), Some("T" | "B")),
+            is_interlaced: matches!(word_after(message, " i:"), Some("T" | "B")),
         })
     }
 

@@ -210,14 +210,14 @@ impl Ffmpeg {
     fn early_end(&mut self) -> Option<String> {
         let log = self.listener.take()?.join().unwrap_or_default();
         let is_clean = self.child.wait().is_ok_and(|status| status.success());
-        let (rows, said) = (self.next, log.complaint().unwrap_or("it ended without a word"));
+        let (rows, complaint) = (self.next, log.complaint().unwrap_or("it ended without a word"));
         if log.is_cut_off() {
-            return Some(format!("the recording is cut off: it ends in the middle, after {rows} frames (ffmpeg: {said})"));
+            return Some(format!("the recording is cut off: it ends in the middle, after {rows} frames (ffmpeg: {complaint})"));
         }
         if !is_clean {
-            return Some(format!("ffmpeg ended after {rows} frames: {said}; the rest is missing"));
+            return Some(format!("ffmpeg ended after {rows} frames: {complaint}; the rest is missing"));
         }
-        log.complaint().map(|said| format!("ffmpeg complains of the clip, some pictures may be damaged: {said}"))
+        log.complaint().map(|complaint| format!("ffmpeg complains of the clip, some pictures may be damaged: {complaint}"))
     }
 }
 

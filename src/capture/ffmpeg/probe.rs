@@ -47,19 +47,19 @@ impl Probe {
         let arguments = ["-vf", "showinfo", "-frames:v", "1", "-f", "null", "-"];
         let output = command(program, path).args(arguments).stdin(Stdio::null()).output()?;
         let mut probe = Self::default();
-        let said = probe.read(&String::from_utf8_lossy(&output.stderr));
-        if let Some(degrees) = said.turned {
+        let info = probe.read(&String::from_utf8_lossy(&output.stderr));
+        if let Some(degrees) = info.turned {
             let is_mirrored = display_matrix(program, path).is_some_and(|[a, b, c, d]| a * d < b * c);
             probe.notes.extend(remarks::shown_turned(degrees, is_mirrored));
         }
-        if !has_own_rate && WITHOUT_STAMPS.contains(&said.container.as_str()) {
-            probe.notes.push(remarks::rate_made_up(&said.rate.unwrap_or_else(|| "25".to_owned())));
+        if !has_own_rate && WITHOUT_STAMPS.contains(&info.container.as_str()) {
+            probe.notes.push(remarks::rate_made_up(&info.rate.unwrap_or_else(|| "25".to_owned())));
         }
         Ok(probe)
     }
 
-    fn read(&mut self, text: &str) -> Said {
-        let mut said = Said::default();
+    fn read(&mut self, text: &str) -> StreamInfo {
+        let mut info = StreamInfo::default();
         for line in text.lines() {
             self.log.note(line);
             if let Some(version) = word_after(line, "ffmpeg version ").filter(|_| self.version.is_none()) {
@@ -69,15 +69,15 @@ impl Probe {
             if line.contains("showinfo") && line.contains(" pts:") && self.pixels.is_none() {
                 self.pixels = word_after(line, " fmt:").map(str::to_owned);
             }
-            said.note(line);
+            info.note(line);
         }
-        said
+        info
     }
 }
 
 /// The relevant part of ffmpeg's description of its input and output.
 #[derive(Debug, Default)]
-struct Said {
+struct StreamInfo {
     container: String,
     /// Frames per second of the first video stream.
     rate: Option<String>,
@@ -88,7 +88,7 @@ struct Said {
     is_output: bool,
 }
 
-impl Said {
+impl StreamInfo {
     fn note(&mut self, line: &str) {
         if let Some((_, rest)) = line.split_once("Input #0, ") {
             self.container = rest.split([',', ' ']).next().unwrap_or_default().to_owned();
@@ -141,15 +141,15 @@ fn display_matrix(program: &OsStr, path: &Path) -> Option<[f64; 4]> {
 mod tests {
     use super::*;
 
-    fn read(text: &str) -> (Probe, Said) {
+    fn read(text: &str) -> (Probe, StreamInfo) {
         let mut probe = Probe::default();
-        let said = probe.read(text);
-        (probe, said)
+        let info = probe.read(text);
+        (probe, info)
     }
 
     #[test]
     fn ffmpeg_probe_output_is_parsed() {
-        let (probe, said) = read(
+        let (probe, info) = read(
             "[info] ffmpeg version 5.1.9-0+deb12u1 Copyright (c) 2000-2026 the FFmpeg developers\n\
              [info] Input #0, mov,mp4,m4a,3gp,3g2,mj2, from 'file:a.mp4':\n\
              [info]   Stream #0:0[0x1](und): Video: h264 (High) (avc1 / 0x31637661), yuv420p(tv, progressive), 640x360, 29.97 fps, 30 tbr\n\
@@ -157,11 +157,11 @@ mod tests {
              [Parsed_showinfo_0 @ 0x5] [info] n:   0 pts:      0 pts_time:0 fmt:yuv420p sar:1/1 s:640x360 i:P iskey:1\n\
              [info] Output #0, null, to 'pipe:':\n[info]       displaymatrix: rotation of -90.00 degrees\n",
         );
-        assert_eq!((probe.version, probe.pixels.as_deref(), said.container.as_str()), (Some((5, 1)), Some("yuv420p"), "mov"));
-        assert_eq!((said.rate.as_deref(), said.turned), (Some("29.97"), Some(-90.0)), "of the stream that is read");
+        assert_eq!((probe.version, probe.pixels.as_deref(), info.container.as_str()), (Some((5, 1)), Some("yuv420p"), "mov"));
+        assert_eq!((info.rate.as_deref(), info.turned), (Some("29.97"), Some(-90.0)), "of the stream that is read");
         let (probe, _) = read("[info] ffmpeg version n7.0.1 Copyright\n");
         assert_eq!(probe.version, Some((7, 0)));
-        let (probe, said) = read("[info] ffmpeg version N-11-gabc Copyright\n[info] Input #0, h264, from 'a':\n");
-        assert_eq!((probe.version, probe.pixels, said.container.as_str(), said.turned), (None, None, "h264", None));
+        let (probe, info) = read("[info] ffmpeg version N-11-gabc Copyright\n[info] Input #0, h264, from 'a':\n");
+        assert_eq!((probe.version, probe.pixels, info.container.as_str(), info.turned), (None, None, "h264", None));
     }
 }

@@ -70,9 +70,9 @@ impl V4l2Camera {
         let buffer = self.nokhwa.frame().map_err(|e| CameraFault::Gone(reading_fault(&e.to_string())))?;
         let arrival = monotonic_now();
         self.streaming = true;
-        let told = ioctl::last_dequeued(self.fd, BUFFERS);
+        let dequeued = ioctl::last_dequeued(self.fd, BUFFERS);
         let whole = buffer.buffer();
-        let (stamp, device_sequence, used, is_damaged) = match told {
+        let (stamp, device_sequence, used, is_damaged) = match dequeued {
             Some(d) => (d.stamp, Some(d.sequence), d.bytes_used, d.is_damaged),
             None => (wall_clock_stamp(buffer.capture_timestamp(), arrival), None, whole.len(), false),
         };
@@ -83,15 +83,15 @@ impl V4l2Camera {
 }
 
 /// Describes why a picture could not be read; nokhwa reports the system's error as text.
-fn reading_fault(said: &str) -> String {
-    if said.contains("os error 19") {
+fn reading_fault(message: &str) -> String {
+    if message.contains("os error 19") {
         "it was unplugged".to_owned()
-    } else if said.contains("os error 4)") {
+    } else if message.contains("os error 4)") {
         // The daemon interrupts blocking reads: before the stream runs, nothing else can limit
         // them.
         "it was opened and gave no picture".to_owned()
     } else {
-        format!("its driver says: {said}")
+        format!("its driver says: {message}")
     }
 }
 
@@ -144,9 +144,9 @@ mod tests {
 
     #[test]
     fn camera_faults_are_described_in_plain_words() {
-        let said = |system: &str| reading_fault(&format!("Could not capture frame: {system}"));
-        assert_eq!(said("No such device (os error 19)"), "it was unplugged");
-        assert_eq!(said("Interrupted system call (os error 4)"), "it was opened and gave no picture");
-        assert!(said("Input/output error (os error 5)").ends_with("Input/output error (os error 5)"));
+        let message = |system: &str| reading_fault(&format!("Could not capture frame: {system}"));
+        assert_eq!(message("No such device (os error 19)"), "it was unplugged");
+        assert_eq!(message("Interrupted system call (os error 4)"), "it was opened and gave no picture");
+        assert!(message("Input/output error (os error 5)").ends_with("Input/output error (os error 5)"));
     }
 }

@@ -80,17 +80,17 @@ fn unknown(name: &str, there: &[ControlDescription]) -> String {
     }
 }
 
-fn not_taken(name: &str, wanted: i64, now: Option<i64>, said: Option<String>, control: &ControlDescription) -> String {
+fn not_taken(name: &str, wanted: i64, now: Option<i64>, reply: Option<String>, control: &ControlDescription) -> String {
     let now = now.map_or("cannot be read".to_owned(), |now| format!("stays at {now}"));
-    let said = said.map_or(String::new(), |said| format!(" ({said})"));
-    let mend = if !(control.minimum..=control.maximum).contains(&wanted) {
+    let reply = reply.map_or(String::new(), |reply| format!(" ({reply})"));
+    let hint = if !(control.minimum..=control.maximum).contains(&wanted) {
         format!("give a value from {} to {}", control.minimum, control.maximum)
     } else if control.flags & INACTIVE != 0 {
         "switch its automatic off in `controls` too".to_owned()
     } else {
         "remove it from `controls`, or set it by the camera maker's means".to_owned()
     };
-    format!("the camera refuses `{name}` = {wanted}{said} and {now}; {mend}")
+    format!("the camera refuses `{name}` = {wanted}{reply} and {now}; {hint}")
 }
 
 fn automatic(there: &[ControlDescription], exposure: Option<i64>, focus: Option<i64>) -> Vec<String> {

@@ -28,7 +28,7 @@ pub struct V4l2Opener {
 #[derive(Default)]
 struct Memory {
     node: Option<Node>,
-    said: Vec<String>,
+    reported: Vec<String>,
 }
 
 /// Returns a warning if `device` now means another camera than before, or the same one on another
@@ -50,7 +50,7 @@ impl V4l2Opener {
     /// Logs a sentence once, not at every reopening.
     fn say_once(&self, sentence: String, warn: bool) {
         let mut memory = self.memory.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        if memory.said.contains(&sentence) {
+        if memory.reported.contains(&sentence) {
             return;
         }
         if warn {
@@ -58,7 +58,7 @@ impl V4l2Opener {
         } else {
             tracing::info!("{sentence}");
         }
-        memory.said.push(sentence);
+        memory.reported.push(sentence);
     }
 
     fn find(&self) -> Result<Node, OpenFault> {
@@ -169,9 +169,11 @@ mod tests {
             by_path: vec![],
             identity: identity.into(),
         };
-        let said = |now: Node| change("/dev/v4l/by-path/p", &camera("a", "usb-1"), &now);
-        assert_eq!(said(camera("a", "usb-1")), None);
-        assert!(said(camera("a", "usb-2")).unwrap().ends_with("Cam (/dev/video4) is now on another port: usb-2"));
-        assert!(said(camera("b", "usb-1")).unwrap().starts_with("/dev/v4l/by-path/p is now another camera than before: Cam (/dev/video4)"));
+        let reported = |now: Node| change("/dev/v4l/by-path/p", &camera("a", "usb-1"), &now);
+        assert_eq!(reported(camera("a", "usb-1")), None);
+        assert!(reported(camera("a", "usb-2")).unwrap().ends_with("Cam (/dev/video4) is now on another port: usb-2"));
+        assert!(
+            reported(camera("b", "usb-1")).unwrap().starts_with("/dev/v4l/by-path/p is now another camera than before: Cam (/dev/video4)")
+        );
     }
 }

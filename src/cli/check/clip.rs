@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use super::pass::{FOLLOWED, MIN_DOUBT, NOTED, Pass, TOLD, WELL_FOLLOWED};
+use super::pass::{FOLLOWED, MIN_DOUBT, NOTED, Pass, WARNING_SHARE, WELL_FOLLOWED};
 use super::readout::Readout;
 use crate::cli::failure::Failure;
 use crate::cli::outcome::Outcome;
@@ -142,41 +142,42 @@ fn of_model(model: &ModelReport, findings: &[Finding]) -> Vec<Finding> {
 fn of_reasons(outcome: &Outcome, [has_cause, has_doubt]: [bool; 2], setup: &TrackerSetup) -> Vec<Finding> {
     let frames = outcome.frames;
     let share = |n: u64| n as f64 / frames.max(1) as f64;
-    let told = outcome.reasons().into_iter().filter(|(reason, n)| match reason {
+    let reported = outcome.reasons().into_iter().filter(|(reason, n)| match reason {
         // Each acquisition waits one frame for confirmation.
         Reason::Unconfirmed => share(*n) > 1.0 - FOLLOWED && frames > 2,
         _ => share(*n) >= NOTED || *n == frames,
     });
-    told.map(|(reason, n)| {
-        let says = format!("in {n} of {frames} frames {}", reason.says());
-        let is_explained = match reason {
-            Reason::NoPoseFits | Reason::Covered | Reason::NotRecognised | Reason::Uncertain => has_cause,
-            Reason::LensMoved => has_doubt,
-            _ => false,
-        };
-        let says = if is_explained { says } else { format!("{says}: {}", mend(reason, setup)) };
-        match share(n) {
-            _ if is_explained => Finding::note(says),
-            s if s > 1.0 - FOLLOWED => Finding::fault(says),
-            s if s >= TOLD => Finding::warning(says),
-            _ => Finding::note(says),
-        }
-    })
-    .collect()
+    reported
+        .map(|(reason, n)| {
+            let message = format!("in {n} of {frames} frames {}", reason.message());
+            let is_explained = match reason {
+                Reason::NoPoseFits | Reason::Covered | Reason::NotRecognised | Reason::Uncertain => has_cause,
+                Reason::LensMoved => has_doubt,
+                _ => false,
+            };
+            let message = if is_explained { message } else { format!("{message}: {}", hint(reason, setup)) };
+            match share(n) {
+                _ if is_explained => Finding::note(message),
+                s if s > 1.0 - FOLLOWED => Finding::fault(message),
+                s if s >= WARNING_SHARE => Finding::warning(message),
+                _ => Finding::note(message),
+            }
+        })
+        .collect()
 }
 
 /// Returns the fix for a reason. Corners read off a photograph are more likely a pixel off than the
 /// lens moved, and look the same.
-fn mend(reason: Reason, setup: &TrackerSetup) -> String {
+fn hint(reason: Reason, setup: &TrackerSetup) -> String {
     let photograph = setup.stage.surfaces.iter().find(|surface| matches!(surface.kind, ReferenceKind::Photograph { .. }));
     match (reason, photograph) {
         (Reason::LensMoved, Some(surface)) => format!(
             "its corners may be off by a pixel or two, which looks the same: read corners_px of {} again, to half a pixel, in the \
              enlarged photograph; only if they are right, {}",
             surface.name,
-            reason.mend()
+            reason.hint()
         ),
-        _ => reason.mend().to_owned(),
+        _ => reason.hint().to_owned(),
     }
 }
 

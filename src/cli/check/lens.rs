@@ -33,7 +33,7 @@ pub(super) fn doubt(lens: &LensSource, camera: &CameraModel) -> Vec<String> {
     match lens {
         LensSource::Calibration(_) => vec![uncertain],
         LensSource::Guess(guess, _) => {
-            let mend = match guess {
+            let hint = match guess {
                 LensGuess::FieldOfView(_) => {
                     "a guess for a first look, without distortion (fov_deg is across the width; makers often give the diagonal); then: stagepose calibrate"
                 }
@@ -41,7 +41,7 @@ pub(super) fn doubt(lens: &LensSource, camera: &CameraModel) -> Vec<String> {
                     "a guess for a first look, without distortion (films are cropped from a phone's pictures, which makes it longer); then: stagepose calibrate"
                 }
             };
-            vec![uncertain, mend.to_owned()]
+            vec![uncertain, hint.to_owned()]
         }
     }
 }

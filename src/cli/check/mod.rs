@@ -101,7 +101,7 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
         Verdict::Doubtful(_) => arguments.config.clone(),
         Verdict::NotFollowed => arguments.clip.clone().unwrap_or(arguments.config.clone()),
     };
-    let reason = findings.first().map_or_else(|| "the stage is not followed".to_owned(), |f| f.says.clone());
+    let reason = findings.first().map_or_else(|| "the stage is not followed".to_owned(), |f| f.message.clone());
     Err(Failure::Check { file, reason })
 }
 
@@ -196,7 +196,7 @@ fn report(
     let labels = [(Grade::Fault, "mend"), (Grade::Doubt, "mend"), (Grade::Warning, "look at")];
     for (grade, label) in labels {
         for finding in findings.iter().filter(|f| f.grade == grade) {
-            let _ = writeln!(text, "{label:<11} {}", finding.says);
+            let _ = writeln!(text, "{label:<11} {}", finding.message);
         }
     }
     let i = camera.intrinsics();
@@ -230,7 +230,7 @@ fn report(
         let _ = writeln!(text, "            answers for the hosts {}", AllowedHosts::new(&http.hosts).listing());
     }
     for note in findings.iter().filter(|f| f.grade == Grade::Note) {
-        let _ = writeln!(text, "note        {}", note.says);
+        let _ = writeln!(text, "note        {}", note.message);
     }
     let t = &settings.tracker;
     let _ = write!(
@@ -380,15 +380,15 @@ mod tests {
     #[test]
     fn a_named_camera_must_be_present_and_any_other_is_awaited() {
         let named = Some("front".to_owned());
-        let says = |named: &Option<String>, tried: Result<&str, &str>| {
+        let reported = |named: &Option<String>, tried: Result<&str, &str>| {
             let (line, finding) = of_camera(named, tried.map(str::to_owned).map_err(str::to_owned));
             (line, finding.map(|finding| finding.grade))
         };
-        assert_eq!(says(&named, Ok("Cam")), ("Cam".to_owned(), None));
-        assert_eq!(says(&named, Err("gone")), ("gone".to_owned(), Some(Grade::Fault)));
-        let (line, grade) = says(&None, Ok("Cam"));
+        assert_eq!(reported(&named, Ok("Cam")), ("Cam".to_owned(), None));
+        assert_eq!(reported(&named, Err("gone")), ("gone".to_owned(), Some(Grade::Fault)));
+        let (line, grade) = reported(&None, Ok("Cam"));
         assert!(line.starts_with("Cam\n") && line.contains("`run` takes the first one, which is this") && grade.is_none(), "{line}");
-        let (line, grade) = says(&None, Err("gone"));
+        let (line, grade) = reported(&None, Err("gone"));
         assert!(line.contains("`run` waits for the first one (gone)") && grade.is_none(), "{line}");
     }
 

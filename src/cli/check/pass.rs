@@ -24,7 +24,7 @@ pub(super) const WELL_FOLLOWED: f64 = 0.85;
 /// Minimum shares of frames for a reason to be a warning, and to be mentioned at all. Chosen, not
 /// tuned: a reason in one of fifty frames says nothing about the setup. Raised, fewer lines;
 /// lowered, good clips get warnings.
-pub(super) const TOLD: f64 = 0.1;
+pub(super) const WARNING_SHARE: f64 = 0.1;
 pub(super) const NOTED: f64 = 0.02;
 
 /// Maximum rows tracked: half a minute at 30 frames per second, chosen to keep a check short.
@@ -111,7 +111,7 @@ impl Pass {
     }
 
     /// Returns the share of frames whose pose is reported.
-    pub(super) fn given(&self) -> f64 {
+    pub(super) fn reported_share(&self) -> f64 {
         self.outcome.tracked as f64 / self.outcome.frames.max(1) as f64
     }
 
@@ -127,7 +127,7 @@ impl Pass {
     /// recognised, but poses are missing or misplaced.
     pub(super) fn may_lack_readout(&self) -> bool {
         let recognised = self.outcome.recognised() as f64 / self.outcome.frames.max(1) as f64;
-        recognised >= FOLLOWED && (!self.is_as_modelled() || self.given() < WELL_FOLLOWED)
+        recognised >= FOLLOWED && (!self.is_as_modelled() || self.reported_share() < WELL_FOLLOWED)
     }
 
     /// Returns the median interval between frames, seconds; intervals of rows out of order are

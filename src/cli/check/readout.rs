@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::pass::{Pass, TOLD};
+use super::pass::{Pass, WARNING_SHARE};
 use super::shutter;
 use crate::camera::{KnownShutter, Shutter};
 use crate::cli::failure::Failure;
@@ -33,7 +33,7 @@ impl Readout {
         let Ok(estimate) = shutter::estimate(settings, clip, fps)? else { return Ok(None) };
         let Some(found) = shutter::other_than(&settings.shutter.or_zero(), &estimate) else { return Ok(None) };
         let pass = Pass::over(settings, found.into(), clip, fps, LearntCamera::default())?;
-        let lines = shutter::told(&estimate, settings);
+        let lines = shutter::describe(&estimate, settings);
         let sigma_s = estimate.readout.map_or(0.0, |readout| readout.sigma_s);
         Ok(is_better(before, &pass).then_some(Self { pass, lines, sigma_s, shutter: found, configured: settings.shutter }))
     }
@@ -50,19 +50,19 @@ impl Readout {
             0.0 => "the camera has a rolling shutter, which the config does not state".to_owned(),
             had_s => format!("the camera's readout time differs from readout_s = {}", written(had_s)),
         };
-        let says = format!(
+        let message = format!(
             "{why}: write {} below [camera] (tried: a pose is then given in {} of {} frames, without it in {})",
             lines.join(" and "),
             pass.outcome.tracked,
             pass.outcome.frames,
             before.outcome.tracked
         );
-        if pass.given() > before.given() + TOLD { Finding::fault(says) } else { Finding::doubt(says) }
+        if pass.reported_share() > before.reported_share() + WARNING_SHARE { Finding::fault(message) } else { Finding::doubt(message) }
     }
 }
 
 /// Whether more poses are reported, or as many with no unexplained residuals.
 fn is_better(before: &Pass, after: &Pass) -> bool {
     let explains = after.is_as_modelled() && !before.is_as_modelled();
-    after.given() > before.given() + TOLD || (explains && after.given() >= before.given())
+    after.reported_share() > before.reported_share() + WARNING_SHARE || (explains && after.reported_share() >= before.reported_share())
 }

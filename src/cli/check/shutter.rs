@@ -42,7 +42,7 @@ pub(super) fn estimate(settings: &Settings, clip: &Path, fps: Option<f64>) -> Re
 
 /// Returns the report's lines.
 pub(super) fn lines(settings: &Settings, clip: &Path, fps: Option<f64>) -> Result<Vec<String>, Failure> {
-    Ok(estimate(settings, clip, fps)?.map_or_else(|why| vec![why.to_owned()], |estimate| told(&estimate, settings)))
+    Ok(estimate(settings, clip, fps)?.map_or_else(|why| vec![why.to_owned()], |estimate| describe(&estimate, settings)))
 }
 
 /// Returns a shutter to try: the estimated one, if it is a rolling one read from the top down and
@@ -69,7 +69,7 @@ fn frames(mut source: Box<dyn FrameSource>, progress: Progress) -> impl Iterator
 }
 
 /// Describes the estimate in words.
-pub(super) fn told(estimate: &ShutterEstimate, settings: &Settings) -> Vec<String> {
+pub(super) fn describe(estimate: &ShutterEstimate, settings: &Settings) -> Vec<String> {
     let ShutterEstimate { frames, aligned, .. } = estimate;
     let mut lines = vec![format!("from the clip's first {frames} frames (of {MAX_FRAMES} at most), the stage was followed in {aligned}")];
     if !estimate.has_settled && [estimate.readout, estimate.exposure].iter().flatten().any(is_known) {

@@ -60,8 +60,8 @@ mod tests {
 
     use super::*;
 
-    fn pose(x_m: f64, turn_deg: f64) -> Pose<Stage, Camera> {
-        Pose::new(UnitQuaternion::from_scaled_axis(Vector3::z() * turn_deg.to_radians()), Vector3::new(x_m, -4.0, 0.0))
+    fn pose(x_m: f64, rotation_deg: f64) -> Pose<Stage, Camera> {
+        Pose::new(UnitQuaternion::from_scaled_axis(Vector3::z() * rotation_deg.to_radians()), Vector3::new(x_m, -4.0, 0.0))
     }
 
     #[test]
@@ -84,7 +84,7 @@ mod tests {
     fn wrong_poses_are_counted_by_place_and_by_direction() {
         let errors = |pairs: &[(f64, f64)]| PoseErrors {
             frames: 9,
-            tracked: pairs.iter().map(|&(x, turn)| PoseError::between(&pose(x, turn), &pose(0.0, 0.0), 4.0)).collect(),
+            tracked: pairs.iter().map(|&(x, rotation)| PoseError::between(&pose(x, rotation), &pose(0.0, 0.0), 4.0)).collect(),
         };
         assert_eq!(errors(&[(0.039, 0.29)]).wrong(), 0);
         assert_eq!(errors(&[(0.041, 0.0), (0.0, 0.31), (0.0, 0.0)]).wrong(), 2);

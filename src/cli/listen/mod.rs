@@ -50,14 +50,14 @@ enum Spoken {
 pub(super) fn run(arguments: &ListenArguments) -> Result<(), Failure> {
     interrupt::watch();
     let port = arguments.port;
-    let mend = "end the program that uses the port, or check --group and --interface";
-    let socket = open(arguments).map_err(|e| Failure::Publishing(format!("cannot listen on UDP port {port} ({e}); {mend}")))?;
+    let hint = "end the program that uses the port, or check --group and --interface";
+    let socket = open(arguments).map_err(|e| Failure::Publishing(format!("cannot listen on UDP port {port} ({e}); {hint}")))?;
     let mut buffer = vec![0; 65_536];
-    let mut heard = 0;
-    while !interrupt::is_interrupted() && arguments.count.is_none_or(|count| heard < count) {
+    let mut received = 0;
+    while !interrupt::is_interrupted() && arguments.count.is_none_or(|count| received < count) {
         // The timeout lets Ctrl-C through; an error with one packet does not stop listening.
         let Ok((length, from)) = socket.recv_from(&mut buffer) else { continue };
-        heard += 1;
+        received += 1;
         print(from, &packets::line(arguments.protocol, &buffer[..length])).map_err(Failure::output(Path::new("stdout")))?;
     }
     Ok(())

@@ -56,8 +56,8 @@ pub(super) struct MountArguments {
 
 pub(super) fn run(arguments: &MountArguments) -> Result<(), Failure> {
     let [clip, other_clip] = &arguments.clip[..] else {
-        let mend = "give --clip twice: the tracking camera's clip, then the filming camera's";
-        return Err(Failure::Usage(format!("--clip is there {} times; {mend}", arguments.clip.len())));
+        let hint = "give --clip twice: the tracking camera's clip, then the filming camera's";
+        return Err(Failure::Usage(format!("--clip is there {} times; {hint}", arguments.clip.len())));
     };
     let (settings, other) = (Settings::load(&arguments.config)?, Settings::load(&arguments.with)?);
     logging::start_for_trials(&arguments.log, settings.log);
@@ -152,7 +152,7 @@ fn unsolvable(why: Unsolvable, pairs: &[StillPair], arguments: &MountArguments) 
              CLIP --config FILE --overlay DIR` what each camera sees",
             pairs.len()
         ),
-        Unsolvable::NotTurned { .. } => {
+        Unsolvable::NotRotated { .. } => {
             format!(
                 "{why}, which with separate boards does not determine the offset; pan, tilt and roll the rig by 20 degrees or more, \
                  {both_see}"

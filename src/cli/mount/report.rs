@@ -51,12 +51,12 @@ impl MountReport<'_> {
 
     /// Returns its covariance in the tracking camera's body axes.
     fn of_bodies_covariance(&self) -> Matrix6<f64> {
-        let turn = body_axes().to_rotation_matrix().into_inner();
+        let rotation = body_axes().to_rotation_matrix().into_inner();
         let mut both = Matrix6::zeros();
-        both.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
-        both.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
-        let turned = both * self.covariance * both.transpose();
-        (turned + turned.transpose()) * 0.5
+        both.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+        both.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+        let rotated = both * self.covariance * both.transpose();
+        (rotated + rotated.transpose()) * 0.5
     }
 
     /// Returns one sigma of right, forward, up (metres), then of pan, tilt, roll (degrees).
@@ -84,7 +84,8 @@ impl MountReport<'_> {
             let _ = writeln!(text, "          {reason}");
         }
         if let Some(NextView { words, sigmas }) = self.next.as_ref().filter(|_| self.verdict != Verdict::Good) {
-            let then = sigmas.map(|[shift, turn]| format!(": then about {:.2} mm and {:.3} degrees", shift * 1e3, turn.to_degrees()));
+            let then =
+                sigmas.map(|[shift, rotation]| format!(": then about {:.2} mm and {:.3} degrees", shift * 1e3, rotation.to_degrees()));
             let _ = writeln!(text, "next      {words}{}", then.unwrap_or_default());
         }
         if let Some(typed) = self.typed {
@@ -112,8 +113,8 @@ impl MountReport<'_> {
     fn judged(&self, typed: &MountSettings) -> String {
         let (measured, typed_pose) = (self.of_bodies(), typed.mount.pose);
         let shift = typed_pose.translation - measured.translation;
-        let turn = (typed_pose.rotation * measured.rotation.inverse()).scaled_axis();
-        let difference = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
+        let rotation = (typed_pose.rotation * measured.rotation.inverse()).scaled_axis();
+        let difference = Vector6::new(shift.x, shift.y, shift.z, rotation.x, rotation.y, rotation.z);
         let own = if typed.mount.covariance == Matrix6::zeros() {
             let sigmas = [TYPED_SIGMA_M, TYPED_SIGMA_M, TYPED_SIGMA_M, TYPED_SIGMA_RAD, TYPED_SIGMA_RAD, TYPED_SIGMA_RAD];
             Matrix6::from_diagonal(&Vector6::from(sigmas).map(|s| s * s))
@@ -122,7 +123,7 @@ impl MountReport<'_> {
         };
         let both = (own + self.of_bodies_covariance()).cholesky();
         let distance = both.map_or(f64::INFINITY, |both| difference.dot(&both.solve(&difference)));
-        let apart = format!("{:.1} mm and {:.2} degrees", shift.norm() * 1e3, turn.norm().to_degrees());
+        let apart = format!("{:.1} mm and {:.2} degrees", shift.norm() * 1e3, rotation.norm().to_degrees());
         if distance <= SAME {
             return format!("its [mount] agrees with the measurement: {apart} apart");
         }

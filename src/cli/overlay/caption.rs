@@ -95,7 +95,7 @@ pub(super) fn status(canvas: &mut Canvas, sample: &PoseSample, edge: f32) {
     }
     let mut paragraphs = vec![facts];
     if let Some(reason) = sample.reason {
-        paragraphs.push(reason.says().split_whitespace().map(|word| Phrase::plain(colour, word)).collect());
+        paragraphs.push(reason.message().split_whitespace().map(|word| Phrase::plain(colour, word)).collect());
     }
     Block::of(canvas, &paragraphs, edge).draw(canvas, Anchor::Top);
 }

@@ -34,7 +34,7 @@ pub(super) fn fit_colour(share: f32) -> Colour {
 /// Accumulated pixels of a cell.
 #[derive(Debug, Clone, Copy, Default)]
 struct Cell {
-    asked: u32,
+    count: u32,
     left_out: u32,
     /// Sum of all pixels' positions.
     places: [f32; 2],
@@ -44,7 +44,7 @@ struct Cell {
 
 impl Cell {
     fn add(&mut self, pixel: &UsedPixel) {
-        self.asked += 1;
+        self.count += 1;
         self.places = [self.places[0] + pixel.centre_px[0], self.places[1] + pixel.centre_px[1]];
         if pixel.takes_part {
             self.shares += (pixel.sigmas / COUNTS_NOTHING).clamp(0.0, 1.0);
@@ -55,13 +55,13 @@ impl Cell {
 
     /// Returns the mean position of its pixels.
     fn middle(&self) -> [f32; 2] {
-        self.places.map(|sum| sum / self.asked.max(1) as f32)
+        self.places.map(|sum| sum / self.count.max(1) as f32)
     }
 
     /// Returns the dot's colour; `None` if the cell has no pixels.
     fn colour(&self) -> Option<Colour> {
-        let taken = self.asked - self.left_out;
-        match (self.asked, taken > self.left_out) {
+        let taken = self.count - self.left_out;
+        match (self.count, taken > self.left_out) {
             (0, _) => None,
             (_, true) => Some(fit_colour(self.shares / taken as f32)),
             (_, false) => Some(LEFT_OUT),

@@ -303,8 +303,8 @@ mod tests {
     fn the_last_pose_is_reported_in_degrees_and_as_a_quaternion() {
         let mut tally = Tally::new(Instant::now(), KnownShutter::default(), "nothing");
         let mut tracked = sample(State::Tracking, 1.0);
-        let turn = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
-        tracked.pose = Some(Pose::new(turn, nalgebra::Vector3::new(0.5, -4.0, 1.6)));
+        let rotation = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
+        tracked.pose = Some(Pose::new(rotation, nalgebra::Vector3::new(0.5, -4.0, 1.6)));
         tally.add(&tracked);
         let wanted = "last pose at +0.5000 -4.0000 +1.6000 m, pan +0.00 tilt +0.00 roll +0.00 degrees (frame 0; quaternion -0.7071 0.0000 0.0000 0.7071)";
         assert!(tally.table().contains(wanted), "{}", tally.table());

@@ -22,7 +22,7 @@ pub(super) struct Service {
     begun: Instant,
     is_tracking: bool,
     until: Option<Duration>,
-    told: Instant,
+    reported_at: Instant,
     pinged: Instant,
     frames_before: u64,
     /// Count and sum of the ages reported so far.
@@ -49,7 +49,7 @@ impl Service {
             begun: now,
             is_tracking: false,
             until,
-            told: now,
+            reported_at: now,
             pinged: now,
             frames_before: 0,
             ages_before: (0, 0.0),
@@ -92,13 +92,13 @@ impl Service {
             self.pinged = Instant::now();
             self.notifier.send("WATCHDOG=1");
         }
-        let since = self.told.elapsed();
+        let since = self.reported_at.elapsed();
         if since < Duration::from_secs(1) {
             return;
         }
         let frames = link.statistics.frames();
         link.statistics.set_rate((frames - self.frames_before.min(frames)) as f64 / since.as_secs_f64());
-        (self.frames_before, self.told) = (frames, Instant::now());
+        (self.frames_before, self.reported_at) = (frames, Instant::now());
         let status = status(&link.statistics, self.ages_before, self.pose.as_ref());
         self.ages_before = (link.statistics.age().count(), link.statistics.age().sum_s());
         self.notifier.send(&format!("STATUS={status}"));
@@ -167,8 +167,8 @@ mod tests {
         s.set_recorder(RecorderState::Stopped);
         assert_eq!(status(&s, (0, 0.0), None), "tracking, 30.0 frames/s, age 12 ms, 0 inliers, rms 0.00 px, 2 dropped, RECORDING STOPPED");
         assert!(status(&s, (1, 0.012), None).starts_with("tracking, 30.0 frames/s, 0 inliers"));
-        let turn = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
-        let pose = Pose::new(turn, nalgebra::Vector3::new(0.5, -4.0, 1.6));
+        let rotation = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
+        let pose = Pose::new(rotation, nalgebra::Vector3::new(0.5, -4.0, 1.6));
         let wanted = "tracking at +0.500 -4.000 +1.600 m, pan +0.00 tilt +0.00 roll +0.00 degrees, 30.0 frames/s";
         assert!(status(&s, (0, 0.0), Some(&pose)).starts_with(wanted));
     }

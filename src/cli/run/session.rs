@@ -168,13 +168,13 @@ impl Session<'_> {
 
     /// Returns the camera's mode once it is there, or why the session ended before that.
     fn wait(&self, source: &mut LiveSource, pages: &Pages, service: &mut Service, sinks: &mut Sinks) -> Result<CameraMode, End> {
-        let (mut reload, mut stale_said) = (None, Instant::now());
+        let (mut reload, mut stale_reported_at) = (None, Instant::now());
         let mode = source.wait_for_camera(|| {
             service.alive();
             // Clients are also told that there is no pose while there is no pipeline.
             let now = monotonic_now();
-            if stale_said.elapsed() >= STALE_REPEAT && self.link.pulse.time_left(now).is_none() {
-                stale_said = Instant::now();
+            if stale_reported_at.elapsed() >= STALE_REPEAT && self.link.pulse.time_left(now).is_none() {
+                stale_reported_at = Instant::now();
                 pages.publish(&PoseSample::stale(0, Timestamp::default(), self.link.pulse.age_ms(now)));
             }
             service.tick(self.link);

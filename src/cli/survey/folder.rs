@@ -32,18 +32,18 @@ pub(super) fn refuse_unusable(folder: &Path) -> Result<(), Failure> {
 pub(super) fn write(folder: &Path, settings: &Settings, made: &Survey) -> Result<(), Failure> {
     let files = files(settings, made).map_err(Failure::output(folder))?;
     let name = folder.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-    let [beside, aside] = ["new", "old"].map(|word| folder.with_file_name(format!(".{name}.{word}")));
+    let [beside, old] = ["new", "old"].map(|word| folder.with_file_name(format!(".{name}.{word}")));
     let written = (|| {
-        put_back(&aside, folder)?;
+        put_back(&old, folder)?;
         // Leftovers of a killed run would mix with this run's files.
         remove(&beside)?;
-        remove(&aside)?;
+        remove(&old)?;
         fs::create_dir_all(&beside)?;
         for (name, bytes) in files {
             safe_file::write_whole(&beside.join(name), &bytes)?;
         }
         safe_file::write_whole(&beside.join(MARK), b"")?;
-        replace(folder, &beside, &aside)
+        replace(folder, &beside, &old)
     })();
     if written.is_err() {
         // The leftovers are useless. If even this fails, the first error is the one to report.
@@ -54,21 +54,21 @@ pub(super) fn write(folder: &Path, settings: &Settings, made: &Survey) -> Result
 
 /// Moves the new folder to the place of the earlier one, which is removed only after that has
 /// succeeded.
-fn replace(folder: &Path, new: &Path, aside: &Path) -> std::io::Result<()> {
+fn replace(folder: &Path, new: &Path, old: &Path) -> std::io::Result<()> {
     if folder.exists() {
-        fs::rename(folder, aside)?;
+        fs::rename(folder, old)?;
     }
     if let Err(e) = fs::rename(new, folder) {
-        put_back(aside, folder)?;
+        put_back(old, folder)?;
         return Err(e);
     }
-    remove(aside)
+    remove(old)
 }
 
 /// Restores an earlier survey that was moved aside if nothing took its place: a run may have been
 /// killed in between.
-fn put_back(aside: &Path, folder: &Path) -> std::io::Result<()> {
-    if aside.exists() && !folder.exists() { fs::rename(aside, folder) } else { Ok(()) }
+fn put_back(old: &Path, folder: &Path) -> std::io::Result<()> {
+    if old.exists() && !folder.exists() { fs::rename(old, folder) } else { Ok(()) }
 }
 
 /// Removes a folder if it exists.
@@ -107,20 +107,20 @@ mod tests {
     #[test]
     fn a_failed_replacement_restores_the_earlier_survey() {
         let room = tempfile::tempdir().unwrap();
-        let [folder, new, aside] = ["stage", ".stage.new", ".stage.old"].map(|name| room.path().join(name));
+        let [folder, new, old] = ["stage", ".stage.new", ".stage.old"].map(|name| room.path().join(name));
         fs::create_dir(&folder).unwrap();
         fs::write(folder.join("stage.toml"), "earlier").unwrap();
         // There is no new folder.
-        assert!(replace(&folder, &new, &aside).is_err());
+        assert!(replace(&folder, &new, &old).is_err());
         assert_eq!(fs::read_to_string(folder.join("stage.toml")).unwrap(), "earlier");
         // A run was killed between the two steps.
-        fs::rename(&folder, &aside).unwrap();
-        put_back(&aside, &folder).unwrap();
+        fs::rename(&folder, &old).unwrap();
+        put_back(&old, &folder).unwrap();
         assert_eq!(fs::read_to_string(folder.join("stage.toml")).unwrap(), "earlier");
         fs::create_dir(&new).unwrap();
         fs::write(new.join("stage.toml"), "new").unwrap();
-        replace(&folder, &new, &aside).unwrap();
+        replace(&folder, &new, &old).unwrap();
         assert_eq!(fs::read_to_string(folder.join("stage.toml")).unwrap(), "new");
-        assert!(!aside.exists() && !new.exists());
+        assert!(!old.exists() && !new.exists());
     }
 }

@@ -50,9 +50,9 @@ pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
 pub(super) fn shutter(made: &Survey) -> Option<String> {
     let found = made.shutter_found.as_ref();
     let milliseconds = |time: &ShutterTime| format!("{:.2} ms (sigma {:.2})", 1e3 * time.seconds, 1e3 * time.sigma_s);
-    let say = |name: &str, time: Option<ShutterTime>, told_s: f64| match time {
+    let say = |name: &str, time: Option<ShutterTime>, configured_s: f64| match time {
         Some(time) => format!("{name} {}", milliseconds(&time)),
-        None => format!("{name} {:.2} ms as configured: the walk has too little motion to estimate it", 1e3 * told_s),
+        None => format!("{name} {:.2} ms as configured: the walk has too little motion to estimate it", 1e3 * configured_s),
     };
     made.refines_lens().then(|| {
         let readout = say("readout", found.and_then(|f| f.readout), made.shutter.readout_s);

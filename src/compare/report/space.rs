@@ -45,8 +45,8 @@ pub(super) fn figure(made: &Comparison) -> Option<String> {
             (Vector3::zeros(), nalgebra::UnitQuaternion::identity(), "var(--blue)"),
             (second, motion.rotation.inverse(), "hsl(30 90% 50%)"),
         ];
-        for (centre, turn, colour) in cameras {
-            let corner = |x: f64, y: f64| centre + turn * (Vector3::new(x, y, 1.2) * 0.12 * most);
+        for (centre, rotation, colour) in cameras {
+            let corner = |x: f64, y: f64| centre + rotation * (Vector3::new(x, y, 1.2) * 0.12 * most);
             for (x, y) in [(-0.7, -0.5), (0.7, -0.5), (0.7, 0.5), (-0.7, 0.5)] {
                 drawing.line(place(view, &centre), place(view, &corner(x, y)), colour, 1.2);
             }

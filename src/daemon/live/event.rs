@@ -244,7 +244,7 @@ impl Event {
     }
 
     /// Returns the event as a sentence without its full stop, and its severity.
-    pub fn says(&self) -> (Level, String) {
+    pub fn message(&self) -> (Level, String) {
         match self {
             Self::CameraOpened { name, width, height, format, fps, again, .. } => {
                 let again = if *again { "open again" } else { "open" };
@@ -294,7 +294,7 @@ fn note(event: &Event) {
     if event.is_progress() && !tracing::enabled!(Level::DEBUG) {
         return;
     }
-    match event.says() {
+    match event.message() {
         (Level::ERROR, text) => tracing::error!("{text}"),
         (Level::WARN, text) => tracing::warn!("{text}"),
         (Level::INFO, text) => tracing::info!("{text}"),

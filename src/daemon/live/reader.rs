@@ -40,7 +40,7 @@ pub(super) struct Shared {
     /// Set once rows are being taken; pictures before that do not count as dropped.
     pub is_read: AtomicBool,
     /// Set once the missing driver stamps have been reported.
-    pub unstamped_said: AtomicBool,
+    pub has_reported_unstamped: AtomicBool,
 }
 
 /// One reader's own state.
@@ -142,12 +142,12 @@ pub(super) fn read(shared: &Shared, ticket: &Ticket, to: &DropOldestSender<Arriv
 }
 
 fn open_and_stream(shared: &Shared, ticket: &Ticket, to: &DropOldestSender<Arrived>) {
-    let mut said = None;
+    let mut last_reason = None;
     while wanted(shared, ticket) {
         ticket.beat();
         match open(shared) {
             Ok((mut camera, mode)) => {
-                said = None;
+                last_reason = None;
                 let loss = stream(shared, ticket, &mut *camera, mode, to);
                 ticket.beat();
                 close(shared, camera);
@@ -161,9 +161,9 @@ fn open_and_stream(shared: &Shared, ticket: &Ticket, to: &DropOldestSender<Arriv
                     Loss::Gone(reason) => shared.link.events.publish(Event::CameraLost { reason }),
                 }
             }
-            Err(reason) if said.as_ref() != Some(&reason) => {
+            Err(reason) if last_reason.as_ref() != Some(&reason) => {
                 shared.link.events.publish(Event::CameraWaiting { reason: reason.clone() });
-                said = Some(reason);
+                last_reason = Some(reason);
             }
             Err(_) => {}
         }
@@ -248,7 +248,7 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: Camer
         };
         last = Instant::now();
         let (timestamp, stamped) = trust.mid_exposure(picture.stamp, picture.arrival, &shutter);
-        if !stamped && !shared.unstamped_said.swap(true, Ordering::Relaxed) {
+        if !stamped && !shared.has_reported_unstamped.swap(true, Ordering::Relaxed) {
             shared.link.events.publish(Event::NoDriverStamp { name: mode.name.clone() });
         }
         if let (Some(before), Some(now)) = (last_sequence, picture.device_sequence) {

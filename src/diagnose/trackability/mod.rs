@@ -310,22 +310,22 @@ fn rating(all: &[Seen], own: usize, workers: &Workers) -> Rating {
     let share_plain = 1.0 - map.share_detailed();
     let mistaken = recognised.share_wrong();
     let sigma_px = map.sigma_px();
-    let mut asked = vec![
+    let mut scores = vec![
         (by_ratio(f64::from(side), SIDE_PX), Weakness::Small(side)),
         (by_difference(mistaken, MISTAKEN), Weakness::Repetitive(mistaken)),
         (by_ratio(recognised.right, CORNERS), Weakness::FewCorners(recognised.right.round() as usize)),
         (by_ratio(1.0 - share_plain, DETAILED), Weakness::Plain(share_plain)),
         (by_ratio(sigma_px, SIGMA_PX), Weakness::Soft(sigma_px)),
     ];
-    asked.extend(apart_m.map(|apart_m| (by_ratio(recognised.once, CORNERS), Weakness::Repeats(apart_m))));
+    scores.extend(apart_m.map(|apart_m| (by_ratio(recognised.once, CORNERS), Weakness::Repeats(apart_m))));
     if let Some((other, share)) = like {
         // On the same body the other features still help, so it costs at most half.
         let least = if all[other].body == *body { 0.5 * f64::from(BEST) } else { 0.0 };
-        asked.push((by_difference(share, SHARED).max(least), Weakness::Like { other: all[other].names.clone(), share }));
+        scores.push((by_difference(share, SHARED).max(least), Weakness::Like { other: all[other].names.clone(), share }));
     }
-    asked.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let stars = asked.first().map_or(0, |(score, _)| score.round() as u8);
-    let weaknesses = asked.into_iter().filter(|(score, _)| *score < WEAK).map(|(_, weakness)| weakness).collect();
+    scores.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let stars = scores.first().map_or(0, |(score, _)| score.round() as u8);
+    let weaknesses = scores.into_iter().filter(|(score, _)| *score < WEAK).map(|(_, weakness)| weakness).collect();
     let [body, surface] = names.clone();
     Rating { body, surface, stars, weaknesses, map, seen_px: [picture.width(), picture.height()] }
 }

@@ -154,14 +154,14 @@ pub fn extract(picture: &GrayImage, settings: &FeatureSettings) -> Features {
 /// work stops and the result is `None`.
 pub fn extract_watched(picture: &GrayImage, settings: &FeatureSettings, goes_on: &dyn Fn(Share) -> bool) -> Option<Features> {
     let is_ended = Cell::new(false);
-    let heard = |share| {
+    let report = |share| {
         is_ended.set(is_ended.get() || !goes_on(share));
         !is_ended.get()
     };
-    if !heard(Share::NOTHING) {
+    if !report(Share::NOTHING) {
         return None;
     }
-    let found = features(&PictureForms::watched(picture, Watch::new(&heard)), settings);
+    let found = features(&PictureForms::watched(picture, Watch::new(&report)), settings);
     (!is_ended.get()).then_some(found)
 }
 

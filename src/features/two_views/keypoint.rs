@@ -51,7 +51,7 @@ impl Keypoint {
     }
 
     /// Returns the region with its orientation set to `angle` in its own normalised frame, radians.
-    pub fn turned(&self, angle: f64) -> Self {
+    pub fn rotated(&self, angle: f64) -> Self {
         let (sin, cos) = angle.sin_cos();
         Self { shape: self.shape * Matrix2::new(cos, -sin, sin, cos), ..*self }
     }

@@ -223,10 +223,10 @@ mod tests {
         assert!(found.share > 0.95 && found.share <= 1.0 && (found.error_px.unwrap() - 0.2).abs() < 1e-3, "{found:?}");
         // A keypoint with three orientations counts once, so two of four are found again.
         let [a, b] = [first[0], first[5]];
-        let turned = [a, a.turned(1.0), a.turned(2.0), b];
+        let rotated = [a, a.rotated(1.0), a.rotated(2.0), b];
         let other = [a, Keypoint::round(Vector2::new(300.0, 200.0), 2.0, 1.0)];
         let still = Homography(Matrix3::identity());
-        assert_eq!(repeatability(&turned, &other, &still, SIZES).share, 0.5);
+        assert_eq!(repeatability(&rotated, &other, &still, SIZES).share, 0.5);
         // Parts that the second picture does not show do not count against it.
         let aside = Homography(Matrix3::new(1.0, 0.0, 200.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
         assert!(repeatability(&first, &moved(&first, &aside, 0.0), &aside, SIZES).share > 0.99);
@@ -235,8 +235,8 @@ mod tests {
     #[test]
     fn ellipse_overlap_matches_pixel_counting() {
         let ellipse = |a: f64, b: f64, angle: f64| {
-            let turn = nalgebra::Rotation2::new(angle).into_inner();
-            turn * Matrix2::new(a * a, 0.0, 0.0, b * b) * turn.transpose()
+            let rotation = nalgebra::Rotation2::new(angle).into_inner();
+            rotation * Matrix2::new(a * a, 0.0, 0.0, b * b) * rotation.transpose()
         };
         for (a, b) in [((20.0, 10.0, 0.3), (15.0, 12.0, 1.2)), ((20.0, 20.0, 0.0), (10.0, 10.0, 0.0)), ((9.0, 8.0, 0.1), (30.0, 20.0, 2.0))]
         {

@@ -204,8 +204,8 @@ mod tests {
             let middle = Vector2::new(random.random_range(-side..side), random.random_range(-side..side));
             let size = 2.5 * 2.0_f64.powf(random.random_range(0.0..2.0));
             let (stretch, angle) = (random.random_range(0.5..1.0), random.random_range(0.0..3.0_f64));
-            let turn = Matrix2::new(angle.cos(), -angle.sin(), angle.sin(), angle.cos());
-            let shape = turn * Matrix2::from_diagonal(&Vector2::new(size, size * stretch));
+            let rotation = Matrix2::new(angle.cos(), -angle.sin(), angle.sin(), angle.cos());
+            let shape = rotation * Matrix2::from_diagonal(&Vector2::new(size, size * stretch));
             (middle, shape * shape.transpose(), random.random_range(-90.0..90.0))
         };
         (0..count).map(|_| spot()).collect()
@@ -279,8 +279,8 @@ mod tests {
     #[test]
     fn view_simulation_matches_steep_tilts() {
         let spots = spots(260, 130.0, 5);
-        let turn = |a: f64| Matrix2::new(a.cos(), -a.sin(), a.sin(), a.cos());
-        let matrix = turn(0.5) * Matrix2::new(0.25, 0.0, 0.0, 1.0) * turn(-0.9);
+        let rotation = |a: f64| Matrix2::new(a.cos(), -a.sin(), a.sin(), a.cos());
+        let matrix = rotation(0.5) * Matrix2::new(0.25, 0.0, 0.0, 1.0) * rotation(-0.9);
         let [a, b] = [(Matrix2::identity(), (221, 221)), (matrix, (221, 261))].map(|(m, size)| picture(&spots, m, size));
         let map = |p: Vector2<f64>| matrix * (p - Vector2::repeat(110.0)) + Vector2::new(110.0, 130.0);
         let count = |tilts: u32| {

@@ -58,8 +58,8 @@ impl Relation<7> for Orthonormal {
     }
 
     fn stepped(&self, step: &SVector<f64, 7>) -> Self {
-        let turn = |k: usize| Rotation3::from_scaled_axis(step.fixed_rows::<3>(k).into_owned()).into_inner();
-        Self { u: self.u * turn(0), v: self.v * turn(3), angle: self.angle + step[6] }
+        let rotation = |k: usize| Rotation3::from_scaled_axis(step.fixed_rows::<3>(k).into_owned()).into_inner();
+        Self { u: self.u * rotation(0), v: self.v * rotation(3), angle: self.angle + step[6] }
     }
 
     fn derivatives(&self) -> [Matrix3<f64>; 7] {

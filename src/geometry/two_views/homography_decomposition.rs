@@ -15,7 +15,7 @@ use crate::geometry::relative_pose::RayPair;
 /// If the largest and smallest singular value differ by less than this, H is a pure rotation (whose
 /// singular values are all 1). t / d, at least half their difference, is then below a millionth and
 /// just rounding. Raised, very small motions are lost.
-const ONLY_TURNED: f64 = 1e-6;
+const MAX_ONLY_ROTATED: f64 = 1e-6;
 
 /// A motion and the plane that was seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,7 +69,7 @@ fn motions(h: &Matrix3<f64>) -> Vec<PlanarMotion> {
     order.sort_by(|&i, &k| eigen.eigenvalues[k].total_cmp(&eigen.eigenvalues[i]));
     let [large, _, small] = order.map(|k| eigen.eigenvalues[k].max(0.0));
     let [v1, v2, v3] = order.map(|k| eigen.eigenvectors.column(k).into_owned());
-    if large.sqrt() - small.sqrt() < ONLY_TURNED {
+    if large.sqrt() - small.sqrt() < MAX_ONLY_ROTATED {
         let rotation = quaternion(h);
         return vec![PlanarMotion { rotation, translation: Vector3::zeros(), normal: None, in_front: 0 }];
     }
@@ -90,20 +90,20 @@ fn motions(h: &Matrix3<f64>) -> Vec<PlanarMotion> {
 
 /// Chooses the motion or its mirror image, whichever has more pairs in front of both cameras.
 fn facing(motion: PlanarMotion, pairs: &[RayPair]) -> PlanarMotion {
-    let turned = PlanarMotion { translation: -motion.translation, normal: motion.normal.map(|n| -n), ..motion };
+    let rotated = PlanarMotion { translation: -motion.translation, normal: motion.normal.map(|n| -n), ..motion };
     let [as_is, mirrored] =
-        [motion, turned].map(|m| PlanarMotion { in_front: pairs.iter().filter(|p| is_in_front(&m, p.first)).count(), ..m });
+        [motion, rotated].map(|m| PlanarMotion { in_front: pairs.iter().filter(|p| is_in_front(&m, p.first)).count(), ..m });
     if mirrored.in_front > as_is.in_front { mirrored } else { as_is }
 }
 
 /// Whether the plane is in front of both cameras along this ray of the first.
 fn is_in_front(motion: &PlanarMotion, first: Vector2<f64>) -> bool {
     let ray = first.push(1.0);
-    let turned = motion.rotation * ray;
+    let rotated = motion.rotation * ray;
     match motion.normal {
         // The depth in the first view is d / (n · x), in the second that of R x + t (n · x) / d.
-        Some(n) => n.dot(&ray) > 0.0 && turned.z + motion.translation.z * n.dot(&ray) > 0.0,
-        None => turned.z > 0.0,
+        Some(n) => n.dot(&ray) > 0.0 && rotated.z + motion.translation.z * n.dot(&ray) > 0.0,
+        None => rotated.z > 0.0,
     }
 }
 
@@ -137,8 +137,8 @@ mod tests {
         /// For any motion, plane, and sign and scale of the homography: the truth is among at most
         /// two results, and each reproduces H.
         #[test]
-        fn the_decomposition_includes_the_true_motion(turn in prop::array::uniform3(-0.4..0.4_f64), t in prop::array::uniform3(-0.5..0.5_f64), tilt in prop::array::uniform2(-0.8..0.8_f64), scale in prop::sample::select(vec![-3.0, 1.0, 1e-4])) {
-            let (rotation, t) = (UnitQuaternion::from_scaled_axis(Vector3::from(turn)), Vector3::from(t));
+        fn the_decomposition_includes_the_true_motion(rotation in prop::array::uniform3(-0.4..0.4_f64), t in prop::array::uniform3(-0.5..0.5_f64), tilt in prop::array::uniform2(-0.8..0.8_f64), scale in prop::sample::select(vec![-3.0, 1.0, 1e-4])) {
+            let (rotation, t) = (UnitQuaternion::from_scaled_axis(Vector3::from(rotation)), Vector3::from(t));
             let n = Vector3::new(tilt[0], tilt[1], 1.0).normalize();
             prop_assume!(t.norm() > 0.02);
             let (h, pairs) = seen(&rotation, &t, &n, 1.0);

@@ -83,11 +83,11 @@ fn null_space(mut rows: [[f64; 9]; 7]) -> Option<[Matrix3<f64>; 2]> {
 fn pencil([a, b]: [Matrix3<f64>; 2]) -> Option<[Matrix3<f64>; 2]> {
     // At most three angles are singular, so one of these four is at least a quarter of their
     // spacing away.
-    let turned = [0.0_f64, 45.0, 90.0, 135.0].map(|angle| {
+    let rotated = [0.0_f64, 45.0, 90.0, 135.0].map(|angle| {
         let (s, c) = angle.to_radians().sin_cos();
         [a * c + b * s, b * c - a * s]
     });
-    let best = turned.into_iter().max_by(|p, q| p[1].determinant().abs().total_cmp(&q[1].determinant().abs()))?;
+    let best = rotated.into_iter().max_by(|p, q| p[1].determinant().abs().total_cmp(&q[1].determinant().abs()))?;
     (best[1].determinant().abs() > ALL_SINGULAR).then_some(best)
 }
 

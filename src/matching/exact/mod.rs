@@ -117,17 +117,17 @@ fn compared(first: &Features, second: &Features, goes_on: &dyn Fn() -> bool) -> 
     }
 }
 
-/// Number of queries a thread takes at a time; the nearest of them is stored per target: some
-/// megabytes for the largest pictures. Raised, threads wait for each other at the end; lowered,
-/// more is stored.
-const A_TURN: usize = 256;
-/// Number of targets multiplied with a turn's queries at once. Raised, the products (256 kB) no
+/// Number of queries a thread takes at a time, a chunk; the nearest of them is stored per target:
+/// some megabytes for the largest pictures. Raised, threads wait for each other at the end;
+/// lowered, more is stored.
+const QUERIES_PER_CHUNK: usize = 256;
+/// Number of targets multiplied with a chunk's queries at once. Raised, the products (256 kB) no
 /// longer fit the second-level cache; lowered, the queries are read more often.
 const TARGETS: usize = 256;
-/// Turns between two calls of `goes_on`, over all threads: a quarter of a second for some ten
+/// Chunks between two calls of `goes_on`, over all threads: a quarter of a second for some ten
 /// thousand vectors of 128 on one thread. Raised, an interrupt takes longer; lowered, threads wait
 /// for each other more often.
-const TURNS_BETWEEN: usize = 8;
+const CHUNKS_PER_CALL: usize = 8;
 
 /// The query nearest to one target: the query-dependent part of the distance, and its index.
 type NearestQuery = (f32, u32);
@@ -135,7 +135,7 @@ type NearestQuery = (f32, u32);
 /// Returns `None` if the work was stopped.
 fn compared_vectors(queries: &[f32], targets: &[f32], length: usize, places: &[Keypoint], goes_on: &dyn Fn() -> bool) -> Option<Compared> {
     let squares = squares_of(targets, length);
-    let turn = |(turn, queries): (usize, &[f32])| {
+    let compare = |(chunk, queries): (usize, &[f32])| {
         let mut asked = Queries::new(queries, length);
         let count = asked.own.len();
         let mut back: Vec<NearestQuery> = Vec::with_capacity(squares.len());
@@ -148,7 +148,7 @@ fn compared_vectors(queries: &[f32], targets: &[f32], length: usize, places: &[K
             for products in products.chunks_exact(count).take(columns.ncols()) {
                 let k = back.len();
                 let (least, query) = asked.take(k, squares[k], products, places);
-                back.push((least, (turn * A_TURN + query) as u32));
+                back.push((least, (chunk * QUERIES_PER_CHUNK + query) as u32));
             }
         }
         let answers = queries.chunks_exact(length).zip(asked.nearest);
@@ -156,16 +156,16 @@ fn compared_vectors(queries: &[f32], targets: &[f32], length: usize, places: &[K
     };
     let mut back = vec![(f32::INFINITY, 0); squares.len()];
     let mut forth = Vec::with_capacity(queries.len() / length);
-    let all: Vec<(usize, &[f32])> = queries.chunks(A_TURN * length).enumerate().collect();
-    for some in all.chunks(TURNS_BETWEEN) {
+    let all: Vec<(usize, &[f32])> = queries.chunks(QUERIES_PER_CHUNK * length).enumerate().collect();
+    for some in all.chunks(CHUNKS_PER_CALL) {
         if !goes_on() {
             return None;
         }
-        let turns: Vec<(Vec<Option<Found>>, Vec<NearestQuery>)> = some.par_iter().copied().map(turn).collect();
-        for (nearest, of_turn) in turns {
+        let compared: Vec<(Vec<Option<Found>>, Vec<NearestQuery>)> = some.par_iter().copied().map(compare).collect();
+        for (nearest, of_chunk) in compared {
             forth.extend(nearest);
-            // Turns come in query order, so ties keep the first.
-            back.iter_mut().zip(of_turn).filter(|(best, other)| other.0 < best.0).for_each(|(best, other)| *best = other);
+            // Chunks come in query order, so ties keep the first.
+            back.iter_mut().zip(of_chunk).filter(|(best, other)| other.0 < best.0).for_each(|(best, other)| *best = other);
         }
     }
     Some(Compared { forth, back: back.into_iter().map(|(_, index)| index as usize).collect() })
@@ -175,7 +175,7 @@ fn squares_of(vectors: &[f32], length: usize) -> Vec<f32> {
     vectors.chunks_exact(length).map(|vector| vector.iter().map(|v| v * v).sum()).collect()
 }
 
-/// The queries of a turn, with their nearest targets so far.
+/// The queries of a chunk, with their nearest targets so far.
 struct Queries {
     /// Their squared norms.
     own: Vec<f32>,
@@ -350,11 +350,11 @@ mod tests {
         }
     }
 
-    /// More than one turn holds, and more than are multiplied at once.
+    /// More than one chunk holds, and more than are multiplied at once.
     #[test]
     fn large_sets_match_the_same_as_small_ones() {
         for length in [3, 8, 64, 129] {
-            same(&vectors(A_TURN + 37, length, 1), &vectors(2 * TARGETS + 1, length, 2));
+            same(&vectors(QUERIES_PER_CHUNK + 37, length, 1), &vectors(2 * TARGETS + 1, length, 2));
         }
     }
 

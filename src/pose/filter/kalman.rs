@@ -19,12 +19,12 @@ pub struct KalmanSettings {
     /// Accelerations while moving, one sigma, m/s².
     pub acceleration_m_s2: f64,
     /// Angular accelerations while moving, one sigma, rad/s².
-    pub turn_acceleration_rad_s2: f64,
+    pub angular_acceleration_rad_s2: f64,
 }
 
 impl Default for KalmanSettings {
     fn default() -> Self {
-        Self { acceleration_m_s2: 30.0, turn_acceleration_rad_s2: 60.0 }
+        Self { acceleration_m_s2: 30.0, angular_acceleration_rad_s2: 60.0 }
     }
 }
 
@@ -39,7 +39,7 @@ impl Kalman {
         let [position, rotation] = variances(covariance);
         Self {
             position: Follower::start(settings.acceleration_m_s2, ahead_s, pose.translation, position),
-            rotation: Follower::start(settings.turn_acceleration_rad_s2, ahead_s, pose.rotation, rotation),
+            rotation: Follower::start(settings.angular_acceleration_rad_s2, ahead_s, pose.rotation, rotation),
         }
     }
 
@@ -56,9 +56,9 @@ impl Kalman {
         Motion {
             pose: Pose::new(rotation.place, position.place),
             velocity: position.velocity,
-            turn_rate: to_own_axes * rotation.velocity,
+            angular_velocity: to_own_axes * rotation.velocity,
             acceleration: position.acceleration,
-            turn_acceleration: to_own_axes * rotation.acceleration,
+            angular_acceleration: to_own_axes * rotation.acceleration,
         }
     }
 }

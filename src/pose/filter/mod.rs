@@ -116,11 +116,11 @@ impl<From> PoseFilter<From> {
         });
         self.reach.push(timestamp, pose);
         let running = Running { last: timestamp, intervals_s, state };
-        let told = self.after(&running, 0.0);
+        let output = self.after(&running, 0.0);
         self.running = Some(running);
         // A measurement that overflows the filter's numbers ends the filter, not the tracking.
-        if told.is_finite() {
-            return told;
+        if output.is_finite() {
+            return output;
         }
         self.reset();
         *pose
@@ -148,11 +148,11 @@ impl<From> PoseFilter<From> {
         let fade = (-gap_s.max(0.0) / FADE_S).exp();
         let ahead =
             |velocity: Vector3<f64>, acceleration: Vector3<f64>| velocity * predict_s + acceleration * (predict_s * predict_s / 2.0);
-        let ahead = [ahead(motion.velocity, motion.acceleration), ahead(motion.turn_rate, motion.turn_acceleration)];
+        let ahead = [ahead(motion.velocity, motion.acceleration), ahead(motion.angular_velocity, motion.angular_acceleration)];
         let ahead = self.reach.supports(ahead, PREDICTED_WAYS, predict_s);
-        let on = self.reach.carries([motion.velocity, motion.turn_rate], FADE_S);
-        let [way, turn] = [0, 1].map(|part| ahead[part] * fade + on[part] * (1.0 - fade));
-        motion.pose.moved(&way, &turn)
+        let on = self.reach.carries([motion.velocity, motion.angular_velocity], FADE_S);
+        let [way, rotation] = [0, 1].map(|part| ahead[part] * fade + on[part] * (1.0 - fade));
+        motion.pose.moved(&way, &rotation)
     }
 }
 

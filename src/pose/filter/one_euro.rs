@@ -40,13 +40,14 @@ impl<From> OneEuro<From> {
     }
 
     pub fn update(&mut self, step_s: f64, pose: &Pose<Stage, From>) {
-        let Motion { pose: last, velocity, turn_rate, .. } = &mut self.motion;
-        let [way, turn] = last.step_to(pose);
+        let Motion { pose: last, velocity, angular_velocity, .. } = &mut self.motion;
+        let [way, rotation] = last.step_to(pose);
         let share = share_of(VELOCITY_CUTOFF_HZ, step_s);
         *velocity += share * (way / step_s - *velocity);
-        *turn_rate += share * (turn / step_s - *turn_rate);
+        *angular_velocity += share * (rotation / step_s - *angular_velocity);
         let cutoff = |speed: f64| self.settings.min_cutoff_hz + self.settings.beta * speed;
-        *last = last.moved(&(share_of(cutoff(velocity.norm()), step_s) * way), &(share_of(cutoff(turn_rate.norm()), step_s) * turn));
+        *last =
+            last.moved(&(share_of(cutoff(velocity.norm()), step_s) * way), &(share_of(cutoff(angular_velocity.norm()), step_s) * rotation));
         last.rotation.renormalize();
     }
 }

@@ -49,15 +49,15 @@ fn stamps(rate: f64, kind: usize, begin: f64) -> Vec<f64> {
 }
 
 /// (seconds, output, output rotation) along x of each frame.
-fn told(settings: FilterSettings, stamps: &[f64], sigma: f64, noise: f64, path: impl Fn(f64) -> f64) -> Vec<(f64, f64, f64)> {
+fn output(settings: FilterSettings, stamps: &[f64], sigma: f64, noise: f64, path: impl Fn(f64) -> f64) -> Vec<(f64, f64, f64)> {
     let mut filter = PoseFilter::<Camera>::new(settings);
     let mut random = Pcg64::seed_from_u64(7);
     let mut normal = move || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
     let mut one = |t: &f64| {
         let mut off = || Vector3::new(normal(), normal(), normal()) * noise;
         let measured = pose(Vector3::x() * path(*t) + off(), Vector3::x() * path(*t) + off());
-        let told = filter.measured(Timestamp::from_seconds(*t), &measured, &(Matrix6::identity() * sigma * sigma));
-        (*t, told.translation.x, told.rotation.scaled_axis().x)
+        let output = filter.measured(Timestamp::from_seconds(*t), &measured, &(Matrix6::identity() * sigma * sigma));
+        (*t, output.translation.x, output.rotation.scaled_axis().x)
     };
     stamps.iter().map(&mut one).collect()
 }
@@ -69,8 +69,8 @@ fn judged(row: &[(f64, f64)], end: f64) -> (f64, f64, usize) {
     let greatest = |since: f64| after.iter().filter(|(t, _)| *t >= since).map(|(_, x)| x.abs()).fold(0.0, f64::max);
     // Only visible deviations count: a tenth of a millimetre.
     let seen: Vec<f64> = after.iter().map(|(_, x)| *x).filter(|x| x.abs() > 1e-4).collect();
-    let turns = seen.windows(2).filter(|w| w[0] * w[1] < 0.0).count();
-    (greatest(EVENT_S), greatest(EVENT_S + 0.3), turns)
+    let sign_changes = seen.windows(2).filter(|w| w[0] * w[1] < 0.0).count();
+    (greatest(EVENT_S), greatest(EVENT_S + 0.3), sign_changes)
 }
 
 #[test]
@@ -80,13 +80,13 @@ fn jolts_stops_and_cuts_settle_without_oscillation() {
         for (kind, begin) in [(0, 0.0), (0, 0.4), (1, 0.0), (2, 0.0), (2, 0.4)] {
             for predict_s in [0.0, 0.1, 0.2] {
                 let stamps = stamps(rate, kind, begin);
-                let rows = told(kalman(predict_s), &stamps, sigma, 0.0, |t| event.at(t));
+                let rows = output(kalman(predict_s), &stamps, sigma, 0.0, |t| event.at(t));
                 // The window of the reach extends to the frame before it.
                 let longest_step = stamps.windows(2).map(|w| w[1] - w[0]).fold(0.0, f64::max);
                 let bound = PREDICTED_WAYS * event.way(predict_s + longest_step) + 1e-3;
                 let positions: Vec<_> = rows.iter().map(|r| (r.0, r.1)).collect();
-                let turns: Vec<_> = rows.iter().map(|r| (r.0, r.2)).collect();
-                for row in [positions, turns] {
+                let rotations: Vec<_> = rows.iter().map(|r| (r.0, r.2)).collect();
+                for row in [positions, rotations] {
                     let (overshoot, late, to_and_fro) = judged(&row, event.at(4.0));
                     let case = format!("{event:?} {rate} Hz sigma {sigma} stamps {kind} {begin} +{predict_s} s");
                     assert!(late < 1e-3, "{case}: {late} m off after 0.3 s");
@@ -125,7 +125,7 @@ fn jolts_stops_and_cuts_settle_despite_noise() {
     for event in [Event::Kick, Event::EndStop, Event::Cut] {
         for (rate, sigma) in RATES.iter().flat_map(|rate| [1e-6, 1e-5, 1e-4].map(|sigma| (*rate, sigma))) {
             for predict_s in [0.0, 0.1, 0.2] {
-                let rows = told(kalman(predict_s), &stamps(rate, 0, 0.0), sigma, sigma, |t| event.at(t));
+                let rows = output(kalman(predict_s), &stamps(rate, 0, 0.0), sigma, sigma, |t| event.at(t));
                 let positions: Vec<_> = rows.iter().map(|r| (r.0, r.1)).collect();
                 let (_, late, _) = judged(&positions, event.at(4.0));
                 assert!(late < 1e-3, "{event:?} {rate} Hz sigma {sigma} +{predict_s} s: {late} m off after 0.3 s");
@@ -137,7 +137,7 @@ fn jolts_stops_and_cuts_settle_despite_noise() {
 #[test]
 fn scatter_returns_to_normal_after_a_jump() {
     for (rate, sigma) in RATES.iter().flat_map(|rate| [1e-5, 1e-4, 1e-3].map(|sigma| (*rate, sigma))) {
-        let rows = told(kalman(0.1), &stamps(rate, 0, 0.0), sigma, sigma, |t| Event::Cut.at(t));
+        let rows = output(kalman(0.1), &stamps(rate, 0, 0.0), sigma, sigma, |t| Event::Cut.at(t));
         let scatter = |from: f64, end: f64| {
             let off: Vec<f64> = rows.iter().filter(|r| (from..from + 1.0).contains(&r.0)).map(|r| r.1 - end).collect();
             (off.iter().map(|x| x * x).sum::<f64>() / off.len() as f64).sqrt()
@@ -167,10 +167,10 @@ fn predictions_reach_at_most_twice_the_recent_motion() {
                 let measured = pose(at, Vector3::zeros());
                 let covariance = Matrix6::identity() * 1e-8;
                 let here = now.measured(Timestamp::from_seconds(t), &measured, &covariance);
-                let told = ahead.measured(Timestamp::from_seconds(t), &measured, &covariance);
+                let output = ahead.measured(Timestamp::from_seconds(t), &measured, &covariance);
                 let since = past.iter().rposition(|(then, _)| *then <= t - predict_s - 1e-6).unwrap_or(0);
                 let moved = past[since..].iter().map(|(_, p)| (p - at).norm()).fold(0.0, f64::max);
-                let reach = (told.translation - here.translation).norm();
+                let reach = (output.translation - here.translation).norm();
                 assert!(reach <= PREDICTED_WAYS * moved + 1e-9, "{kind:?} {rate} Hz frame {k}: {reach}, moved {moved}");
             }
         }
@@ -183,8 +183,8 @@ fn one_euro_never_oscillates_or_predicts_a_body_at_rest() {
         for rate in RATES {
             for predict_s in [0.0, 0.1, 0.2] {
                 let settings = FilterSettings { predict_s, ..one_euro() };
-                let rows = told(settings, &stamps(rate, 0, 0.0), 1e-4, 0.0, |t| event.at(t));
-                let unpredicted = told(one_euro(), &stamps(rate, 0, 0.0), 1e-4, 0.0, |t| event.at(t));
+                let rows = output(settings, &stamps(rate, 0, 0.0), 1e-4, 0.0, |t| event.at(t));
+                let unpredicted = output(one_euro(), &stamps(rate, 0, 0.0), 1e-4, 0.0, |t| event.at(t));
                 let positions: Vec<_> = rows.iter().map(|r| (r.0, r.1)).collect();
                 let (overshoot, _, to_and_fro) = judged(&positions, event.at(4.0));
                 assert!(to_and_fro <= 2, "{event:?} {rate} Hz +{predict_s} s: {to_and_fro} times to and fro");
@@ -246,7 +246,7 @@ fn coasting_moves_no_further_than_the_recent_motion() {
 fn five_frames_per_second_tolerate_a_dropped_frame() {
     for rate in [2.0, 5.0, 7.5] {
         let stamps = stamps(rate, 2, 0.0);
-        let rows = told(kalman(0.1), &stamps, 1e-4, 0.0, |t| 0.4 * t);
+        let rows = output(kalman(0.1), &stamps, 1e-4, 0.0, |t| 0.4 * t);
         for (t, x, _) in rows.iter().filter(|r| r.0 > 2.0) {
             assert!((x - 0.4 * (t + 0.1)).abs() < 1e-3, "{rate} Hz at {t}: {x}");
         }

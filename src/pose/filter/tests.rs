@@ -23,8 +23,8 @@ pub(super) fn one_euro() -> FilterSettings {
     FilterSettings { kind: FilterKind::OneEuro(OneEuroSettings::default()), predict_s: 0.0 }
 }
 
-pub(super) fn pose(position: Vector3<f64>, turn: Vector3<f64>) -> Pose<Stage, Camera> {
-    Pose::new(UnitQuaternion::from_scaled_axis(turn), position)
+pub(super) fn pose(position: Vector3<f64>, rotation: Vector3<f64>) -> Pose<Stage, Camera> {
+    Pose::new(UnitQuaternion::from_scaled_axis(rotation), position)
 }
 
 /// The textbook filter along one axis: constant velocity, with an acceleration that is constant
@@ -78,8 +78,8 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
 
 #[test]
 fn filter_off_returns_measurements_bit_for_bit() {
-    for (told, measured) in filtered(FilterSettings::default(), 10, |t| pose(Vector3::x() * t, Vector3::z() * t)) {
-        assert_eq!(told, measured);
+    for (output, measured) in filtered(FilterSettings::default(), 10, |t| pose(Vector3::x() * t, Vector3::z() * t)) {
+        assert_eq!(output, measured);
     }
 }
 
@@ -91,8 +91,8 @@ fn at_rest_the_filter_reduces_scatter_even_with_prediction() {
         let off = |p: &Pose<Stage, Camera>| (p.translation - still(0.0).translation).norm();
         let ratio = rms(track[60..].iter().map(|(t, _)| off(t))) / rms(track[60..].iter().map(|(_, m)| off(m)));
         assert!(ratio < most, "{settings:?}: {ratio}");
-        let turned = |p: &Pose<Stage, Camera>| p.angle_to(&still(0.0));
-        let ratio = rms(track[60..].iter().map(|(t, _)| turned(t))) / rms(track[60..].iter().map(|(_, m)| turned(m)));
+        let rotated = |p: &Pose<Stage, Camera>| p.angle_to(&still(0.0));
+        let ratio = rms(track[60..].iter().map(|(t, _)| rotated(t))) / rms(track[60..].iter().map(|(_, m)| rotated(m)));
         assert!(ratio < most, "{settings:?}: {ratio}");
     }
 }
@@ -102,11 +102,11 @@ fn a_prediction_meets_uniform_motion() {
     let path = |t: f64| pose(Vector3::new(0.8 * t, 0.3 * t, 0.0), Vector3::new(0.0, 0.0, 0.7 * t));
     let ahead = 0.05;
     let track = filtered(kalman(ahead), 120, path);
-    for (k, (told, measured)) in track.iter().enumerate().skip(30) {
+    for (k, (output, measured)) in track.iter().enumerate().skip(30) {
         let truth = path(stamp(k as i64).seconds() + ahead);
-        let (error, held) = ((told.translation - truth.translation).norm(), (measured.translation - truth.translation).norm());
+        let (error, held) = ((output.translation - truth.translation).norm(), (measured.translation - truth.translation).norm());
         assert!(error < 0.05 * held, "{k}: {error} {held}");
-        assert!(told.angle_to(&truth) < 0.05 * measured.angle_to(&truth), "{k}");
+        assert!(output.angle_to(&truth) < 0.05 * measured.angle_to(&truth), "{k}");
     }
 }
 
@@ -115,8 +115,8 @@ fn the_start_of_a_motion_is_followed_at_once() {
     let path = |t: f64| pose(Vector3::x() * (t - 2.0).max(0.0), Vector3::zeros());
     let track = filtered(kalman(0.0), 90, path);
     // 60 frames at rest, then 1 m/s: a lag of 33 mm per frame if it went unnoticed.
-    for (told, measured) in &track[62..] {
-        assert!((told.translation - measured.translation).norm() < 0.004, "{}", told.translation - measured.translation);
+    for (output, measured) in &track[62..] {
+        assert!((output.translation - measured.translation).norm() < 0.004, "{}", output.translation - measured.translation);
     }
 }
 
@@ -153,7 +153,7 @@ fn invalid_covariances_do_no_harm() {
     let mut filter = PoseFilter::new(kalman(0.02));
     for (k, scale) in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e300, 1e-300].into_iter().cycle().take(40).enumerate() {
         let given = pose(Vector3::x() * 0.01 * k as f64, Vector3::zeros());
-        let told = filter.measured(stamp(k as i64), &given, &(Matrix6::identity() * scale));
-        assert!(told.is_finite(), "{k} {scale}: {told:?}");
+        let output = filter.measured(stamp(k as i64), &given, &(Matrix6::identity() * scale));
+        assert!(output.is_finite(), "{k} {scale}: {output:?}");
     }
 }

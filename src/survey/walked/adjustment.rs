@@ -251,12 +251,12 @@ impl<'a> Adjustment<'a> {
                 let covariance = covariance * INFLATION;
                 let supports = supports(&rows, &scales);
                 tracing::debug!(?scales, ?supports, "at rest");
-                let said = scales.iter().zip(&supports).filter(|(_, support)| !support.is_little());
+                let informative = scales.iter().zip(&supports).filter(|(_, support)| !support.is_little());
                 return Some(Adjusted {
                     checks,
                     model,
                     frames,
-                    scale: said.map(|(scale, _)| *scale).fold(0.0, f64::max),
+                    scale: informative.map(|(scale, _)| *scale).fold(0.0, f64::max),
                     supports,
                     start_rms_px,
                     rms_px,

@@ -92,10 +92,10 @@ impl RecentPoses {
             return None;
         }
         let (middle, from, _) = &poses[2];
-        let [shift, turn] = [0, 1].map(|part| Derivatives::of(poses.each_ref().map(|(_, pose, _)| from.step_to(pose)[part]), dt_s));
+        let [shift, rotation] = [0, 1].map(|part| Derivatives::of(poses.each_ref().map(|(_, pose, _)| from.step_to(pose)[part]), dt_s));
         let [velocity, acceleration] = shift.with_sigmas(&self.trust, distance_m, dt_s);
-        let [turn_rate, turn_acceleration] = turn.with_sigmas(&self.trust, 1.0, dt_s);
-        let all = [velocity, turn_rate, acceleration, turn_acceleration];
+        let [angular_velocity, angular_acceleration] = rotation.with_sigmas(&self.trust, 1.0, dt_s);
+        let all = [velocity, angular_velocity, acceleration, angular_acceleration];
         Some((*middle, KnownRates { means: all.map(|(mean, _)| mean), sigmas: all.map(|(_, sigma)| sigma) }))
     }
 }
@@ -173,7 +173,7 @@ mod tests {
     #[test]
     fn camera_rates_of_a_sway_are_accurate() {
         let mut poses = RecentPoses::as_configured();
-        let mut told = 0;
+        let mut rated = 0;
         for n in 0..40 {
             let t = n as f64 / 30.0;
             let Some((number, rates)) = poses.add(n, swaying(t), Timestamp::from_seconds(t), 3.0) else {
@@ -193,9 +193,9 @@ mod tests {
                 let off = (rates.means[k] - real[k]).norm();
                 assert!(off < 0.006 * most && off < 2.0 * rates.sigmas[k], "{k}: {off} {rates:?}");
             }
-            told += 1;
+            rated += 1;
         }
-        assert_eq!(told, 36);
+        assert_eq!(rated, 36);
     }
 
     #[test]
@@ -209,8 +209,8 @@ mod tests {
                 let off = if (from..to).contains(&n) { 0.02 } else { 0.0 };
                 Pose::new(pose.rotation, pose.translation + Vector3::new(0.0, off, 0.0))
             };
-            let told = (0..5).filter_map(|n| poses.add(n, seen(n), Timestamp::from_seconds(n as f64 / 30.0), 3.0)).last();
-            let KnownRates { means, sigmas } = told.unwrap().1;
+            let rated = (0..5).filter_map(|n| poses.add(n, seen(n), Timestamp::from_seconds(n as f64 / 30.0), 3.0)).last();
+            let KnownRates { means, sigmas } = rated.unwrap().1;
             let off = [(means[0] - Vector3::x() * 0.7).norm() / sigmas[0], means[2].norm() / sigmas[2]];
             assert!(off.into_iter().all(|off| off < 2.0), "{from} {to}: {off:?}");
         }
@@ -218,14 +218,14 @@ mod tests {
 
     #[test]
     fn gaps_dropped_frames_and_slow_cameras_yield_no_rates() {
-        let told = |frames: &[(usize, f64)]| {
+        let rated = |frames: &[(usize, f64)]| {
             let mut poses = RecentPoses::as_configured();
             frames.iter().filter_map(|(n, t)| poses.add(*n, swaying(*t), Timestamp::from_seconds(*t), 3.0)).count()
         };
         let even: Vec<(usize, f64)> = (0..5).map(|n| (n, n as f64 / 30.0)).collect();
-        assert_eq!(told(&even), 1);
-        assert_eq!(told(&even.iter().map(|(n, t)| (n + n / 4, *t)).collect::<Vec<_>>()), 0);
-        assert_eq!(told(&even.iter().map(|(n, t)| (*n, t + 0.01 * (n / 3) as f64)).collect::<Vec<_>>()), 0);
-        assert_eq!(told(&even.iter().map(|(n, t)| (*n, 3.0 * t)).collect::<Vec<_>>()), 0);
+        assert_eq!(rated(&even), 1);
+        assert_eq!(rated(&even.iter().map(|(n, t)| (n + n / 4, *t)).collect::<Vec<_>>()), 0);
+        assert_eq!(rated(&even.iter().map(|(n, t)| (*n, t + 0.01 * (n / 3) as f64)).collect::<Vec<_>>()), 0);
+        assert_eq!(rated(&even.iter().map(|(n, t)| (*n, 3.0 * t)).collect::<Vec<_>>()), 0);
     }
 }

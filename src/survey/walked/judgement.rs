@@ -49,18 +49,18 @@ impl Verdict {
 /// Describes a surface whose pose has too little support.
 fn little(name: &str, support: Support, sigma_mm: f64) -> String {
     let (tiles, keyframes) = (support.tiles, support.keyframes);
-    let mend = "film it from closer and from two sides, or measure its position";
+    let hint = "film it from closer and from two sides, or measure its position";
     if keyframes == 0 {
-        return format!("no keyframe shows {name} well enough to locate it ({sigma_mm:.0} mm, one sigma): {mend}");
+        return format!("no keyframe shows {name} well enough to locate it ({sigma_mm:.0} mm, one sigma): {hint}");
     }
     let within = if keyframes == 1 { "1 keyframe" } else { &format!("{keyframes} keyframes") };
     if !support.is_little() {
         let scatter = support.scatter;
         return format!(
-            "the residuals of {tiles} tiles of {name} scatter {scatter:.1} times as much as the others': its position may be wrong; {mend}"
+            "the residuals of {tiles} tiles of {name} scatter {scatter:.1} times as much as the others': its position may be wrong; {hint}"
         );
     }
-    format!("only {tiles} tiles in {within} show {name}, too few to detect a wrong position: {mend}")
+    format!("only {tiles} tiles in {within} show {name}, too few to detect a wrong position: {hint}")
 }
 
 /// Grades a value: good up to the first limit, usable up to the second.
@@ -184,7 +184,7 @@ impl Survey {
             let (place_mm, worst_mm) = (description.sigma_mm, 1e3 * parts.worst_m());
             (places_mm, shapes_mm) = (places_mm.max(place_mm), shapes_mm.max(worst_mm));
             let support = self.supports[k];
-            if self.places.poses[k].is_some() && (support.is_little() || support.is_stray()) {
+            if self.places.poses[k].is_some() && (support.is_little() || support.is_outlier()) {
                 findings.push((Verdict::Usable, little(&surface.name, support, place_mm)));
             } else {
                 findings.push(graded(place_mm / side_mm, MAX_PLACE_SIGMA, String::new(), &|| {

@@ -19,7 +19,7 @@ const MAX_KEYFRAMES: usize = 160;
 const FIRST_SPACING: f64 = 0.03;
 /// Weight of a rotation relative to a movement: it shows the stage elsewhere in the frame, but from
 /// the same position.
-const TURN_SHARE: f64 = 0.5;
+const ROTATION_WEIGHT: f64 = 0.5;
 
 /// A frame used by the survey.
 #[derive(Debug, Clone, PartialEq)]
@@ -76,7 +76,8 @@ impl Keyframes {
             self.best = Some((Keyframe { number, frame: frame.clone(), motion, rates: None, features: Vec::new() }, speed));
         }
         let moved = self.last.map_or(f64::INFINITY, |last| {
-            (last.translation - motion.pose.translation).norm() / distance_m + TURN_SHARE * last.rotation.angle_to(&motion.pose.rotation)
+            (last.translation - motion.pose.translation).norm() / distance_m
+                + ROTATION_WEIGHT * last.rotation.angle_to(&motion.pose.rotation)
         });
         if moved < spacing {
             return;

@@ -81,20 +81,20 @@ pub fn shutter_of(frames: &[NumberedFrame], setup: TrackerSetup, goes_on: &(dyn 
 /// Returns the shutter to use: as configured, except for times that a clip shows to be different.
 /// An unconfigured exposure stays unknown: the tracker learns it, and the camera may choose another
 /// one in show light.
-pub fn mended(told: Shutter, found: &ShutterEstimate) -> Shutter {
-    let time = |told_s: f64, found: Option<ShutterTime>| {
-        let Some(found) = found else { return told_s };
+pub fn corrected_shutter(configured: Shutter, found: &ShutterEstimate) -> Shutter {
+    let time = |configured_s: f64, found: Option<ShutterTime>| {
+        let Some(found) = found else { return configured_s };
         let unsure_s = SAME_S.max(OTHER_SIGMAS * found.sigma_s);
         match found.seconds {
-            s if (s - told_s).abs() < unsure_s => told_s,
+            s if (s - configured_s).abs() < unsure_s => configured_s,
             s if s.abs() < unsure_s => 0.0,
             // A config cannot express rows that are read from the bottom up.
-            s if s < 0.0 => told_s,
+            s if s < 0.0 => configured_s,
             s => s,
         }
     };
-    let exposure = found.exposure.filter(|_| told.exposure_s != 0.0);
-    Shutter { readout_s: time(told.readout_s, found.readout), exposure_s: time(told.exposure_s, exposure) }
+    let exposure = found.exposure.filter(|_| configured.exposure_s != 0.0);
+    Shutter { readout_s: time(configured.readout_s, found.readout), exposure_s: time(configured.exposure_s, exposure) }
 }
 
 #[cfg(test)]
@@ -136,17 +136,17 @@ mod tests {
     fn configured_shutter_times_stay_unless_contradicted() {
         let time = |seconds, sigma_s| Some(ShutterTime { seconds, sigma_s, frames: 50 });
         let found = |readout, exposure| ShutterEstimate { readout, exposure, frames: 100, aligned: 100, has_settled: true };
-        let told = Shutter { readout_s: 0.012, exposure_s: 0.01 };
-        let mend = |readout, exposure| {
-            let Shutter { readout_s, exposure_s } = mended(told, &found(readout, exposure));
+        let configured = Shutter { readout_s: 0.012, exposure_s: 0.01 };
+        let corrected = |readout, exposure| {
+            let Shutter { readout_s, exposure_s } = corrected_shutter(configured, &found(readout, exposure));
             (readout_s, exposure_s)
         };
-        assert_eq!(mend(None, None), (0.012, 0.01));
-        assert_eq!(mend(time(0.0121, 1e-5), None), (0.012, 0.01));
-        assert_eq!(mend(time(0.018, 1e-4), time(0.004, 1e-4)), (0.018, 0.004));
-        assert_eq!(mend(time(0.018, 4e-3), None), (0.012, 0.01));
-        assert_eq!(mend(time(1e-5, 1e-5), None), (0.0, 0.01));
-        assert_eq!(mend(time(-0.01, 1e-5), None), (0.012, 0.01));
-        assert_eq!(mended(Shutter::default(), &found(None, time(0.004, 1e-4))), Shutter::default());
+        assert_eq!(corrected(None, None), (0.012, 0.01));
+        assert_eq!(corrected(time(0.0121, 1e-5), None), (0.012, 0.01));
+        assert_eq!(corrected(time(0.018, 1e-4), time(0.004, 1e-4)), (0.018, 0.004));
+        assert_eq!(corrected(time(0.018, 4e-3), None), (0.012, 0.01));
+        assert_eq!(corrected(time(1e-5, 1e-5), None), (0.0, 0.01));
+        assert_eq!(corrected(time(-0.01, 1e-5), None), (0.012, 0.01));
+        assert_eq!(corrected_shutter(Shutter::default(), &found(None, time(0.004, 1e-4))), Shutter::default());
     }
 }

@@ -51,7 +51,7 @@ pub struct FrameRows {
     prior: FrameMatrix,
     prior_right: FrameVector,
     /// Number of unknowns that the tiles may constrain: the first six with a global shutter.
-    told: usize,
+    constrained: usize,
 }
 
 /// The system of the model's unknowns.
@@ -113,8 +113,8 @@ impl FrameRows {
         });
         let prior = frame_prior(frame.rates, distance_m);
         let prior_right = frame.rates.map_or(FrameVector::zeros(), |rates| prior * missing_rates(&frame.motion, &rates));
-        let told = if model.readout_s() == 0.0 { 6 } else { FRAME_UNKNOWNS };
-        Self { rows: rows.collect(), prior, prior_right, told }
+        let constrained = if model.readout_s() == 0.0 { 6 } else { FRAME_UNKNOWNS };
+        Self { rows: rows.collect(), prior, prior_right, constrained }
     }
 
     /// Returns the tiles.
@@ -146,12 +146,12 @@ impl NormalEquations {
     pub fn new(frames: &[FrameRows], unknowns: usize, scales: &[f64], with_held_out: bool) -> Option<Self> {
         let mut out =
             Self { matrix: DMatrix::zeros(unknowns, unknowns), right: DVector::zeros(unknowns), frames: Vec::with_capacity(frames.len()) };
-        let mut roots = DMatrix::zeros(unknowns, frames.iter().map(|frame| frame.told).sum());
+        let mut roots = DMatrix::zeros(unknowns, frames.iter().map(|frame| frame.constrained).sum());
         let mut first = 0;
         for frame in frames {
             let root = out.add(frame, scales, with_held_out)?;
-            roots.columns_mut(first, frame.told).copy_from(&root);
-            first += frame.told;
+            roots.columns_mut(first, frame.constrained).copy_from(&root);
+            first += frame.constrained;
         }
         // For all frames at once: one product passes through the matrix once.
         subtract_square(&mut out.matrix, &roots);
@@ -183,8 +183,8 @@ impl NormalEquations {
         let factor = own.cholesky()?;
         // C F⁻¹ Cᵀ is the square of C L⁻ᵀ.
         let inverse_root = factor.l().try_inverse()?;
-        let told = inverse_root.view((0, 0), (frame.told, frame.told));
-        let root = coupling.columns(0, frame.told) * told.transpose();
+        let own_root = inverse_root.view((0, 0), (frame.constrained, frame.constrained));
+        let root = coupling.columns(0, frame.constrained) * own_root.transpose();
         let inverse = factor.inverse();
         self.right.gemv(-1.0, &coupling, &DVector::from_column_slice((inverse * right).as_slice()), 1.0);
         self.frames.push(EliminatedFrame { inverse, right, coupling });

@@ -77,13 +77,13 @@ pub fn add(
         system.small(&shape.stretch, places.stretches[k], share * side, |n| Vector2::from(middles(n)) * model.growth());
         system.gauge(model, k);
         if let Some(at) = places.poses[k] {
-            let ([shift, turn], start) = (model.pose_change(k), model.start_from_first(k));
+            let ([shift, rotation], start) = (model.pose_change(k), model.start_from_first(k));
             for axis in 0..3 {
                 // In a larger stage the surfaces are farther apart.
                 let by_size = places.size.map(|size| (size, -start[axis]));
                 let row: Vec<(usize, f64)> = std::iter::once((at + axis, 1.0)).chain(by_size).collect();
                 system.add(&row, shift[axis] - model.growth() * start[axis], POSE_SIGMAS[0]);
-                system.add(&[(at + 3 + axis, 1.0)], turn[axis], POSE_SIGMAS[1]);
+                system.add(&[(at + 3 + axis, 1.0)], rotation[axis], POSE_SIGMAS[1]);
             }
         }
     }
@@ -313,8 +313,8 @@ mod tests {
         let moving = |(k, pose): (usize, Pose<_, _>)| {
             let t = k as f64;
             let velocity = Vector3::new((1.3 * t).sin(), (2.1 * t).cos(), (0.7 * t).sin()) * 0.4;
-            let turn_rate = Vector3::new((1.9 * t).cos(), (1.1 * t).sin(), (2.7 * t).sin()) * 0.2;
-            Motion { velocity, turn_rate, ..Motion::still(pose) }
+            let angular_velocity = Vector3::new((1.9 * t).cos(), (1.1 * t).sin(), (2.7 * t).sin()) * 0.2;
+            Motion { velocity, angular_velocity, ..Motion::still(pose) }
         };
         let motions: Vec<Motion> = camera_poses(24).into_iter().enumerate().map(moving).collect();
         let start = StageModel::new(lens(0.01), &stage(), true, false);

@@ -66,7 +66,7 @@ const MIN_KEYFRAMES: usize = 3;
 /// Scatter above which a surface's tiles are doubted. Tiles of a surface that stands elsewhere
 /// match look-alikes, and scatter by 2.3 to 2.5 in a set of fifteen panels; correctly placed ones
 /// by at most 1.4. Raised, surfaces that were never found pass; lowered, good ones are reported.
-const STRAY_SCATTER: f64 = 2.0;
+const OUTLIER_SCATTER: f64 = 2.0;
 
 impl Support {
     /// Whether a few tiles of something else could have displaced the surface unnoticed.
@@ -75,8 +75,8 @@ impl Support {
     }
 
     /// Whether its tiles scatter so much more than the others' that they may show something else.
-    pub fn is_stray(&self) -> bool {
-        self.scatter > STRAY_SCATTER
+    pub fn is_outlier(&self) -> bool {
+        self.scatter > OUTLIER_SCATTER
     }
 }
 
@@ -161,9 +161,9 @@ mod tests {
             let rows = rows([48, 4], shift_px);
             supports(&rows, &robust_scales(&rows, 2).unwrap())
         };
-        let [good, stray] = [of(|_| 0.0), of(|n| 0.5 * (1.7 * n as f64).sin())];
-        assert!(good.iter().all(|support| !support.is_stray()), "{good:?}");
-        assert!(stray[1].is_stray() && !stray[1].is_little() && !stray[0].is_stray(), "{stray:?}");
+        let [good, outliers] = [of(|_| 0.0), of(|n| 0.5 * (1.7 * n as f64).sin())];
+        assert!(good.iter().all(|support| !support.is_outlier()), "{good:?}");
+        assert!(outliers[1].is_outlier() && !outliers[1].is_little() && !outliers[0].is_outlier(), "{outliers:?}");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use nalgebra::DMatrix;
 use super::adjustment::{Adjusted, Adjustment};
 use super::camera_rates::rates_in;
 use super::constraints::{Constraint, ConstraintCheck};
-use super::lively_part::{SAME_S, mended, shutter_of};
+use super::lively_part::{SAME_S, corrected_shutter, shutter_of};
 use super::observers::Observers;
 use super::progress::{SurveyError, SurveyStep};
 use super::scales::Support;
@@ -136,27 +136,27 @@ where
     let observers = Observers::new(keyframes, &model, shutter, &stage, mask.as_ref(), goes_on);
     let mut adjustment = Adjustment::new(observers, lens_sigmas(&camera), options.constraints);
     let mut round = 0;
-    let mut hear = |step| {
+    let mut report = |step| {
         // The adjustment counts the rounds of each of its runs separately.
         let is_round = matches!(step, SurveyStep::Round(_));
         progress(if is_round { SurveyStep::Round(round) } else { step });
         round += usize::from(is_round);
     };
-    let mut adjusted = adjustment.run(model, |n| hear(SurveyStep::Round(n)));
+    let mut adjusted = adjustment.run(model, |n| report(SurveyStep::Round(n)));
     if let Some(before) = adjusted.as_ref().filter(|before| options.refines_lens && rolls(before)) {
-        let rates = rates_in(again(), surveyed_setup(&before.model, setup), |n| hear(SurveyStep::Again(n)), goes_on);
-        adjusted = adjustment.run_with_rates(before.model.clone(), &rates, shutter.exposure_s, |n| hear(SurveyStep::Round(n)));
+        let rates = rates_in(again(), surveyed_setup(&before.model, setup), |n| report(SurveyStep::Again(n)), goes_on);
+        adjusted = adjustment.run_with_rates(before.model.clone(), &rates, shutter.exposure_s, |n| report(SurveyStep::Round(n)));
     }
     let mut shutter_found = None;
     if let Some(before) = adjusted.as_ref().filter(|_| options.refines_lens) {
         let lively = shutter_of(&lively, surveyed_setup(&before.model, setup), goes_on);
         let found = shutter_of_walk(before, lively.filter(|found| found.has_settled));
-        shutter = mended(shutter, &found);
+        shutter = corrected_shutter(shutter, &found);
         shutter_found = Some(found);
         let is_another =
             shutter.exposure_s != configured.exposure_s || (shutter.readout_s - before.model.readout_s()).abs() > SAME_READOUT_S;
         if is_another {
-            adjusted = adjustment.run_with_shutter(before.model.clone(), shutter, |n| hear(SurveyStep::Round(n)));
+            adjusted = adjustment.run_with_shutter(before.model.clone(), shutter, |n| report(SurveyStep::Round(n)));
         }
     }
     let Some(Adjusted {

@@ -168,9 +168,9 @@ impl StageModel {
             }
         }
         if let Some(at) = self.places.poses[k] {
-            let by_turn = -skew(&from_centre);
+            let by_rotation = -skew(&from_centre);
             by_model.extend((0..3).map(|axis| (at + axis, Vector3::ith(axis, 1.0))));
-            by_model.extend((0..3).map(|axis| (at + 3 + axis, by_turn.column(axis).into_owned())));
+            by_model.extend((0..3).map(|axis| (at + 3 + axis, by_rotation.column(axis).into_owned())));
         }
         by_model.extend(self.places.size.map(|at| (at, across * on_picture_m[0] + up * on_picture_m[1])));
         ModelPoint { place: from_centre + surface.pose.translation, by_model }
@@ -211,8 +211,9 @@ impl StageModel {
             }
             surface.shape = SurfaceShape::Bent(Arc::new(shape));
             if let Some(at) = self.places.poses[k] {
-                let [shift, turn] = [0, 3].map(|first| Vector3::new(step[at + first], step[at + first + 1], step[at + first + 2]));
-                surface.pose = Pose::new(UnitQuaternion::from_scaled_axis(turn) * surface.pose.rotation, surface.pose.translation + shift);
+                let [shift, rotation] = [0, 3].map(|first| Vector3::new(step[at + first], step[at + first + 1], step[at + first + 2]));
+                surface.pose =
+                    Pose::new(UnitQuaternion::from_scaled_axis(rotation) * surface.pose.rotation, surface.pose.translation + shift);
             }
         }
         if let Some(at) = self.places.lens {

@@ -34,8 +34,8 @@ pub fn stage() -> Vec<SurfaceSpec> {
         shape: SurfaceShape::Flat,
         doubt: crate::track::SurfaceDoubt::default(),
     };
-    let aside = Pose::new(UnitQuaternion::from_euler_angles(0.1, -0.3, 0.02), Vector3::new(0.9, -0.4, 0.7));
-    vec![surface("backdrop", [4.0, 3.0], Pose::identity()), surface("flat", [1.0, 1.2], aside)]
+    let stand = Pose::new(UnitQuaternion::from_euler_angles(0.1, -0.3, 0.02), Vector3::new(0.9, -0.4, 0.7));
+    vec![surface("backdrop", [4.0, 3.0], Pose::identity()), surface("flat", [1.0, 1.2], stand)]
 }
 
 /// Cameras on an arc of 70 degrees in front of the stage, at different heights and distances,
@@ -102,7 +102,7 @@ pub fn observed(truth: &StageModel, model: &StageModel, motions: &[Motion], nois
                 });
             }
         }
-        let means = [motion.velocity, motion.turn_rate, motion.acceleration, motion.turn_acceleration];
+        let means = [motion.velocity, motion.angular_velocity, motion.acceleration, motion.angular_acceleration];
         let rates = (means != [Vector3::zeros(); 4]).then_some(KnownRates { means, sigmas: [0.01, 0.005, 1.0, 0.3] });
         ObservedFrame { motion: *motion, rates, tiles }
     };

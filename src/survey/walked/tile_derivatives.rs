@@ -53,7 +53,7 @@ impl TileDerivatives {
             // The later a row is read, the farther the camera has moved.
             let height = model.camera.height();
             let share = Shutter { readout_s: 1.0, exposure_s: 0.0 }.delay_s(model.camera.project(Normalized(n)).0.y + 0.5, height);
-            let passes = -(t_camera_body.rotation * then.velocity) - then.turn_rate.cross(&seen);
+            let passes = -(t_camera_body.rotation * then.velocity) - then.angular_velocity.cross(&seen);
             by_model.push((at, by_point * passes * share));
         }
         if let Some(at) = model.places().lens {
@@ -90,8 +90,11 @@ mod tests {
         // Not flat, so that no slope is zero.
         let bend = DVector::from_fn(model.places().count, |k, _| if k < 400 { 2e-3 * (k as f64).sin() } else { 0.0 });
         model = model.stepped(&bend).unwrap();
-        let motion =
-            Motion { velocity: Vector3::new(0.3, -0.2, 0.1), turn_rate: Vector3::new(0.2, 0.1, -0.3), ..Motion::still(camera_poses(5)[3]) };
+        let motion = Motion {
+            velocity: Vector3::new(0.3, -0.2, 0.1),
+            angular_velocity: Vector3::new(0.2, 0.1, -0.3),
+            ..Motion::still(camera_poses(5)[3])
+        };
         let h = 1e-6;
         for (surface, on_picture_m) in [(0, [0.7, -0.4]), (0, [-1.9, 1.3]), (1, [0.2, 0.1])] {
             let tile = ObservedTile {
@@ -117,8 +120,8 @@ mod tests {
                     let mut step = nalgebra::Vector6::zeros();
                     step[k % 6] = size;
                     let at = motion.after(tile.delay_s).pose.inverse();
-                    let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned());
-                    let moved = Pose::new(turn * at.rotation, turn * at.translation + step.fixed_rows::<3>(0)).inverse();
+                    let rotation = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned());
+                    let moved = Pose::new(rotation * at.rotation, rotation * at.translation + step.fixed_rows::<3>(0)).inverse();
                     seen(&ObservedTile { delay_s: 0.0, ..tile }, &Motion::still(moved), &model)
                 };
                 let difference = (of(1.0) - of(-1.0)) / (2.0 * h);

@@ -62,7 +62,8 @@ struct KeyframeRecord {
     position_m: [f64; 3],
     orientation_xyzw: [f64; 4],
     velocity: [f64; 3],
-    turn_rate: [f64; 3],
+    #[serde(rename = "turn_rate")]
+    angular_velocity: [f64; 3],
     /// Known velocity, angular velocity and their accelerations, and one sigma of each.
     rates: Option<[([f64; 3], f64); 4]>,
     /// Surface, metres on its picture, pixel, sigma in pixels.
@@ -117,7 +118,7 @@ impl Walk {
                 if let Some((number, rates)) = recent.add(frames, pose, frame.timestamp, distance_m) {
                     keyframes.take_rates(number, rates);
                 }
-                let speed = motion.velocity.norm() / distance_m + motion.turn_rate.norm();
+                let speed = motion.velocity.norm() / distance_m + motion.angular_velocity.norm();
                 if wants_lively {
                     lively.offer(Some((frames, &frame, speed)));
                 }
@@ -180,7 +181,7 @@ impl KeyframeRecord {
             position_m: motion.pose.translation.into(),
             orientation_xyzw: motion.pose.rotation.coords.into(),
             velocity: motion.velocity.into(),
-            turn_rate: motion.turn_rate.into(),
+            angular_velocity: motion.angular_velocity.into(),
             rates: rates.map(|known| std::array::from_fn(|k| (known.means[k].into(), known.sigmas[k]))),
             features: features.iter().map(feature).collect(),
         }
@@ -188,7 +189,7 @@ impl KeyframeRecord {
 
     fn with_frame(&self, frame: Frame, stage: &BodySpec) -> Option<Keyframe> {
         let rotation = Quaternion::from_vector(self.orientation_xyzw.into());
-        let numbers = [&self.position_m, &self.velocity, &self.turn_rate];
+        let numbers = [&self.position_m, &self.velocity, &self.angular_velocity];
         let is_sound = (rotation.norm() - 1.0).abs() < NORM_TOLERANCE
             && numbers.into_iter().flatten().all(|n| n.is_finite())
             && self.rates.iter().flatten().all(|(mean, sigma)| mean.iter().all(|n| n.is_finite()) && sigma.is_finite() && *sigma > 0.0)
@@ -198,7 +199,7 @@ impl KeyframeRecord {
         }
         // Not normalised again, which would change the last bit.
         let pose = Pose::new(UnitQuaternion::new_unchecked(rotation), self.position_m.into());
-        let motion = Motion { velocity: self.velocity.into(), turn_rate: self.turn_rate.into(), ..Motion::still(pose) };
+        let motion = Motion { velocity: self.velocity.into(), angular_velocity: self.angular_velocity.into(), ..Motion::still(pose) };
         let feature = |(surface, on_picture_m, pixel, sigma_px): &(usize, [f64; 2], [f64; 2], f64)| MatchedFeature {
             surface: *surface,
             on_picture_m: *on_picture_m,
@@ -308,9 +309,9 @@ mod tests {
         let keyframe = |number: usize| {
             let x = number as f64 / 7.0;
             let pose = Pose::new(UnitQuaternion::from_euler_angles(x, -0.3, 0.1 * x), Vector3::new(x, -2.0, 1.0 / 3.0));
-            let motion = Motion { velocity: Vector3::new(0.1, x, 0.3), turn_rate: Vector3::new(x, 0.2, 0.0), ..Motion::still(pose) };
+            let motion = Motion { velocity: Vector3::new(0.1, x, 0.3), angular_velocity: Vector3::new(x, 0.2, 0.0), ..Motion::still(pose) };
             let feature = MatchedFeature { surface: 0, on_picture_m: [x, 0.1], pixel: Vector2::new(1.0 / x, 2.0), sigma_px: 0.7 * x };
-            let means = [motion.velocity, motion.turn_rate * x, motion.velocity / x, motion.turn_rate];
+            let means = [motion.velocity, motion.angular_velocity * x, motion.velocity / x, motion.angular_velocity];
             let rates = (number > 1).then_some(KnownRates { means, sigmas: [0.1 * x, 0.3, x, 0.7 * x] });
             Keyframe { number, frame: frames[number - 1].clone(), motion, rates, features: vec![feature; number] }
         };

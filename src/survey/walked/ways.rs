@@ -59,8 +59,8 @@ fn way_of(model: &StageModel, k: usize, shape: &BentShape, way: &DVector<f64>) -
     let to_surface = surface.pose.rotation_matrix().transpose();
     let moved = |[x, y]: [f64; 2]| {
         let Some(at) = places.poses[k] else { return Vector3::zeros() };
-        let [shift, turn] = [0, 3].map(|first| Vector3::new(way[at + first], way[at + first + 1], way[at + first + 2]));
-        to_surface * (shift + turn.cross(&(surface.pose.rotation * Vector3::new(x, y, 0.0))))
+        let [shift, rotation] = [0, 3].map(|first| Vector3::new(way[at + first], way[at + first + 1], way[at + first + 2]));
+        to_surface * (shift + rotation.cross(&(surface.pose.rotation * Vector3::new(x, y, 0.0))))
     };
     let growth = places.size.map_or(0.0, |at| way[at]);
     let mut out = ShapeWay { height: shape.height.clone(), stretch: shape.stretch.clone() };

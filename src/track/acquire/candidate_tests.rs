@@ -37,10 +37,10 @@ fn matches_of(
         let Some(ray) = camera.unproject(Pixel(pixel)) else { continue };
         // Directions are known to some degrees and sizes to a tenth; wrong matches have arbitrary
         // ones.
-        let (turn, growth) = if is_wrong { (3.1, 2.0) } else { (0.15, 1.1) };
-        let turn = Rotation2::new(random.random_range(-turn..turn));
+        let (rotation, growth) = if is_wrong { (3.1, 2.0) } else { (0.15, 1.1) };
+        let rotation = Rotation2::new(random.random_range(-rotation..rotation));
         let growth = f64::powf(growth, random.random_range(-1.0..1.0));
-        let derivative = turn * derivative * growth;
+        let derivative = rotation * derivative * growth;
         all.push(SurfaceMatch { surface, artwork, pixel, undistorted: camera.undistorted_pixel(ray), scale: 1.0, derivative });
     }
     all
@@ -55,9 +55,9 @@ fn assert_found(body: &PreparedBody, right: usize, wrong: usize) {
     let camera = lens(640, 480);
     let (found, seen) = candidates_of(body, &matches(body, &camera, right, wrong), &camera);
     let best = found.first().expect("a candidate");
-    let (shift, turn) = ((best.pose.translation - truth().translation).norm(), best.pose.angle_to(&truth()).to_degrees());
-    println!("{right} right, {wrong} wrong: {shift:.4} m, {turn:.3} degrees, {} inliers", best.inliers);
-    assert!(shift < 0.03 && turn < 0.5 && best.inliers > right / 2, "{shift} {turn} {}", best.inliers);
+    let (shift, rotation) = ((best.pose.translation - truth().translation).norm(), best.pose.angle_to(&truth()).to_degrees());
+    println!("{right} right, {wrong} wrong: {shift:.4} m, {rotation:.3} degrees, {} inliers", best.inliers);
+    assert!(shift < 0.03 && rotation < 0.5 && best.inliers > right / 2, "{shift} {rotation} {}", best.inliers);
     assert!(seen.agreeing > right / 2 && seen.misfit.is_some_and(|m| m.abs() < 0.3), "{seen:?}");
     assert!(found.windows(2).all(|w| w[0].cost <= w[1].cost) && found.len() <= 4);
 }

@@ -36,11 +36,11 @@ fn shifted(body: &PreparedBody, matches: &[SurfaceMatch], camera: &CameraModel, 
     let depth = agreeing.iter().map(|&k| depths[k]).sum::<f64>() / agreeing.len() as f64;
     let middle = Vector2::new(f64::from(camera.width()), f64::from(camera.height())) * 0.5;
     let [from, to] = [middle, middle + shift].map(|p| camera.from_undistorted_pixel(p).0);
-    let aside: Vector3<f64> = ((to - from) * depth).push(0.0);
+    let lateral: Vector3<f64> = ((to - from) * depth).push(0.0);
     // Whatever shifted the body may have changed its distance and rotated it by as much.
-    let open = aside.norm();
+    let open = lateral.norm();
     Some(Candidate {
-        pose: Pose::new(expected.rotation, expected.translation + aside),
+        pose: Pose::new(expected.rotation, expected.translation + lateral),
         inliers: agreeing.len(),
         cost: 0.0,
         off: [open.hypot(TUNING.feature_pose_shift_sigma * depth), (open / depth).hypot(TUNING.feature_pose_rotation_sigma)],
@@ -105,20 +105,20 @@ mod tests {
         let mut matched = |k: usize| {
             let artwork = anywhere(if k < right { 60.0 } else { 640.0 });
             let (pixel, derivative) = seen(camera, &truth(), &body.surfaces[0].spec, artwork);
-            let (pixel, turn) = if k < right { (pixel, 0.1) } else { (anywhere(640.0), anywhere(6.0).x) };
+            let (pixel, rotation) = if k < right { (pixel, 0.1) } else { (anywhere(640.0), anywhere(6.0).x) };
             let undistorted = camera.undistorted_pixel(camera.unproject(Pixel(pixel)).expect("in the frame"));
-            let derivative = nalgebra::Rotation2::new(turn) * derivative;
+            let derivative = nalgebra::Rotation2::new(rotation) * derivative;
             SurfaceMatch { surface: 0, artwork, pixel, undistorted, scale: 1.0, derivative }
         };
         (0..right + wrong).map(&mut matched).collect()
     }
 
-    /// Returns the true pose, shifted by `aside` (fraction of the distance) and rotated by `turn`
-    /// radians.
-    fn off_by(aside: f64, turn: f64) -> Pose<Camera, Body> {
+    /// Returns the true pose, shifted by `lateral` (fraction of the distance) and rotated by
+    /// `rotation` radians.
+    fn off_by(lateral: f64, rotation: f64) -> Pose<Camera, Body> {
         let truth = truth();
-        let turned = UnitQuaternion::from_euler_angles(turn, -turn, turn) * truth.rotation;
-        Pose::new(turned, truth.translation + Vector3::new(aside, -0.5 * aside, 0.5 * aside) * truth.translation.z)
+        let rotated = UnitQuaternion::from_euler_angles(rotation, -rotation, rotation) * truth.rotation;
+        Pose::new(rotated, truth.translation + Vector3::new(lateral, -0.5 * lateral, 0.5 * lateral) * truth.translation.z)
     }
 
     #[test]
@@ -170,9 +170,9 @@ mod tests {
 
     #[test]
     fn the_planar_pose_with_the_expected_tilt_comes_first() {
-        let candidate = |turn: f64, inliers: usize| Candidate { pose: off_by(0.0, turn), inliers, cost: 1.0, off: [0.01; 2] };
-        let order = |mut found: Vec<Candidate>, turn: f64| {
-            prefer_expected_tilt(&mut found, &off_by(0.05, turn));
+        let candidate = |rotation: f64, inliers: usize| Candidate { pose: off_by(0.0, rotation), inliers, cost: 1.0, off: [0.01; 2] };
+        let order = |mut found: Vec<Candidate>, rotation: f64| {
+            prefer_expected_tilt(&mut found, &off_by(0.05, rotation));
             found.iter().map(|c| c.inliers).collect::<Vec<_>>()
         };
         let twins = || vec![candidate(-0.4, 20), candidate(0.4, 19), candidate(0.0, 18)];

@@ -76,7 +76,7 @@ impl ExpectedView {
         self.drawn += 1;
         let rectangle = &surface.rectangle;
         let to_surface = rectangle.rotation.transpose();
-        let turn: Matrix3<f32> = (to_surface * t_body_camera.rotation_matrix()).cast();
+        let rotation: Matrix3<f32> = (to_surface * t_body_camera.rotation_matrix()).cast();
         let from = (to_surface * (t_body_camera.translation - rectangle.centre)).cast::<f32>();
         // A surface seen from behind is not drawn.
         if from.z <= 0.0 {
@@ -95,7 +95,7 @@ impl ExpectedView {
         let (raw, size) = (image.as_raw(), [image.width() as usize, image.height() as usize]);
         let texels_per_m = [0, 1].map(|k| size[k] as f32 / rectangle.size_m[k] as f32);
         let plane = Plane {
-            turn: std::array::from_fn(|k| turn[(k / 3, k % 3)]),
+            rotation: std::array::from_fn(|k| rotation[(k / 3, k % 3)]),
             from: from.into(),
             texels_per_m: [texels_per_m[0], -texels_per_m[1]],
             centre: size.map(|n| 0.5 * n as f32 - 0.5),
@@ -118,7 +118,7 @@ impl ExpectedView {
 /// A surface's plane in the camera's view.
 struct Plane {
     /// Rotation from the camera's axes to the surface's, row by row.
-    turn: [f32; 9],
+    rotation: [f32; 9],
     /// The camera's position relative to the surface's centre, metres, surface axes.
     from: [f32; 3],
     /// Texels of the picture per metre; negative for y, which points down there.
@@ -134,7 +134,7 @@ multiversion! {
 
 #[inline(always)]
 fn see_row_plain(rays: &[[f32; 2]], plane: &Plane, depths: &mut [f32], xs: &mut [f32], ys: &mut [f32]) {
-    let Plane { turn: t, from, texels_per_m, centre } = plane;
+    let Plane { rotation: t, from, texels_per_m, centre } = plane;
     let out = depths.iter_mut().zip(xs).zip(ys);
     for ([x, y], ((depth, u), v)) in rays.iter().zip(out) {
         let along = |row: usize| t[3 * row] * x + t[3 * row + 1] * y + t[3 * row + 2];

@@ -57,12 +57,12 @@ pub struct FeatureSearch {
     /// Number of slices so far.
     slices: usize,
     /// The part of the bank that the last features were compared with.
-    asked: Asked,
+    references: ReferenceSet,
 }
 
 /// A part of the bank.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-enum Asked {
+enum ReferenceSet {
     #[default]
     Frontal,
     AllViews,
@@ -104,24 +104,24 @@ impl FeatureSearch {
         let options = self.options(look);
         let image = self.contrast.stretched(image).unwrap_or(image);
         self.extractor.extract(image, mask, &options, workers, &mut self.features);
-        self.compare(Asked::Frontal, workers);
+        self.compare(ReferenceSet::Frontal, workers);
     }
 
     /// Adds features to those of the last frame, as many as `look` allows, and matches again.
     pub fn look_again(&mut self, image: &GrayImage, mask: Option<&GrayImage>, look: Look, workers: &Workers) {
         self.take_more(image, mask, &self.options(look), workers);
-        self.compare(Asked::Frontal, workers);
+        self.compare(ReferenceSet::Frontal, workers);
     }
 
     /// Matches the last features with all views, including tilted ones.
     pub fn compare_with_all_views(&mut self, workers: &Workers) {
-        self.compare(Asked::AllViews, workers);
+        self.compare(ReferenceSet::AllViews, workers);
     }
 
     /// Extracts all features of the last frame and matches them with all views.
     pub fn look_closer(&mut self, image: &GrayImage, mask: Option<&GrayImage>, workers: &Workers) {
         self.take_more(image, mask, &self.options(Look::Frontal), workers);
-        self.compare(Asked::AllViews, workers);
+        self.compare(ReferenceSet::AllViews, workers);
     }
 
     /// Extracts the features of a part of a frame (where `mask` is not 0) and matches them with all
@@ -129,7 +129,7 @@ impl FeatureSearch {
     pub fn look_for_copies(&mut self, image: &GrayImage, mask: &GrayImage, workers: &Workers) {
         let options = ExtractorOptions { count: self.count.min(QUICK_FEATURES), ..Default::default() };
         self.extractor.extract(image, Some(mask), &options, workers, &mut self.features);
-        self.compare(Asked::AllViews, workers);
+        self.compare(ReferenceSet::AllViews, workers);
     }
 
     /// Extracts features where the frame is unexplained and matches them with all views of the
@@ -143,8 +143,8 @@ impl FeatureSearch {
         missing: impl Iterator<Item = u32> + Clone,
         workers: &Workers,
     ) {
-        let in_turn = in_turn(missing.clone().count(), self.slices);
-        let missing = missing.enumerate().filter(|(k, _)| in_turn(*k)).map(|(_, surface)| surface);
+        let is_due = is_due(missing.clone().count(), self.slices);
+        let missing = missing.enumerate().filter(|(k, _)| is_due(*k)).map(|(_, surface)| surface);
         self.slices = self.slices.wrapping_add(1);
         if !missing.clone().eq(self.missing.iter().copied()) {
             self.missing.clear();
@@ -157,7 +157,7 @@ impl FeatureSearch {
         let stretched = if unexplained.is_anything() { self.contrast.stretched(image) } else { None };
         let image = stretched.unwrap_or(image);
         unexplained.extract(image, mask, count, &mut self.extractor, workers, &mut self.features);
-        self.compare(Asked::MissingViews, workers);
+        self.compare(ReferenceSet::MissingViews, workers);
     }
 
     fn options(&self, look: Look) -> ExtractorOptions {
@@ -183,10 +183,10 @@ impl FeatureSearch {
         own.count() >= TUNING.sufficient_glance_matches
     }
 
-    fn compare(&mut self, asked: Asked, workers: &Workers) {
-        self.asked = asked;
+    fn compare(&mut self, references: ReferenceSet, workers: &Workers) {
+        self.references = references;
         let Self { frontal, all_views, missing_views, features, buffers, matches, .. } = self;
-        let index = part(asked, frontal, all_views, missing_views);
+        let index = part(references, frontal, all_views, missing_views);
         index.match_features(features, TUNING.lowe_ratio, workers, buffers, matches);
     }
 
@@ -202,28 +202,28 @@ impl FeatureSearch {
 
     /// Returns the reference features that they were matched with.
     fn reference(&self) -> &[ReferenceFeature] {
-        part(self.asked, &self.frontal, &self.all_views, &self.missing_views).features()
+        part(self.references, &self.frontal, &self.all_views, &self.missing_views).features()
     }
 }
 
 /// Returns a test of which of `number` missing surfaces belong to a slice. The first one advances
 /// by one more per round, so that the same surfaces do not always meet the same part of the frame.
-fn in_turn(number: usize, slice: usize) -> impl Fn(usize) -> bool + Clone {
+fn is_due(number: usize, slice: usize) -> impl Fn(usize) -> bool + Clone {
     let round = number.div_ceil(TUNING.max_slice_surfaces).max(1);
     let first = (slice * TUNING.max_slice_surfaces + slice / round) % number.max(1);
     move |k| number <= TUNING.max_slice_surfaces || (k + number - first) % number < TUNING.max_slice_surfaces
 }
 
 fn part<'a>(
-    asked: Asked,
+    references: ReferenceSet,
     frontal: &'a ReferenceIndex,
     all_views: &'a ReferenceIndex,
     missing_views: &'a ReferenceIndex,
 ) -> &'a ReferenceIndex {
-    match asked {
-        Asked::Frontal => frontal,
-        Asked::AllViews => all_views,
-        Asked::MissingViews => missing_views,
+    match references {
+        ReferenceSet::Frontal => frontal,
+        ReferenceSet::AllViews => all_views,
+        ReferenceSet::MissingViews => missing_views,
     }
 }
 
@@ -246,13 +246,13 @@ mod tests {
 
     #[test]
     fn many_missing_surfaces_take_turns() {
-        assert!((0..5).all(in_turn(5, 3)) && !in_turn(6, 0)(5));
+        assert!((0..5).all(is_due(5, 3)) && !is_due(6, 0)(5));
         for number in [6_usize, 7, 10, 16, 33] {
             // Within two rounds, starting at any slice, each surface has its turn; five per slice.
             let round = number.div_ceil(TUNING.max_slice_surfaces);
             for slice in 0..40 {
-                assert!((0..number).all(|k| (slice..slice + 2 * round).any(|slice| in_turn(number, slice)(k))), "{number} {slice}");
-                assert_eq!((0..number).filter(|k| in_turn(number, slice)(*k)).count(), TUNING.max_slice_surfaces);
+                assert!((0..number).all(|k| (slice..slice + 2 * round).any(|slice| is_due(number, slice)(k))), "{number} {slice}");
+                assert_eq!((0..number).filter(|k| is_due(number, slice)(*k)).count(), TUNING.max_slice_surfaces);
             }
         }
     }

@@ -234,12 +234,12 @@ mod tests {
     }
 
     /// Returns the estimate if `camera` took the picture and the usual lens is configured.
-    fn said(configured: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, camera: &CameraModel, pose: &Pose<Camera, Body>) -> MatchedFocal {
-        said_of(&lens(640, 480), configured, real, camera, pose)
+    fn estimate(configured: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, camera: &CameraModel, pose: &Pose<Camera, Body>) -> MatchedFocal {
+        estimate_through(&lens(640, 480), configured, real, camera, pose)
     }
 
-    /// Like [`said`], with another configured lens.
-    fn said_of(
+    /// Like [`estimate`], with another configured lens.
+    fn estimate_through(
         calibrated: &CameraModel,
         configured: Vec<SurfaceSpec>,
         real: Vec<SurfaceSpec>,
@@ -255,9 +255,9 @@ mod tests {
 
     #[test]
     fn another_camera_mode_is_found_at_once() {
-        let aside = facing(0.1, -0.3, Vector3::new(0.2, 0.05, 5.0));
+        let oblique = facing(0.1, -0.3, Vector3::new(0.2, 0.05, 5.0));
         for by in [0.667, 0.8, 0.9, 1.1, 1.25, 1.5_f64] {
-            let MatchedFocal::Changed(change) = said(with_flat(), with_flat(), &zoomed(by), &aside) else { panic!("{by}") };
+            let MatchedFocal::Changed(change) = estimate(with_flat(), with_flat(), &zoomed(by), &oblique) else { panic!("{by}") };
             assert!((change - by.ln()).abs() < 0.03, "{by}: {change} instead of {}", by.ln());
         }
     }
@@ -266,7 +266,7 @@ mod tests {
     fn a_correct_lens_is_not_doubted() {
         for tilt in [-0.4, -0.1, 0.0, 0.2, 0.5] {
             let pose = facing(0.5 * tilt, tilt, Vector3::new(0.3, -0.1, 5.0));
-            assert_eq!(said(with_flat(), with_flat(), &lens(640, 480), &pose), MatchedFocal::Unclear, "{tilt}");
+            assert_eq!(estimate(with_flat(), with_flat(), &lens(640, 480), &pose), MatchedFocal::Unclear, "{tilt}");
         }
     }
 
@@ -275,61 +275,61 @@ mod tests {
         let ahead = facing(0.0, 0.0, Vector3::new(0.0, 0.0, 5.0));
         // Distortion would reveal the focal length even here, so this lens has none.
         let [calibrated, real] = [640.0, 800.0].map(|f| CameraModel::pinhole(640, 480, f, f, 319.5, 239.5).expect("a camera"));
-        let said = said_of(&calibrated, vec![cloth(1)], vec![cloth(1)], &real, &ahead);
-        assert_eq!(said, MatchedFocal::Unclear);
+        let estimate = estimate_through(&calibrated, vec![cloth(1)], vec![cloth(1)], &real, &ahead);
+        assert_eq!(estimate, MatchedFocal::Unclear);
     }
 
     #[test]
     fn corners_off_by_a_pixel_do_not_blame_the_lens() {
-        let aside = facing(0.15, -0.25, Vector3::new(0.1, 0.0, 5.0));
+        let oblique = facing(0.15, -0.25, Vector3::new(0.1, 0.0, 5.0));
         for higher in [0.985, 0.995, 1.005, 1.015] {
             let mut cropped = cloth(1);
             cropped.size_m[1] *= higher;
-            let said = said(vec![cloth(1)], vec![cropped], &lens(640, 480), &aside);
-            assert!(matches!(said, MatchedFocal::Unclear | MatchedFocal::Contested(_)), "{higher}: {said:?}");
+            let estimate = estimate(vec![cloth(1)], vec![cropped], &lens(640, 480), &oblique);
+            assert!(matches!(estimate, MatchedFocal::Unclear | MatchedFocal::Contested(_)), "{higher}: {estimate:?}");
         }
     }
 
     #[test]
     fn a_misplaced_flat_does_not_blame_the_lens() {
-        let aside = facing(0.1, -0.3, Vector3::new(0.2, 0.05, 5.0));
+        let oblique = facing(0.1, -0.3, Vector3::new(0.2, 0.05, 5.0));
         for off in [Vector3::new(0.0, 0.0, 0.03), Vector3::new(0.02, 0.0, 0.0), Vector3::new(-0.02, 0.01, -0.03)] {
             let mut moved = with_flat();
             moved[1].pose.translation += off;
-            let said = said(with_flat(), moved, &lens(640, 480), &aside);
-            assert!(matches!(said, MatchedFocal::Unclear | MatchedFocal::Contested(_)), "{off}: {said:?}");
+            let estimate = estimate(with_flat(), moved, &lens(640, 480), &oblique);
+            assert!(matches!(estimate, MatchedFocal::Unclear | MatchedFocal::Contested(_)), "{off}: {estimate:?}");
         }
     }
 
     #[test]
     fn rows_displaced_by_motion_do_not_blame_the_lens() {
         let (body, calibrated) = (prepared(with_flat()), lens(640, 480));
-        let aside = facing(0.1, -0.3, Vector3::new(0.2, 0.05, 5.0));
+        let oblique = facing(0.1, -0.3, Vector3::new(0.2, 0.05, 5.0));
         for twist in [[0.02, 0.0, 0.0, 0.0, 0.02, 0.0], [0.0, 0.01, 0.02, 0.02, 0.0, 0.0], [-0.01, 0.0, -0.02, -0.01, 0.015, 0.01]] {
-            let mut found = matches(&body, &body, &calibrated, &aside);
+            let mut found = matches(&body, &body, &calibrated, &oblique);
             for m in &mut found {
                 let share = (m.observation.pixel.y + 0.5) / 480.0 - 0.5;
-                let (_, by_pose) = residual_and_jacobian(&aside, &MovingCamera::still(&calibrated), &m.observation).expect("it is seen");
+                let (_, by_pose) = residual_and_jacobian(&oblique, &MovingCamera::still(&calibrated), &m.observation).expect("it is seen");
                 m.observation.pixel += by_pose * nalgebra::Vector6::from(twist) * share;
             }
-            assert_eq!(matched_focal(&aside, &calibrated, &body, &found, false, None), MatchedFocal::Unclear, "{twist:?}");
+            assert_eq!(matched_focal(&oblique, &calibrated, &body, &found, false, None), MatchedFocal::Unclear, "{twist:?}");
         }
         // A different mode is still found.
-        let found = matches(&body, &body, &zoomed(0.8), &aside);
+        let found = matches(&body, &body, &zoomed(0.8), &oblique);
         let observations: Vec<Observation> = found.iter().map(|m| m.observation).collect();
-        let start = resect(&aside, &MovingCamera::still(&calibrated), &observations, 30).expect("a pose").pose;
-        let said = matched_focal(&start, &calibrated, &body, &found, false, None);
-        assert!(matches!(said, MatchedFocal::Changed(change) if (change - 0.8_f64.ln()).abs() < 0.03), "{said:?}");
+        let start = resect(&oblique, &MovingCamera::still(&calibrated), &observations, 30).expect("a pose").pose;
+        let estimate = matched_focal(&start, &calibrated, &body, &found, false, None);
+        assert!(matches!(estimate, MatchedFocal::Changed(change) if (change - 0.8_f64.ln()).abs() < 0.03), "{estimate:?}");
     }
 
     #[test]
     fn a_lens_doubt_is_cleared_if_the_calibrated_lens_fits_better() {
         let body = prepared(with_flat());
         let calibrated = lens(640, 480);
-        let aside = facing(0.1, -0.3, Vector3::new(0.2, 0.05, 5.0));
-        let found = matches(&body, &body, &calibrated, &aside);
+        let oblique = facing(0.1, -0.3, Vector3::new(0.2, 0.05, 5.0));
+        let found = matches(&body, &body, &calibrated, &oblique);
         for suspected in [-0.4, -0.1, 0.08, 0.3] {
-            assert_eq!(matched_focal(&aside, &calibrated, &body, &found, true, Some(suspected)), MatchedFocal::Calibrated, "{suspected}");
+            assert_eq!(matched_focal(&oblique, &calibrated, &body, &found, true, Some(suspected)), MatchedFocal::Calibrated, "{suspected}");
         }
         // From straight ahead no doubt is taken back.
         let (flat, ahead) = (prepared(vec![cloth(1)]), facing(0.0, 0.0, Vector3::new(0.0, 0.0, 5.0)));

@@ -10,7 +10,7 @@
 //! caller accepts the pose with [`Solution::accept`].
 
 use super::frame_problem::{Buffers, FrameProblem};
-use super::learned::slow_estimates::{Lessons, SlowEstimates};
+use super::learned::online_calibration::{OnlineCalibration, Updates};
 use super::picture::surface::{AlignSurface, distance_m};
 use super::pixels::level_spec::LevelSpec;
 use super::request::AlignRequest;
@@ -31,7 +31,7 @@ use crate::track::frame::tuning::TUNING as FRAME_TUNING;
 pub struct Aligner {
     surfaces: Vec<AlignSurface>,
     buffers: Buffers,
-    slow: SlowEstimates,
+    slow: OnlineCalibration,
 }
 
 /// An aligned frame. It can be queried until the next frame is aligned.
@@ -42,7 +42,7 @@ pub struct Solution<'a> {
     pub alignment: Alignment,
     /// What the frame says of the shutter; `None` where that was not asked.
     pub shutter_clue: Option<ShutterClue>,
-    lessons: Lessons,
+    updates: Updates,
 }
 
 /// What the survey of a stage needs besides.
@@ -67,7 +67,7 @@ impl Aligner {
 impl Aligner {
     /// Creates an aligner from surfaces that are already prepared.
     pub fn of_surfaces(surfaces: Vec<AlignSurface>, shutter: Shutter) -> Self {
-        Self { buffers: Buffers::with_room_for(&surfaces), surfaces, slow: SlowEstimates::new(shutter) }
+        Self { buffers: Buffers::with_room_for(&surfaces), surfaces, slow: OnlineCalibration::new(shutter) }
     }
 
     /// Returns the maximum number of patches per frame: one per tile of each surface.
@@ -159,13 +159,13 @@ impl Aligner {
         } else if !is_by_blur && frame.settle_uncovered()? {
             (alignment, exposure) = frame.verify()?;
         }
-        if may_ask_blur && !is_by_blur && alignment.is_covered_in_part() && frame.solve_covered_with_blur(alignment.scale)? {
+        if may_ask_blur && !is_by_blur && alignment.is_covered_in_part() && frame.solve_covered_with_blur(alignment.residual_sigma)? {
             (alignment, exposure) = frame.verify()?;
         }
         frame.allow_for_jumps(&mut alignment, since_s, jumped_since_s.is_some());
         let shutter_clue = question.filter(|_| jumped_since_s.is_none()).and_then(|question| frame.shutter_clue(&question, exposure));
-        let lessons = frame.into_lessons();
-        Some(Solution { aligner: self, rays, alignment, lessons, shutter_clue })
+        let updates = frame.into_updates();
+        Some(Solution { aligner: self, rays, alignment, updates, shutter_clue })
     }
 }
 
@@ -181,7 +181,7 @@ impl Solution<'_> {
     /// `patches` with the patches that fit, at most one per tile.
     pub fn accept(self, patches: &mut Vec<Patch>) {
         let Aligner { surfaces, buffers, slow } = self.aligner;
-        slow.learn(&self.lessons, &buffers.light);
+        slow.learn(&self.updates, &buffers.light);
         patches.clear();
         if let Some(solution) = buffers.fine.solution() {
             let spec = LevelSpec::new(surfaces, slow, self.rays, slow.is_enlarged, FINEST, &solution.found.motion);

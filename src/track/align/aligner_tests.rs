@@ -43,10 +43,15 @@ fn a_start_nearby_becomes_right_to_a_hundredth_of_a_pixel() {
     let start = perturbed(&truth(), &Vector6::new(0.02, -0.015, 0.03, 0.006, -0.005, 0.003));
     let found = aligned(&mut levels(1), &start).expect("the picture agrees");
     let pose = found.estimate.motion.pose.inverse();
-    let (shift, turn) = ((pose.translation - truth().translation).norm(), pose.angle_to(&truth()));
-    println!("{shift:.6} m, {turn:.7} rad, share {:.2} of {} tiles, scale {:.2}", found.share(), found.tiles, found.scale);
-    assert!(shift < 5e-4 && turn < 1e-4, "{shift} {turn}");
-    assert!(found.share() > 0.9 && found.is_credible(false));
+    let (shift, rotation) = ((pose.translation - truth().translation).norm(), pose.angle_to(&truth()));
+    println!(
+        "{shift:.6} m, {rotation:.7} rad, share {:.2} of {} tiles, scale {:.2}",
+        found.inlier_ratio(),
+        found.tiles,
+        found.residual_sigma
+    );
+    assert!(shift < 5e-4 && rotation < 1e-4, "{shift} {rotation}");
+    assert!(found.inlier_ratio() > 0.9 && found.is_credible(false));
     assert!(found.covariance.cholesky().is_some() && found.estimate.covariance.cholesky().is_some());
 }
 
@@ -87,7 +92,7 @@ fn an_occluder_over_most_of_the_stage_does_not_bias_the_pose() {
         let request = AlignRequest { since_s, was_reported: true, ..AlignRequest::new(&expected) };
         let solution = aligner.align(&mut frame, &rays, &request);
         let found = solution.expect("the picture agrees in a third").alignment;
-        assert!(found.share() < 0.6, "{}", found.share());
+        assert!(found.inlier_ratio() < 0.6, "{}", found.inlier_ratio());
         let error = found.pose.inverse().translation - truth().translation;
         let sigma = found.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt();
         println!("{open_columns} columns: {:.5} m of {sigma:.5}, {} of {} tiles", error.norm(), found.agreeing, found.tiles);
@@ -123,14 +128,14 @@ fn a_body_is_found_though_it_is_blurred() {
     let rays = CameraRays::new(lens(480, 360), None);
     for (blur_px, open_columns) in [(9.0, 480), (9.0, 320), (12.0, 480)] {
         let mut frame = smeared(&stage, &truth(), blur_px, open_columns);
-        for was_given in [false, true] {
+        for was_reported in [false, true] {
             let mut aligner = Aligner::new(&prepared(vec![stage.clone()]), Shutter { readout_s: 0.0, exposure_s: 0.006 });
-            let request = AlignRequest { was_reported: was_given, ..AlignRequest::new(&expected) };
+            let request = AlignRequest { was_reported: was_reported, ..AlignRequest::new(&expected) };
             let found = aligner.align(&mut frame, &rays, &request).expect("the picture agrees").alignment;
             let off_m = (found.pose.inverse().translation - truth().translation).norm();
-            let what = format!("{blur_px} px, {open_columns} columns, given before: {was_given}");
-            println!("{what}: scale {:.2}, {} of {} tiles, {off_m:.6} m", found.scale, found.agreeing, found.tiles);
-            assert!(found.scale < 2.0 && 480 * found.agreeing > 90 * found.tiles * open_columns as usize / 100, "{what}");
+            let what = format!("{blur_px} px, {open_columns} columns, given before: {was_reported}");
+            println!("{what}: scale {:.2}, {} of {} tiles, {off_m:.6} m", found.residual_sigma, found.agreeing, found.tiles);
+            assert!(found.residual_sigma < 2.0 && 480 * found.agreeing > 90 * found.tiles * open_columns as usize / 100, "{what}");
             assert!(off_m < 2e-4, "{what}: {off_m} m");
         }
     }
@@ -150,8 +155,12 @@ fn the_visible_part_of_an_occluded_body_reveals_its_blur() {
         let mut aligner = Aligner::new(&prepared(vec![small.clone()]), Shutter { readout_s: 0.0, exposure_s: 0.006 });
         let request = AlignRequest { was_reported: true, ..AlignRequest::new(&expected) };
         let found = aligner.align(&mut frame, &rays, &request).expect("the picture agrees").alignment;
-        println!("{open_columns} columns: scale {:.2}, {} of {} tiles", found.scale, found.agreeing, found.tiles);
-        assert!(2 * found.agreeing < found.tiles && found.has_opposite && found.scale < 1.2, "{open_columns} columns: {}", found.scale);
+        println!("{open_columns} columns: scale {:.2}, {} of {} tiles", found.residual_sigma, found.agreeing, found.tiles);
+        assert!(
+            2 * found.agreeing < found.tiles && found.has_opposite && found.residual_sigma < 1.2,
+            "{open_columns} columns: {}",
+            found.residual_sigma
+        );
     }
 }
 

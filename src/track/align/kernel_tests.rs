@@ -12,7 +12,7 @@ use super::kernel::tile_products::{ProductBuffer, tile_equations, tile_equations
 use super::lanes::{LANES, Lanes, Plain, load_at};
 use super::learned::light::{RememberedLight, TileLight};
 use super::learned::noise::Noise;
-use super::learned::slow_estimates::SlowEstimates;
+use super::learned::online_calibration::OnlineCalibration;
 use super::picture::surface::AlignSurface;
 use super::pixels::appearance::{Appearance, Predicted, predict, predict_by_velocity, predict_by_velocity_lanes, predict_lanes};
 use super::pixels::level_spec::LevelSpec;
@@ -28,7 +28,7 @@ use crate::track::synthetic::{cloth, facing, lens, view};
 
 struct Scene {
     surfaces: [AlignSurface; 1],
-    slow: SlowEstimates,
+    slow: OnlineCalibration,
     rays: CameraRays,
     motion: Motion,
     pixels: Pixels,
@@ -55,15 +55,15 @@ fn scene_of(surface: SurfaceSpec) -> Scene {
     let pose = facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4));
     let motion = Motion {
         velocity: Vector3::new(0.3, -0.2, 0.1),
-        turn_rate: Vector3::new(0.2, -0.4, 0.3),
+        angular_velocity: Vector3::new(0.2, -0.4, 0.3),
         acceleration: Vector3::new(1.0, 0.5, -0.5),
-        turn_acceleration: Vector3::new(2.0, 1.0, -3.0),
+        angular_acceleration: Vector3::new(2.0, 1.0, -3.0),
         ..Motion::still(pose.inverse())
     };
     let camera = lens(480, 360);
     let mut levels = FrameLevels::default();
     levels.update(&view(&surface, &pose, &camera));
-    let slow = SlowEstimates::new(Shutter { readout_s: 0.012, exposure_s: 0.01 });
+    let slow = OnlineCalibration::new(Shutter { readout_s: 0.012, exposure_s: 0.01 });
     let (surfaces, rays, pixels) = ([AlignSurface::new(&surface)], CameraRays::new(camera, None), Pixels::default());
     let mut scene = Scene { surfaces, slow, rays, motion, pixels };
     let (mut selector, mut pixels) = (Selector::default(), Pixels::default());
@@ -224,7 +224,7 @@ fn scalar_twins_and_column_products_give_the_same_sums() {
     let noise = Noise { dark: 0.6, per_intensity: 0.01, model_px: 0.01 };
     let mut found = Residuals::default();
     found.resize(scene.pixels.len());
-    let weighting = RobustWeighting { scale: 3.0, is_first_pass: false, stride: 1 };
+    let weighting = RobustWeighting { residual_sigma: 3.0, is_first_pass: false, stride: 1 };
     let mut step = [0.0; COLUMNS];
     step[BIAS] = 0.5;
     let mut products = Box::<ProductBuffer>::default();
@@ -377,7 +377,7 @@ fn sums_of_the_rows_are_products_of_the_columns_and_their_times() {
         let view = RunView { pixels: &scene.pixels, run, appearance: &at, light: &light, residuals: &found };
         let delay_s = scene.pixels.delay_s[(run.start as usize + run.end as usize) / 2];
         for stride in [1, 3] {
-            let weighting = RobustWeighting { scale: 1.3, is_first_pass: false, stride };
+            let weighting = RobustWeighting { residual_sigma: 1.3, is_first_pass: false, stride };
             let fast = tile_equations(&view, Some(delay_s), &step, &weighting, &mut products);
             assert_products(&view, f64::from(delay_s), &step, &weighting, &fast);
             let plain = tile_equations_lanes::<Plain>(&view, Some(delay_s), &step, &weighting, &mut products);
@@ -388,6 +388,6 @@ fn sums_of_the_rows_are_products_of_the_columns_and_their_times() {
     let none = Run { end: all.start, ..all };
     let light = scene.pixels.light_of(&all);
     let view = RunView { pixels: &scene.pixels, run: &none, appearance: &at, light: &light, residuals: &found };
-    let weighting = RobustWeighting { scale: 1.3, is_first_pass: false, stride: 1 };
+    let weighting = RobustWeighting { residual_sigma: 1.3, is_first_pass: false, stride: 1 };
     assert_products(&view, 0.0, &step, &weighting, &tile_equations(&view, Some(0.0), &step, &weighting, &mut products));
 }

@@ -10,7 +10,7 @@ use super::kernel::noise_sums::noise_sums;
 use super::kernel::normal::{Residuals, RobustWeighting, RunView, residuals};
 use super::kernel::tile_products::{ProductBuffer, tile_equations};
 use super::learned::light::RememberedLight;
-use super::learned::slow_estimates::SlowEstimates;
+use super::learned::online_calibration::OnlineCalibration;
 use super::picture::surface::AlignSurface;
 use super::pixels::appearance::{Appearance, Predicted, predict};
 use super::pixels::level_spec::LevelSpec;
@@ -34,7 +34,7 @@ pub struct AlignKernels {
     surfaces: [AlignSurface; 1],
     rays: CameraRays,
     motion: Motion,
-    slow: SlowEstimates,
+    slow: OnlineCalibration,
     levels: FrameLevels,
     selector: Selector,
     pixels: Pixels,
@@ -53,7 +53,7 @@ impl AlignKernels {
             surfaces: [AlignSurface::new(surface)],
             rays: CameraRays::new(camera, None),
             motion: Motion::still(t_camera_body.inverse()),
-            slow: SlowEstimates::new(Shutter { readout_s: 0.01, exposure_s: EXPOSURE_S }),
+            slow: OnlineCalibration::new(Shutter { readout_s: 0.01, exposure_s: EXPOSURE_S }),
             levels,
             selector: Selector::default(),
             pixels: Pixels::default(),
@@ -125,7 +125,7 @@ impl AlignKernels {
 
     fn each(&self, mut kernel: impl FnMut(&RunView, &RobustWeighting) -> f64) -> f64 {
         let Self { pixels, appearance, residuals, .. } = self;
-        let weighting = RobustWeighting { scale: 1.0, is_first_pass: false, stride: 1 };
+        let weighting = RobustWeighting { residual_sigma: 1.0, is_first_pass: false, stride: 1 };
         let of_run = |run: &Run| {
             let light = pixels.light_of(run);
             kernel(&RunView { pixels, run, appearance, light: &light, residuals }, &weighting)

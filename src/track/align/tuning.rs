@@ -564,7 +564,7 @@ tuning! {
         /// usual camera.
         memory_kept_after_model_change: f64 = 0.1,
 
-        // learned/slow_estimates.rs
+        // learned/online_calibration.rs
         /// Fraction of the difference to a sharp frame's point spread that is applied per frame.
         /// Raised, it follows noise; lowered, a change of focus is learnt later.
         psf_variance_learning_rate: f64 = 0.2,

@@ -5,7 +5,7 @@ use crate::track::body::tuning::TUNING;
 use nalgebra::Vector2;
 
 /// What one frame says: a value, and its variance due to the frame's noise.
-pub type Said = Vector2<f64>;
+pub type FrameValue = Vector2<f64>;
 
 /// What many frames agree on.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,29 +31,29 @@ impl AgreementBuffers {
         Self { sorted: Vec::with_capacity(frames), weights: Vec::with_capacity(frames) }
     }
 
-    /// Returns the robust mean (Huber weights) of what frames say; `said`: in order, at least one.
+    /// Returns the robust mean (Huber weights) of what frames say; `values`: in order, at least one.
     /// With fewer than two blocks, sigma is only a guess.
-    pub fn agreement(&mut self, said: &[Said]) -> Agreement {
-        let mut value = self.weighted_median(said.iter().map(|t| (t.x, t.y.recip().sqrt())));
+    pub fn agreement(&mut self, values: &[FrameValue]) -> Agreement {
+        let mut value = self.weighted_median(values.iter().map(|t| (t.x, t.y.recip().sqrt())));
         let mut weights = std::mem::take(&mut self.weights);
         for _ in 0..6 {
             // Besides pixel noise, each frame errs where its motion differs from the model; that
             // scatter is common to all.
-            let scatter = self.weighted_median(said.iter().map(|t| ((t.x - value).abs(), t.y.recip().sqrt())));
+            let scatter = self.weighted_median(values.iter().map(|t| ((t.x - value).abs(), t.y.recip().sqrt())));
             let common = (1.4826 * scatter).powi(2);
             weights.clear();
-            weights.extend(said.iter().map(|t| {
+            weights.extend(values.iter().map(|t| {
                 let variance = t.y + common.max(1e-18);
                 let huber = (1.5 * variance.sqrt() / (t.x - value).abs().max(1e-18)).min(1.0);
                 huber / variance
             }));
-            value = said.iter().zip(&weights).map(|(t, w)| t.x * w).sum::<f64>() / weights.iter().sum::<f64>();
+            value = values.iter().zip(&weights).map(|(t, w)| t.x * w).sum::<f64>() / weights.iter().sum::<f64>();
         }
-        let blocks = said.chunks(TUNING.agreement_block_frames).zip(weights.chunks(TUNING.agreement_block_frames));
-        let squares: f64 = blocks.map(|(said, w)| said.iter().zip(w).map(|(t, w)| w * (t.x - value)).sum::<f64>().powi(2)).sum();
+        let blocks = values.chunks(TUNING.agreement_block_frames).zip(weights.chunks(TUNING.agreement_block_frames));
+        let squares: f64 = blocks.map(|(values, w)| values.iter().zip(w).map(|(t, w)| w * (t.x - value)).sum::<f64>().powi(2)).sum();
         let sigma = squares.sqrt() / weights.iter().sum::<f64>();
         self.weights = weights;
-        Agreement { value, sigma, frames: said.len() }
+        Agreement { value, sigma, frames: values.len() }
     }
 
     /// Returns the weighted median of (value, weight) pairs; 0 if there are none.

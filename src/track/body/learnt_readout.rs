@@ -9,7 +9,7 @@
 use crate::track::body::tuning::TUNING;
 use std::collections::VecDeque;
 
-use super::agreement::{Agreement, AgreementBuffers, Said};
+use super::agreement::{Agreement, AgreementBuffers, FrameValue};
 use super::learnt_camera::LearntTime;
 use super::shutter_news::ShutterNews;
 use crate::track::align::ShutterClue;
@@ -30,7 +30,7 @@ pub struct ReadoutDoubt {
 impl ReadoutDoubt {
     /// Returns the speed of a frame if the frame is to be asked; `None` otherwise. `speed_px_s` is
     /// evaluated only if needed.
-    pub fn asks(&self, speed_px_s: impl FnOnce() -> f64) -> Option<f64> {
+    pub fn query_speed_px_s(&self, speed_px_s: impl FnOnce() -> f64) -> Option<f64> {
         if self.sigma_s == 0.0 && !self.is_check_due {
             return None;
         }
@@ -53,21 +53,21 @@ impl ReadoutDoubt {
 
 /// A readout time and its sigma, seconds.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Known {
+pub struct ReadoutEstimate {
     /// Seconds; negative if rows are read from the bottom up.
     pub readout_s: f64,
     /// One sigma, seconds; 0 if it is configured.
     pub sigma_s: f64,
 }
 
-impl Known {
+impl ReadoutEstimate {
     /// Returns it as a learnt time.
     pub fn as_time(&self) -> LearntTime {
         LearntTime { seconds: self.readout_s, sigma_s: self.sigma_s }
     }
 
     /// State before the first frame of an unknown camera.
-    const NOTHING: Self = Self { readout_s: 0.0, sigma_s: UNKNOWN_SIGMA_S };
+    const UNKNOWN: Self = Self { readout_s: 0.0, sigma_s: UNKNOWN_SIGMA_S };
 
     /// Whether it is known well enough to be relied on.
     pub fn is_sure(&self) -> bool {
@@ -77,7 +77,7 @@ impl Known {
 
 /// What one frame said, with the readout and speed at which it was solved.
 #[derive(Debug, Clone, Copy)]
-struct Told {
+struct FrameReadout {
     readout_s: f64,
     variance_s2: f64,
     used_s: f64,
@@ -87,7 +87,7 @@ struct Told {
 /// What the remembered frames alone imply.
 #[derive(Debug, Clone, Copy)]
 struct Found {
-    readout: Known,
+    readout: ReadoutEstimate,
     /// Sigma if the readout in use is the true one, seconds: excludes the linearisation error,
     /// which is then zero.
     sigma_of_no_change_s: f64,
@@ -98,50 +98,51 @@ struct Found {
 pub struct LearntReadout {
     /// The configured value; `None` if the readout is learnt.
     configured_s: Option<f64>,
-    before: Known,
-    told: VecDeque<Told>,
-    said: Vec<Said>,
+    before: ReadoutEstimate,
+    frame_readouts: VecDeque<FrameReadout>,
+    values: Vec<FrameValue>,
     buffers: AgreementBuffers,
-    used: Known,
+    used: ReadoutEstimate,
     /// The remaining effect of recent changes on the motion, seconds.
     settling_s: f64,
     frames: u32,
     news: Option<ShutterNews>,
-    has_told_news: bool,
+    has_reported_news: bool,
 }
 
 impl LearntReadout {
     /// Creates the state. `configured_s`: the configured readout time, if any; `learnt`: otherwise,
     /// what an earlier session learnt.
-    pub fn new(configured_s: Option<f64>, learnt: Option<Known>) -> Self {
-        let before = configured_s.map_or(learnt.unwrap_or(Known::NOTHING), |readout_s| Known { readout_s, sigma_s: 0.0 });
+    pub fn new(configured_s: Option<f64>, learnt: Option<ReadoutEstimate>) -> Self {
+        let before =
+            configured_s.map_or(learnt.unwrap_or(ReadoutEstimate::UNKNOWN), |readout_s| ReadoutEstimate { readout_s, sigma_s: 0.0 });
         Self {
             configured_s,
             before,
-            told: VecDeque::with_capacity(TUNING.max_readout_frames),
-            said: Vec::with_capacity(TUNING.max_readout_frames),
+            frame_readouts: VecDeque::with_capacity(TUNING.max_readout_frames),
+            values: Vec::with_capacity(TUNING.max_readout_frames),
             buffers: AgreementBuffers::with_capacity(TUNING.max_readout_frames),
             used: before,
             settling_s: 0.0,
             frames: 0,
             news: None,
-            has_told_news: before.is_sure() && configured_s.is_none(),
+            has_reported_news: before.is_sure() && configured_s.is_none(),
         }
     }
 
     /// Restarts with what an earlier session learnt; a configured value stays.
-    pub fn begun_with(&self, learnt: Option<Known>) -> Self {
+    pub fn begun_with(&self, learnt: Option<ReadoutEstimate>) -> Self {
         Self::new(self.configured_s, learnt)
     }
 
     /// Returns what frames of this or an earlier session taught; `None` if the readout is
     /// configured or unknown.
-    pub fn learnt(&self) -> Option<Known> {
+    pub fn learnt(&self) -> Option<ReadoutEstimate> {
         Some(self.used).filter(|used| self.configured_s.is_none() && used.sigma_s < 0.5 * UNKNOWN_SIGMA_S)
     }
 
     /// Returns the readout time to track with.
-    pub fn used(&self) -> Known {
+    pub fn used(&self) -> ReadoutEstimate {
         self.used
     }
 
@@ -156,10 +157,10 @@ impl LearntReadout {
         self.frames = self.frames.wrapping_add(1);
         self.settling_s =
             if self.settling_s > TUNING.min_readout_change_effect_s { TUNING.readout_change_decay * self.settling_s } else { 0.0 };
-        let is_suspected = self.told.len() >= TUNING.min_agreement_frames && self.contradicts_roughly();
+        let is_suspected = self.frame_readouts.len() >= TUNING.min_agreement_frames && self.contradicts_roughly();
         let is_check_due = self.configured_s.is_some()
             && (self.frames.is_multiple_of(TUNING.readout_check_interval_frames) || is_suspected)
-            && !self.has_told_news;
+            && !self.has_reported_news;
         ReadoutDoubt { sigma_s: self.sigma_s(), is_check_due }
     }
 
@@ -170,22 +171,22 @@ impl LearntReadout {
 
     /// Takes what a frame says that was solved with the used readout time. `interval_s`: between
     /// frames, an upper bound of the readout time.
-    pub fn hear(&mut self, clue: &ShutterClue, interval_s: f64) {
+    pub fn update(&mut self, clue: &ShutterClue, interval_s: f64) {
         let (used_s, readout, shown) = (self.used.readout_s, clue.readout.clue, clue.readout.shown);
         let information = readout.information * shown.powi(2);
         if information <= TUNING.max_vague_readout_sigma_s.powi(-2) || !readout.score.is_finite() || shown < TUNING.min_shown_readout_ratio
         {
             return;
         }
-        if self.told.len() == TUNING.max_readout_frames {
-            self.told.pop_front();
+        if self.frame_readouts.len() == TUNING.max_readout_frames {
+            self.frame_readouts.pop_front();
         }
         let readout_s = used_s + readout.score / readout.information / shown;
-        self.told.push_back(Told { readout_s, variance_s2: information.recip(), used_s, speed_px_s: clue.speed_px_s });
+        self.frame_readouts.push_back(FrameReadout { readout_s, variance_s2: information.recip(), used_s, speed_px_s: clue.speed_px_s });
         // Once there are many, a single frame changes little, so the average is updated once per
         // block.
-        let is_time =
-            self.told.len() < 10 * TUNING.agreement_block_frames || self.frames.is_multiple_of(TUNING.agreement_block_frames as u32);
+        let is_time = self.frame_readouts.len() < 10 * TUNING.agreement_block_frames
+            || self.frames.is_multiple_of(TUNING.agreement_block_frames as u32);
         if let Some(found) = is_time.then(|| self.found()).flatten() {
             match self.configured_s {
                 Some(configured_s) => self.compare(configured_s, found.readout),
@@ -196,34 +197,35 @@ impl LearntReadout {
 
     fn found(&mut self) -> Option<Found> {
         let used_s = self.used.readout_s;
-        self.said.clear();
-        let unlinear = |t: &Told| (TUNING.readout_linearisation_error * (t.used_s - used_s)).powi(2);
-        self.said.extend(self.told.iter().map(|t| Said::new(t.readout_s, t.variance_s2 + unlinear(t))));
-        if self.said.len() < TUNING.agreement_block_frames {
+        self.values.clear();
+        let unlinear = |t: &FrameReadout| (TUNING.readout_linearisation_error * (t.used_s - used_s)).powi(2);
+        self.values.extend(self.frame_readouts.iter().map(|t| FrameValue::new(t.readout_s, t.variance_s2 + unlinear(t))));
+        if self.values.len() < TUNING.agreement_block_frames {
             return None;
         }
-        let Agreement { value, sigma, frames } = self.buffers.agreement(&self.said);
+        let Agreement { value, sigma, frames } = self.buffers.agreement(&self.values);
         // With few blocks, the block scatter is unreliable; with a single one it is zero.
         let blocks = frames as f64 / TUNING.agreement_block_frames as f64;
-        let of_one = 1.4826 * self.buffers.weighted_median(self.said.iter().map(|s| ((s.x - value).abs(), 1.0)));
+        let of_one = 1.4826 * self.buffers.weighted_median(self.values.iter().map(|s| ((s.x - value).abs(), 1.0)));
         let by_scatter = sigma.max(of_one / blocks.sqrt()) * (1.0 + 2.0 / blocks);
-        let by_noise = self.said.iter().map(|s| s.y.recip()).sum::<f64>().powf(-0.5);
-        let speed_px_s = self.buffers.weighted_median(self.told.iter().map(|t| (t.speed_px_s, 1.0)));
+        let by_noise = self.values.iter().map(|s| s.y.recip()).sum::<f64>().powf(-0.5);
+        let speed_px_s = self.buffers.weighted_median(self.frame_readouts.iter().map(|t| (t.speed_px_s, 1.0)));
         let by_model = TUNING.row_model_error_px / speed_px_s.max(f64::MIN_POSITIVE);
-        let weight = self.said.iter().map(|s| s.y.recip()).sum::<f64>();
-        let mean_used_s = self.told.iter().zip(&self.said).map(|(t, s)| t.used_s / s.y).sum::<f64>() / weight;
+        let weight = self.values.iter().map(|s| s.y.recip()).sum::<f64>();
+        let mean_used_s = self.frame_readouts.iter().zip(&self.values).map(|(t, s)| t.used_s / s.y).sum::<f64>() / weight;
         let by_curvature = TUNING.readout_linearisation_error * (value - mean_used_s);
         let sigma_of_no_change_s = by_scatter.max(by_noise).hypot(by_model);
         let sigma_s = sigma_of_no_change_s.hypot(by_curvature);
         tracing::trace!(value, by_scatter, by_noise, by_model, by_curvature, frames, "readout");
-        (value.is_finite() && sigma_s.is_finite()).then_some(Found { readout: Known { readout_s: value, sigma_s }, sigma_of_no_change_s })
+        (value.is_finite() && sigma_s.is_finite())
+            .then_some(Found { readout: ReadoutEstimate { readout_s: value, sigma_s }, sigma_of_no_change_s })
     }
 
     fn learn(&mut self, found: Found, interval_s: f64) {
         let Found { readout: found, sigma_of_no_change_s } = found;
         if contradict(self.before, found) {
             // Another mode or another camera: the earlier value does not apply.
-            self.before = Known::NOTHING;
+            self.before = ReadoutEstimate::UNKNOWN;
         }
         let [old, new] = [self.before.sigma_s, found.sigma_s].map(|sigma| sigma.powi(-2));
         let sigma_s = (old + new).powf(-0.5);
@@ -232,8 +234,8 @@ impl LearntReadout {
             // Readout times longer than the frame interval are impossible: something else displaces
             // the rows, such as a poor calibration or a bent picture.
             tracing::debug!(readout_s, interval_s, "no readout fits");
-            (self.used, self.before) = (Known::NOTHING, Known::NOTHING);
-            self.told.clear();
+            (self.used, self.before) = (ReadoutEstimate::UNKNOWN, ReadoutEstimate::UNKNOWN);
+            self.frame_readouts.clear();
             return;
         }
         // Once a readout time is in use, a later increase of sigma does not reset it to zero.
@@ -249,21 +251,21 @@ impl LearntReadout {
         }
         // The difference between the found and the used value counts as uncertainty.
         self.used.sigma_s = sigma_s.hypot(readout_s - self.used.readout_s);
-        if self.used.is_sure() && !self.has_told_news && self.told.len() >= 2 * TUNING.min_agreement_frames {
-            self.has_told_news = true;
+        if self.used.is_sure() && !self.has_reported_news && self.frame_readouts.len() >= 2 * TUNING.min_agreement_frames {
+            self.has_reported_news = true;
             self.news = Some(ShutterNews::ReadoutLearnt(self.used.as_time()));
         }
     }
 
     fn contradicts_roughly(&self) -> bool {
-        let off = |t: &Told| ((t.readout_s - t.used_s).abs() > TUNING.min_readout_contradiction_s, t.readout_s > t.used_s);
-        let count = |above: bool| self.told.iter().filter(|t| off(t) == (true, above)).count();
-        3 * count(true).max(count(false)) > 2 * self.told.len()
+        let off = |t: &FrameReadout| ((t.readout_s - t.used_s).abs() > TUNING.min_readout_contradiction_s, t.readout_s > t.used_s);
+        let count = |above: bool| self.frame_readouts.iter().filter(|t| off(t) == (true, above)).count();
+        3 * count(true).max(count(false)) > 2 * self.frame_readouts.len()
     }
 
-    fn compare(&mut self, configured_s: f64, found: Known) {
-        if !self.has_told_news && self.told.len() >= 2 * TUNING.min_agreement_frames && contradict(self.before, found) {
-            self.has_told_news = true;
+    fn compare(&mut self, configured_s: f64, found: ReadoutEstimate) {
+        if !self.has_reported_news && self.frame_readouts.len() >= 2 * TUNING.min_agreement_frames && contradict(self.before, found) {
+            self.has_reported_news = true;
             self.news = Some(ShutterNews::ReadoutContradicted { configured_s, found: found.as_time() });
             // The configured value stays in use, but with a sigma.
             self.used.sigma_s = (found.readout_s - configured_s).abs();
@@ -272,7 +274,7 @@ impl LearntReadout {
 }
 
 /// Whether the found value is incompatible with what was known before.
-fn contradict(before: Known, found: Known) -> bool {
+fn contradict(before: ReadoutEstimate, found: ReadoutEstimate) -> bool {
     let off_s = (found.readout_s - before.readout_s).abs();
     off_s > TUNING.min_readout_contradiction_sigmas * found.sigma_s.hypot(before.sigma_s)
         && off_s > TUNING.min_readout_contradiction_s.max(TUNING.min_readout_contradiction_ratio * before.readout_s.abs())
@@ -301,7 +303,7 @@ mod tests {
             learnt.next_doubt();
             let speed_px_s = 150.0 + 100.0 * f64::from(k % 4);
             let error_s = 4e-4 * (f64::from((k * 7) % 11) / 5.0 - 1.0);
-            learnt.hear(&clue(true_s, learnt.used().readout_s, error_s, speed_px_s), INTERVAL_S);
+            learnt.update(&clue(true_s, learnt.used().readout_s, error_s, speed_px_s), INTERVAL_S);
         }
     }
 
@@ -311,7 +313,7 @@ mod tests {
             let mut learnt = LearntReadout::new(None, None);
             assert_eq!(learnt.learnt(), None);
             shaken(&mut learnt, true_s, 60);
-            let Known { readout_s, sigma_s } = learnt.used();
+            let ReadoutEstimate { readout_s, sigma_s } = learnt.used();
             assert!(learnt.used().is_sure() && (readout_s - true_s).abs() < 3.0 * sigma_s, "{true_s}: {readout_s} +- {sigma_s}");
             assert!((readout_s - true_s).abs() < 5e-4, "{true_s}: {readout_s}");
             assert!(matches!(learnt.news(), Some(ShutterNews::ReadoutLearnt(_))) && learnt.news().is_none(), "it is said once");
@@ -322,9 +324,9 @@ mod tests {
     fn a_short_shake_is_not_mistaken_for_a_long_one() {
         let mut learnt = LearntReadout::new(None, None);
         shaken(&mut learnt, 0.02, TUNING.agreement_block_frames as u32 - 1);
-        assert_eq!(learnt.used(), Known::NOTHING);
+        assert_eq!(learnt.used(), ReadoutEstimate::UNKNOWN);
         shaken(&mut learnt, 0.02, 4);
-        let Known { readout_s, sigma_s } = learnt.used();
+        let ReadoutEstimate { readout_s, sigma_s } = learnt.used();
         assert!((readout_s - 0.02).abs() < 2.0 * sigma_s && sigma_s > 5e-4, "{readout_s} +- {sigma_s}");
         assert_eq!(learnt.news(), None, "nine frames do not settle it");
     }
@@ -337,9 +339,9 @@ mod tests {
         for k in 0..TUNING.agreement_block_frames + 2 {
             learnt.next_doubt();
             let error_s = if k % 2 == 0 { 6e-4 } else { -6e-4 };
-            learnt.hear(&clue(0.008, learnt.used().readout_s, error_s, 300.0), INTERVAL_S);
+            learnt.update(&clue(0.008, learnt.used().readout_s, error_s, 300.0), INTERVAL_S);
         }
-        let Known { readout_s, sigma_s } = learnt.used();
+        let ReadoutEstimate { readout_s, sigma_s } = learnt.used();
         assert!(readout_s > 0.005 && sigma_s < 0.008, "{readout_s} +- {sigma_s}");
     }
 
@@ -360,12 +362,12 @@ mod tests {
         assert!((wrong.used().sigma_s - 0.01).abs() < 1e-3);
         let mut right = LearntReadout::new(Some(0.02), None);
         shaken(&mut right, 0.0204, 300);
-        assert_eq!((right.news(), right.used()), (None, Known { readout_s: 0.02, sigma_s: 0.0 }));
+        assert_eq!((right.news(), right.used()), (None, ReadoutEstimate { readout_s: 0.02, sigma_s: 0.0 }));
     }
 
     #[test]
     fn a_learnt_readout_is_used_until_contradicted() {
-        let before = Known { readout_s: 0.02, sigma_s: 2e-4 };
+        let before = ReadoutEstimate { readout_s: 0.02, sigma_s: 2e-4 };
         let mut learnt = LearntReadout::new(None, Some(before));
         assert_eq!((learnt.used(), learnt.learnt()), (before, Some(before)));
         shaken(&mut learnt, 0.02, 60);
@@ -378,10 +380,10 @@ mod tests {
     #[test]
     fn a_still_camera_is_not_asked_for_its_readout() {
         let mut learnt = LearntReadout::new(None, None);
-        assert!(learnt.next_doubt().asks(|| 2.0).is_none() && learnt.next_doubt().asks(|| 200.0).is_some());
+        assert!(learnt.next_doubt().query_speed_px_s(|| 2.0).is_none() && learnt.next_doubt().query_speed_px_s(|| 200.0).is_some());
         let mut configured = LearntReadout::new(Some(0.01), None);
-        let asked = (0..80).filter(|_| configured.next_doubt().asks(|| 200.0).is_some()).count();
+        let asked = (0..80).filter(|_| configured.next_doubt().query_speed_px_s(|| 200.0).is_some()).count();
         assert_eq!(asked, 10);
-        assert!((0..80).all(|_| configured.next_doubt().asks(|| 20.0).is_none()));
+        assert!((0..80).all(|_| configured.next_doubt().query_speed_px_s(|| 20.0).is_none()));
     }
 }

@@ -104,7 +104,7 @@ impl Reason {
     }
 
     /// Returns what is wrong, as a short clause.
-    pub fn says(self) -> &'static str {
+    pub fn message(self) -> &'static str {
         match self {
             Self::NoPoseFits => "the picture is recognised, but no pose fits",
             Self::Covered => "the picture is recognised, but most of it is covered or looks different",
@@ -132,7 +132,7 @@ impl Reason {
     }
 
     /// Returns what to do about it.
-    pub fn mend(self) -> &'static str {
+    pub fn hint(self) -> &'static str {
         match self {
             Self::NoPoseFits => "check the order of the corners, size_m, position_m and the calibration",
             Self::Covered => "clear the view, or take a new photo of the stage as it looks now",

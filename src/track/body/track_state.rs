@@ -72,8 +72,8 @@ struct Pending {
 #[derive(Debug, Clone, Default)]
 pub struct TrackStateMachine {
     state: State,
-    found_before: bool,
-    last_given: Option<Pending>,
+    was_reported: bool,
+    last_reported: Option<Pending>,
     pending: Option<Pending>,
     doubt: Option<Doubt>,
     /// Velocity between the last two reported poses, m/s: of the camera in the body's frame, and of
@@ -96,8 +96,8 @@ impl TrackStateMachine {
     }
 
     /// Whether a pose of the body was reported in any frame.
-    pub fn was_given(&self) -> bool {
-        self.found_before
+    pub fn was_reported(&self) -> bool {
+        self.was_reported
     }
 
     /// Whether a pose in the next frame would continue a track.
@@ -115,7 +115,7 @@ impl TrackStateMachine {
     /// reported.
     pub fn may_have_come(&self, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> bool {
         let velocities = self.velocities.filter(|_| self.is_of_camera);
-        self.last_given.is_none_or(|last| is_reachable(&last.pose, pose, timestamp.seconds_since(last.timestamp), velocities))
+        self.last_reported.is_none_or(|last| is_reachable(&last.pose, pose, timestamp.seconds_since(last.timestamp), velocities))
     }
 
     /// Whether a pose in this frame would continue a track without further confirmation.
@@ -126,9 +126,9 @@ impl TrackStateMachine {
     /// Ends the track at once: poses are withheld, and none may be predicted from them. Returns the
     /// state.
     pub fn withhold(&mut self) -> State {
-        let found_before = self.found_before;
-        let state = if found_before { State::Lost } else { State::Searching };
-        *self = Self { state, found_before, is_of_camera: self.is_of_camera, ..Self::default() };
+        let was_reported = self.was_reported;
+        let state = if was_reported { State::Lost } else { State::Searching };
+        *self = Self { state, was_reported, is_of_camera: self.is_of_camera, ..Self::default() };
         self.state
     }
 
@@ -138,7 +138,7 @@ impl TrackStateMachine {
         let continued = self.is_continued();
         self.doubt = None;
         if let Some(pose) = verified {
-            let pending = self.taken_up(pose, timestamp);
+            let pending = self.merged_with_pending(pose, timestamp);
             let disagrees = pending.agreeing == 1
                 && self.pending.as_ref().is_some_and(|before| timestamp.seconds_since(before.timestamp) <= TUNING.max_confirming_gap_s);
             self.pending = Some(pending);
@@ -147,17 +147,17 @@ impl TrackStateMachine {
                 Some(since) => timestamp.seconds_since(since) >= TUNING.jump_confirmation_s,
             };
             if is_confirmed {
-                self.found_before = true;
-                self.velocities = self.last_given.filter(|_| pending.jumped.is_none()).and_then(|last| velocities(&last, &pending));
-                self.last_given = Some(Pending { jumped: None, ..pending });
-                self.pending = self.last_given;
+                self.was_reported = true;
+                self.velocities = self.last_reported.filter(|_| pending.jumped.is_none()).and_then(|last| velocities(&last, &pending));
+                self.last_reported = Some(Pending { jumped: None, ..pending });
+                self.pending = self.last_reported;
                 self.state = State::Tracking;
                 return self.state;
             }
             self.doubt = Some(if disagrees || pending.jumped.is_some() { Doubt::Disagrees } else { Doubt::First });
         }
-        let may_coast = continued && self.last_given.is_some_and(|last| timestamp.seconds_since(last.timestamp) <= coast_s);
-        self.state = match (may_coast, self.found_before) {
+        let may_coast = continued && self.last_reported.is_some_and(|last| timestamp.seconds_since(last.timestamp) <= coast_s);
+        self.state = match (may_coast, self.was_reported) {
             (true, _) => State::Coasting,
             (false, true) => State::Lost,
             (false, false) => State::Searching,
@@ -172,13 +172,13 @@ impl TrackStateMachine {
     }
 
     /// Returns a verified pose merged with those that wait.
-    fn taken_up(&self, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> Pending {
+    fn merged_with_pending(&self, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> Pending {
         let fresh = |jumped| Pending { pose: *pose, timestamp, agreeing: 1, jumped };
         // While coasting, agreement with the last reported pose is enough, whatever was seen
         // meanwhile.
-        let given = self.last_given.filter(|_| self.is_continued());
+        let reported = self.last_reported.filter(|_| self.is_continued());
         let jumped = || (!self.may_have_come(pose, timestamp)).then_some(timestamp);
-        match [self.pending, given].into_iter().flatten().find(|before| agree(before, pose, timestamp)) {
+        match [self.pending, reported].into_iter().flatten().find(|before| agree(before, pose, timestamp)) {
             // Plausible motion from a copy of the picture to the same copy is no plausible motion
             // from the last reported pose.
             Some(before) if before.jumped.is_some() => Pending { agreeing: before.agreeing.saturating_add(1), ..fresh(before.jumped) },
@@ -200,9 +200,9 @@ fn agree(pending: &Pending, pose: &Pose<Body, Camera>, timestamp: Timestamp) -> 
     let distance = nearest_m(&pending.pose, pose);
     // Uses the camera's centre: rotation on the spot is no shift.
     let shift = (pose.translation - pending.pose.translation).norm();
-    let turn = pose.angle_to(&pending.pose);
+    let rotation = pose.angle_to(&pending.pose);
     shift < (TUNING.confirming_shift_tolerance + TUNING.max_confirming_shift_per_s * dt) * distance
-        && turn < TUNING.confirming_rotation_tolerance + TUNING.max_confirming_rotation_per_s * dt
+        && rotation < TUNING.confirming_rotation_tolerance + TUNING.max_confirming_rotation_per_s * dt
 }
 
 /// Whether a body can have moved between two poses within `dt_s` seconds, given the speeds possible
@@ -323,12 +323,12 @@ mod tests {
 
     #[test]
     fn a_copy_is_not_adopted_but_a_lasting_cut_is() {
-        let given = |states: &[(State, bool)]| states.iter().filter(|(state, _)| *state == State::Tracking).count();
+        let reported = |states: &[(State, bool)]| states.iter().filter(|(state, _)| *state == State::Tracking).count();
         // A pan to a copy 4 m aside for two seconds, with gaps, and back.
         let mut seen = vec![Some(0.0); 10];
         seen.extend((0..60).map(|k| (k % 7 != 3).then_some(4.0)));
         let states = sure(30.0, seen.clone().into_iter().chain([Some(0.1); 3]));
-        assert_eq!((given(&states[10..70]), given(&states[70..])), (0, 3));
+        assert_eq!((reported(&states[10..70]), reported(&states[70..])), (0, 3));
         assert!(states[10].1 && states[68].1);
         // A cut is accepted eventually.
         let states = sure(30.0, [Some(0.0); 10].into_iter().chain([Some(4.0); 120]));

@@ -30,7 +30,7 @@ use super::align::{AlignSurface, CameraRays, FrameLevels, is_sharp};
 use super::body::clock_steps::ClockSteps;
 use super::body::frame_interval::FrameInterval;
 use super::body::learnt_camera::{LearntCamera, LearntTime};
-use super::body::learnt_readout::{Known, LearntReadout};
+use super::body::learnt_readout::{LearntReadout, ReadoutEstimate};
 use super::body::pixel_watch::{PixelWatch, Used, UsedPixels};
 use super::body::reason::Reason;
 use super::body::shutter_news::ShutterNews;
@@ -60,7 +60,7 @@ pub struct BodyTracker {
     readout: LearntReadout,
     /// Whether the shutter is fixed by [`ask_shutter`](Self::ask_shutter): frames are asked about
     /// it but do not change it.
-    is_shutter_given: bool,
+    is_shutter_configured: bool,
     /// Whether it was already reported that frames contradict the configured exposure.
     is_exposure_contradicted: bool,
     interval: FrameInterval,
@@ -121,7 +121,7 @@ impl BodyTracker {
             clock,
             shutter,
             readout,
-            is_shutter_given: false,
+            is_shutter_configured: false,
             is_exposure_contradicted: false,
             interval: FrameInterval::default(),
             bodies,
@@ -159,7 +159,7 @@ impl BodyTracker {
         self.note_pixels();
         self.interval.update(frame.timestamp);
         let learnt = self.learnt();
-        let doubt = (!self.is_shutter_given).then(|| self.readout.next_doubt());
+        let doubt = (!self.is_shutter_configured).then(|| self.readout.next_doubt());
         for tracked in &mut self.bodies {
             tracked.begin_frame(doubt, self.interval.to_next_s());
         }
@@ -212,7 +212,8 @@ impl BodyTracker {
 
     /// Starts from what an earlier run learnt about the camera. Configured values take precedence.
     pub fn begin_with(&mut self, learnt: &LearntCamera) {
-        self.readout = self.readout.begun_with(learnt.readout.map(|LearntTime { seconds, sigma_s }| Known { readout_s: seconds, sigma_s }));
+        self.readout =
+            self.readout.begun_with(learnt.readout.map(|LearntTime { seconds, sigma_s }| ReadoutEstimate { readout_s: seconds, sigma_s }));
         let used = self.readout.used();
         self.shutter.readout_s = used.readout_s;
         self.search.set_shutter(self.shutter, used.sigma_s);
@@ -243,9 +244,9 @@ impl BodyTracker {
         let mut clues = given
             .filter(|body| !is_configured || body.model.covariance_by_misfit() == Matrix6::zeros())
             .filter_map(|body| body.attempt.clue);
-        let Some(clue) = clues.find(|clue| clue.may_teach).filter(|_| !self.is_shutter_given) else { return };
+        let Some(clue) = clues.find(|clue| clue.may_teach).filter(|_| !self.is_shutter_configured) else { return };
         let was_s = self.shutter.readout_s;
-        self.readout.hear(&clue, self.interval.to_next_s());
+        self.readout.update(&clue, self.interval.to_next_s());
         let used = self.readout.used();
         if used.readout_s != was_s {
             self.shutter.readout_s = used.readout_s;
@@ -344,12 +345,12 @@ impl BodyTracker {
         let observed = Observed { body, anchors, verified, camera: &self.camera };
         let observations = anchors.fitting().iter().map(|anchor| &anchor.observation);
         let by_lens = covariance_by_lens(&verified.pose, &self.camera, observations).filter(|_| self.settings.adds_lens_doubt);
-        let by_focal = self.lens_watch.strayed().filter(|_| self.fits[k].is_some());
+        let by_focal = self.lens_watch.deviation().filter(|_| self.fits[k].is_some());
         let by_model = [
             by_lens,
             model.covariance_by_shape(&observed),
             model.covariance_by_surfaces(&observed),
-            by_focal.and_then(|strayed| model.covariance_by_focal(verified, strayed, tracked.aligner.distance_m(&verified.pose))),
+            by_focal.and_then(|deviation| model.covariance_by_focal(verified, deviation, tracked.aligner.distance_m(&verified.pose))),
             Some(model.covariance_by_misfit()).filter(|covariance| *covariance != Matrix6::zeros()),
             tracked.covariance_by_readout(verified, self.readout.sigma_s()),
             self.by_mixture.filter(|_| k == 0),

@@ -64,7 +64,7 @@ impl BodyTracker {
 
     /// Computes how well the model fits every body that was found.
     pub(super) fn fit_models(&mut self, timestamp: Timestamp) {
-        let (camera, shutter, asks_focal) = (&self.camera, self.shutter, self.lens_watch.asks());
+        let (camera, shutter, asks_focal) = (&self.camera, self.shutter, self.lens_watch.needs_estimate());
         let readout_sigma_s = self.readout.used().sigma_s;
         self.fits.clear();
         let bodies = self.bodies.iter_mut().zip(&self.verified);
@@ -92,7 +92,7 @@ impl BodyTracker {
         let clues = clues.filter(|(k, _)| may_speak(*k) && !bodies[*k].is_readout_in_doubt());
         let clue = clues.min_by(|a, b| a.1.sigma.total_cmp(&b.1.sigma));
         let clue = clue.map(|(body, clue)| {
-            self.lens_watch.listen_to(body);
+            self.lens_watch.select_body(body);
             *clue
         });
         self.ask_matches(frame, clue.as_ref());
@@ -110,7 +110,7 @@ impl BodyTracker {
         let stage = &mut self.bodies[0];
         let mut matches = std::mem::take(&mut stage.recognition.matches);
         let is_due = self.matches_asked.is_none_or(|then| frame.timestamp.seconds_since(then) >= TUNING.focal_match_interval_s);
-        if matches.is_empty() && is_due && clue.is_some_and(|clue| self.lens_watch.is_disputed(clue)) {
+        if matches.is_empty() && is_due && clue.is_some_and(|clue| self.lens_watch.contradicts_matches(clue)) {
             self.matches_asked = Some(frame.timestamp);
             let views = self.search.recognise(&frame.image, stage);
             matches.extend(views.iter().flat_map(|view| view.observed(&stage.body)));
@@ -119,7 +119,7 @@ impl BodyTracker {
             let suspected = self.lens_watch.by_matches();
             let is_global = self.shutter.readout_s == 0.0 && self.readout.used().sigma_s == 0.0;
             let said = matched_focal(&found.t_camera_body(), &self.camera, &stage.body, &matches, is_global, suspected);
-            self.lens_watch.hear_matches(said);
+            self.lens_watch.update_by_matches(said);
         }
     }
 

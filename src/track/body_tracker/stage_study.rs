@@ -20,7 +20,7 @@ impl StageStudy<'_> {
     /// Fixes the shutter to this one; from now on every frame is asked what it says about it (see
     /// [`shutter_clue`](Self::shutter_clue)).
     pub fn ask_shutter(&mut self, shutter: Shutter) {
-        (self.tracker.shutter, self.tracker.is_shutter_given) = (shutter, true);
+        (self.tracker.shutter, self.tracker.is_shutter_configured) = (shutter, true);
         self.tracker.search.set_shutter(shutter, 0.0);
         self.tracker.bodies.iter_mut().for_each(|body| body.ask_shutter(shutter));
     }
@@ -52,7 +52,7 @@ impl StageStudy<'_> {
         levels.update(&frame.image);
         let stage = bodies.first_mut()?;
         let expected = stage.unseen(*start, [shift_m, turn_rad], None);
-        let request = AlignRequest { was_reported: stage.track.was_given(), ..AlignRequest::new(&expected) };
+        let request = AlignRequest { was_reported: stage.track.was_reported(), ..AlignRequest::new(&expected) };
         Some(stage.aligner.align(levels, camera_rays, &request)?.alignment)
     }
 

@@ -256,10 +256,10 @@ pub fn blended(
     // In these axes the noise of the frame alone is one unit in each direction; they are rotated so
     // that nothing in them is correlated.
     let root = residuals.normal().cholesky()?.l();
-    let mut turn = Matrix6::zeros();
-    turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&pose.rotation_matrix());
-    turn.fixed_view_mut::<3, 3>(3, 3).copy_from(&pose.rotation_matrix());
-    let in_camera = |covariance: &Matrix6<f64>| turn * covariance * turn.transpose();
+    let mut rotation = Matrix6::zeros();
+    rotation.fixed_view_mut::<3, 3>(0, 0).copy_from(&pose.rotation_matrix());
+    rotation.fixed_view_mut::<3, 3>(3, 3).copy_from(&pose.rotation_matrix());
+    let in_camera = |covariance: &Matrix6<f64>| rotation * covariance * rotation.transpose();
     let axes = (root.transpose() * in_camera(noise) * root).symmetric_eigen();
     let shares = axes.eigenvalues.map(|known| known.clamp(0.0, 1.0));
     let to_axes = axes.eigenvectors.transpose() * root.transpose();
@@ -307,7 +307,7 @@ mod tests {
         /// Mean variance of the tiles' noise, in units of the stated one.
         noise: f64,
         /// Mean sigma of the rotation from the field, radians.
-        turn: f64,
+        rotation: f64,
     }
 
     /// Runs frames whose tiles are displaced by a smooth field of `field_px` and `length_px`, plus
@@ -321,7 +321,7 @@ mod tests {
         };
         let factor = DMatrix::from_fn(places.len(), places.len(), together).cholesky().expect("positive definite").l();
         let mut random = Pcg64Mcg::seed_from_u64(3);
-        let mut sums = Found { nees: 0.0, off: 0, noise: 0.0, turn: 0.0 };
+        let mut sums = Found { nees: 0.0, off: 0, noise: 0.0, rotation: 0.0 };
         for _ in 0..RUNS {
             let field: [DVector<f64>; 2] = [0, 1].map(|_| &factor * DVector::from_fn(places.len(), |_, _| field_px * normal(&mut random)));
             let shift = |k: u32, _| Vector2::from_fn(|axis, _| field[axis][k as usize] + noisier * NOISE_PX * normal(&mut random));
@@ -335,12 +335,12 @@ mod tests {
             let error = model_error(&found.pose, f64::from(WIDTH), &residuals, &mut ModelErrorBuffers::default());
             let (covariance, noise) = error.map_or((Matrix6::zeros(), 1.0), |e| (e.covariance(), e.noise));
             let (truth, found) = (pose.inverse(), found.pose.inverse());
-            let (moved, turned) = (truth.translation - found.translation, (truth.rotation * found.rotation.inverse()).scaled_axis());
-            let e = Vector6::new(moved.x, moved.y, moved.z, turned.x, turned.y, turned.z);
+            let (moved, rotated) = (truth.translation - found.translation, (truth.rotation * found.rotation.inverse()).scaled_axis());
+            let e = Vector6::new(moved.x, moved.y, moved.z, rotated.x, rotated.y, rotated.z);
             let squared = e.dot(&((by_noise * noise + covariance).try_inverse().expect("positive definite") * e));
             sums.nees += squared / 6.0 / RUNS as f64;
             sums.noise += noise / RUNS as f64;
-            sums.turn += covariance.fixed_view::<3, 3>(3, 3).trace().sqrt() / RUNS as f64;
+            sums.rotation += covariance.fixed_view::<3, 3>(3, 3).trace().sqrt() / RUNS as f64;
             sums.off += usize::from(error.is_some());
         }
         sums
@@ -390,7 +390,7 @@ mod tests {
         let field = found(2.0 * NOISE_PX, TUNING.field_correlation_length * f64::from(WIDTH), 1.0);
         let noise = found(0.0, 100.0, 1.7);
         assert!((2.3..3.5).contains(&noise.noise) && (0.6..1.4).contains(&noise.nees), "{} {}", noise.noise, noise.nees);
-        assert!(field.noise < 2.0 && field.turn > 2.0 * noise.turn, "{}, {} and {}", field.noise, field.turn, noise.turn);
+        assert!(field.noise < 2.0 && field.rotation > 2.0 * noise.rotation, "{}, {} and {}", field.noise, field.rotation, noise.rotation);
     }
 
     #[test]
@@ -425,11 +425,11 @@ mod tests {
         let mut residuals = TileResiduals::default();
         residuals.take(&found.pose, &camera, &anchors).expect("tiles enough");
         assert!(residuals.extent_px() < 100.0, "{}", residuals.extent_px());
-        let turn = |width_px: f64| {
+        let rotation = |width_px: f64| {
             let error = model_error(&found.pose, width_px, &residuals, &mut ModelErrorBuffers::default()).expect("more than noise");
             error.at_most().fixed_view::<3, 3>(3, 3).trace().sqrt()
         };
-        let (of_object, of_picture) = (turn(residuals.extent_px()), turn(f64::from(WIDTH)));
+        let (of_object, of_picture) = (rotation(residuals.extent_px()), rotation(f64::from(WIDTH)));
         let by_noise = covariance_of_inverse(&found.pose, &found.normal.try_inverse().expect("positive definite"));
         let by_noise = by_noise.fixed_view::<3, 3>(3, 3).trace().sqrt();
         assert!((1.0..15.0).contains(&(of_object / by_noise)) && of_picture > 3.0 * of_object, "{of_object} {of_picture} {by_noise}");

@@ -55,36 +55,36 @@ impl FocalClue {
             && self.share > TUNING.min_focal_explained_ratio
     }
 
-    /// Returns the deviation of the log focal length from earlier frames if it is clear. `usual`,
-    /// `usual_sigma`: the earlier estimate. Any other misfit, such as folded cloth or a slightly
+    /// Returns the deviation of the log focal length from earlier frames if it is clear. `mean`,
+    /// `mean_sigma`: the earlier estimate. Any other misfit, such as folded cloth or a slightly
     /// wrong lens, says much the same in all frames.
-    pub fn strays(&self, usual: f64, usual_sigma: f64) -> Option<f64> {
-        let by = self.change - usual;
+    pub fn deviation(&self, mean: f64, mean_sigma: f64) -> Option<f64> {
+        let by = self.change - mean;
         // A share of 0 means that motion during readout explains the frame as well.
         let is_clear =
-            by.abs() > TUNING.min_focal_change && by.abs() > TUNING.deviation_sigmas * self.sigma.hypot(usual_sigma) && self.share > 0.0;
+            by.abs() > TUNING.min_focal_change && by.abs() > TUNING.deviation_sigmas * self.sigma.hypot(mean_sigma) && self.share > 0.0;
         is_clear.then_some(by)
     }
 
     /// Whether the deviation is one that only a changed lens explains. `doubt`: as for
-    /// [`is_off`](Self::is_off). `is_rough`: whether frames contradicted the calibration from the
-    /// first.
-    pub fn has_changed(&self, usual: f64, usual_sigma: f64, doubt: f64, is_rough: bool) -> bool {
-        let least = if is_rough { TUNING.min_focal_change_sigmas } else { TUNING.clear_deviation_sigmas };
-        let sigma = self.sigma.hypot(usual_sigma);
+    /// [`is_off`](Self::is_off). `is_uncalibrated`: whether frames contradicted the calibration
+    /// from the first.
+    pub fn has_changed(&self, mean: f64, mean_sigma: f64, doubt: f64, is_uncalibrated: bool) -> bool {
+        let least = if is_uncalibrated { TUNING.min_focal_change_sigmas } else { TUNING.clear_deviation_sigmas };
+        let sigma = self.sigma.hypot(mean_sigma);
         let is_far = |by: f64| {
             sigma < TUNING.max_changed_focal_sigma
                 && by.abs() < TUNING.max_focal_change
                 && by.abs() > least * sigma
                 && by.abs() > TUNING.min_focal_change_calibration_sigmas * doubt
         };
-        self.strays(usual, usual_sigma).is_some_and(is_far)
+        self.deviation(mean, mean_sigma).is_some_and(is_far)
     }
 
     /// Whether the frame agrees with those from before the lens was changed.
-    pub fn is_usual(&self, usual: f64, usual_sigma: f64) -> bool {
-        let sigma = self.sigma.hypot(usual_sigma);
-        (self.change - usual).abs() < TUNING.min_focal_change.max(TUNING.restored_focal_sigmas * sigma)
+    pub fn agrees_with_mean(&self, mean: f64, mean_sigma: f64) -> bool {
+        let sigma = self.sigma.hypot(mean_sigma);
+        (self.change - mean).abs() < TUNING.min_focal_change.max(TUNING.restored_focal_sigmas * sigma)
             && sigma < TUNING.max_restored_focal_sigma
     }
 
@@ -141,8 +141,8 @@ impl RowDisplacement {
     pub fn new(camera: &CameraModel, rows: &RowMotion, pose: &Pose<Camera, Body>) -> Self {
         let is_described =
             rows.shutter.readout_s != 0.0 && rows.readout_sigma_s <= TUNING.max_described_readout_sigma * rows.shutter.readout_s.abs();
-        let [moving, turning] = TUNING.clue_motion_sigma.map(|sigma| sigma.powi(2));
-        let usual = Matrix6::from_diagonal(&Vector6::new(moving, moving, moving, turning, turning, turning));
+        let [moving, rotating] = TUNING.clue_motion_sigma.map(|sigma| sigma.powi(2));
+        let usual = Matrix6::from_diagonal(&Vector6::new(moving, moving, moving, rotating, rotating, rotating));
         let moved = rows.twist_and_change(pose).filter(|_| !is_described);
         let covariance = moved.map_or(usual, |(twist, change)| {
             twist * twist.transpose()
@@ -192,7 +192,7 @@ pub fn focal_clue(
     anchors: &[FittedAnchor],
     rows: &RowDisplacement,
 ) -> Option<FocalClue> {
-    let frame = Asked { residuals, pose, body, anchors };
+    let frame = FocalFrame { residuals, pose, body, anchors };
     let known = if rows.is_described { *rows } else { rows.without_motion() };
     let fit = Fit::new(&frame, &known, 0.0)?;
     let clue = fit.clue()?;
@@ -206,7 +206,7 @@ pub fn focal_clue(
 }
 
 /// A frame whose focal length is estimated.
-struct Asked<'a> {
+struct FocalFrame<'a> {
     residuals: &'a TileResiduals,
     pose: &'a Pose<Camera, Body>,
     body: &'a PreparedBody,
@@ -228,7 +228,7 @@ struct Fit {
 impl Fit {
     /// Fits all unknowns. `askew`: prior sigma of shear and keystone of pictures whose corners are
     /// not in doubt.
-    fn new(&Asked { residuals, pose, body, anchors }: &Asked<'_>, rows: &RowDisplacement, askew: f64) -> Option<Self> {
+    fn new(&FocalFrame { residuals, pose, body, anchors }: &FocalFrame<'_>, rows: &RowDisplacement, askew: f64) -> Option<Self> {
         let unknowns = Unknowns::new(body, anchors, *rows);
         let n = unknowns.count();
         let mut normal = unknowns.prior(body, askew);
@@ -361,18 +361,18 @@ mod tests {
             a.observation.point = configured.surfaces[a.surface as usize].spec.body_point(a.artwork);
             a.observation.information /= NOISE_PX.powi(2);
         }
-        asked(&configured, &anchors, start)
+        clue_from(&configured, &anchors, start)
     }
 
     /// The same from these observations and a start near the pose.
-    fn asked(configured: &PreparedBody, anchors: &[FittedAnchor], start: &Pose<Camera, Body>) -> (bool, FocalClue) {
+    fn clue_from(configured: &PreparedBody, anchors: &[FittedAnchor], start: &Pose<Camera, Body>) -> (bool, FocalClue) {
         let observations: Vec<Observation> = anchors.iter().map(|a| a.observation).collect();
-        let told = lens(640, 480);
-        let pose = resect(start, &MovingCamera::still(&told), &observations, 30).expect("a pose").pose;
+        let usual_lens = lens(640, 480);
+        let pose = resect(start, &MovingCamera::still(&usual_lens), &observations, 30).expect("a pose").pose;
         let mut residuals = TileResiduals::default();
-        residuals.take(&pose, &told, anchors).expect("tiles enough");
+        residuals.take(&pose, &usual_lens, anchors).expect("tiles enough");
         let rows = RowMotion { shutter: Shutter::default(), readout_sigma_s: 0.02, before: Some((pose, 0.03, None)) };
-        let rows = RowDisplacement::new(&told, &rows, &pose);
+        let rows = RowDisplacement::new(&usual_lens, &rows, &pose);
         (is_suspect(&residuals), focal_clue(&residuals, &pose, configured, anchors, &rows).expect("a clue"))
     }
 
@@ -423,7 +423,7 @@ mod tests {
             a.observation.point = spec.body_point(a.artwork);
             a.observation.information /= NOISE_PX.powi(2);
         }
-        asked(&configured, &anchors, start).1
+        clue_from(&configured, &anchors, start).1
     }
 
     #[test]

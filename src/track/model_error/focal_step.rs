@@ -83,9 +83,9 @@ mod tests {
     #[test]
     fn a_sideways_jolt_is_not_a_focal_step() {
         let stand = facing(0.02, 0.03, Vector3::new(0.2, 0.05, 5.0));
-        for (turn, shift) in [([0.03, 0.0], 0.0), ([0.0, -0.05], 0.1), ([0.01, 0.03], -0.2)] {
-            let jolted = facing(0.02 + turn[0], 0.03 + turn[1], Vector3::new(0.2 + shift, 0.05, 5.0));
-            assert_eq!(step(&lens(640, 480), &jolted, &stand, 0.03), None, "{turn:?}, {shift} m");
+        for (rotation, shift) in [([0.03, 0.0], 0.0), ([0.0, -0.05], 0.1), ([0.01, 0.03], -0.2)] {
+            let jolted = facing(0.02 + rotation[0], 0.03 + rotation[1], Vector3::new(0.2 + shift, 0.05, 5.0));
+            assert_eq!(step(&lens(640, 480), &jolted, &stand, 0.03), None, "{rotation:?}, {shift} m");
         }
     }
 

@@ -60,15 +60,15 @@ mod tests {
 
     #[test]
     fn lens_covariance_equals_the_pose_error_of_a_wrong_lens() {
-        let told = LensGuess::FieldOfView(60.0).camera(1280, 720).unwrap();
-        let turn = nalgebra::UnitQuaternion::from_euler_angles(0.1, -0.25, 0.05);
-        let pose = Pose::new(turn, Vector3::new(0.2, -0.1, 4.0));
-        let observations = seen_by(&told, &pose);
-        let covariance = covariance_by_lens(&pose.inverse(), &told, observations.iter()).unwrap();
+        let configured = LensGuess::FieldOfView(60.0).camera(1280, 720).unwrap();
+        let rotation = nalgebra::UnitQuaternion::from_euler_angles(0.1, -0.25, 0.05);
+        let pose = Pose::new(rotation, Vector3::new(0.2, -0.1, 4.0));
+        let observations = seen_by(&configured, &pose);
+        let covariance = covariance_by_lens(&pose.inverse(), &configured, observations.iter()).unwrap();
         // A wrong focal length changes the scale: 3 % of 4 m.
         assert!((0.09..=0.2).contains(&covariance[(2, 2)].sqrt()), "{}", covariance[(2, 2)].sqrt());
-        let u = told.doubt().unwrap().uncertainty;
-        let i = *told.intrinsics();
+        let u = configured.doubt().unwrap().uncertainty;
+        let i = *configured.intrinsics();
         let bent = |which: usize| {
             let mut distortion = [0.0; 5];
             distortion[which] = u.distortion[which] / 3000.0;
@@ -87,10 +87,11 @@ mod tests {
         // The errors are so small that the robust weights stay 1.
         let mut scatter = Matrix6::zeros();
         for real in others {
-            let found = resect(&pose, &MovingCamera::still(&told), &seen_by(&CameraModel::new(real).unwrap(), &pose), 20).unwrap().pose;
+            let found =
+                resect(&pose, &MovingCamera::still(&configured), &seen_by(&CameraModel::new(real).unwrap(), &pose), 20).unwrap().pose;
             let (found, pose) = (found.inverse(), pose.inverse());
-            let (turned, moved) = ((found.rotation * pose.rotation.inverse()).scaled_axis(), found.translation - pose.translation);
-            let step = nalgebra::Vector6::new(moved.x, moved.y, moved.z, turned.x, turned.y, turned.z) * 1000.0;
+            let (rotated, moved) = ((found.rotation * pose.rotation.inverse()).scaled_axis(), found.translation - pose.translation);
+            let step = nalgebra::Vector6::new(moved.x, moved.y, moved.z, rotated.x, rotated.y, rotated.z) * 1000.0;
             scatter += step * step.transpose();
         }
         assert!((scatter - covariance).norm() < 0.05 * covariance.norm(), "{scatter}\n{covariance}");

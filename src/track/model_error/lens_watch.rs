@@ -7,7 +7,7 @@
 //!
 //! If the stage does not fit its model (cloth in folds), its own pattern hides much of a zoom, and
 //! no single frame is clear. That pattern, however, stays much the same from frame to frame. So the
-//! usual estimate of the focal length is remembered, and a frame that clearly deviates from it
+//! mean estimate of the focal length is remembered, and a frame that clearly deviates from it
 //! counts as well. A frame that deviates less is reported with the deviation in its covariance. An
 //! uncalibrated lens gives another estimate in each view and contradicts its calibration from the
 //! first frame: then a deviation must be clearer still.
@@ -31,10 +31,10 @@ pub enum MatchedFocal {
     Unclear,
 }
 
-/// The usual estimate of the log ratio of the focal length to the calibrated one: a mean that
+/// The mean estimate of the log ratio of the focal length to the calibrated one: a mean that
 /// forgets.
 #[derive(Debug, Default, Clone, Copy)]
-struct Habit {
+struct FocalMean {
     weights: f64,
     sum: f64,
     /// Number of frames, forgotten at the same rate.
@@ -42,7 +42,7 @@ struct Habit {
     frames: u32,
 }
 
-impl Habit {
+impl FocalMean {
     /// Adds a frame. `share`: its weight, 0 to 1.
     fn add(&mut self, change: f64, sigma: f64, share: f64) {
         let weight = share * sigma.max(TUNING.min_frame_focal_sigma).powi(-2);
@@ -53,12 +53,12 @@ impl Habit {
     }
 
     /// Whether it contradicts the calibration.
-    fn is_rough(&self) -> bool {
-        self.usual().is_some_and(|(usual, sigma)| usual.abs() > TUNING.uncalibrated_sigmas * sigma * self.count.sqrt())
+    fn is_uncalibrated(&self) -> bool {
+        self.mean().is_some_and(|(mean, sigma)| mean.abs() > TUNING.uncalibrated_sigmas * sigma * self.count.sqrt())
     }
 
     /// Returns the value and its sigma, once there are enough frames.
-    fn usual(&self) -> Option<(f64, f64)> {
+    fn mean(&self) -> Option<(f64, f64)> {
         (self.frames >= TUNING.min_focal_mean_frames).then(|| (self.sum / self.weights, self.weights.powf(-0.5)))
     }
 }
@@ -80,17 +80,17 @@ pub struct LensWatch {
     is_moved: bool,
     /// Consecutive frames that contradict the current state.
     against: u32,
-    habit: Habit,
-    /// Index of the body that the usual estimate is of.
-    speaker: usize,
-    /// Whether the lens counts as changed by comparison with the usual estimate rather than with
+    focal_mean: FocalMean,
+    /// Index of the body that the mean estimate is of.
+    body: usize,
+    /// Whether the lens counts as changed by comparison with the mean estimate rather than with
     /// the calibration.
-    is_by_habit: bool,
-    /// Whether the usual estimate ever contradicted the calibration.
-    is_rough: bool,
-    /// Deviation of the last frame from the usual estimate, or its possible error if the frame is
+    is_moved_by_mean: bool,
+    /// Whether the mean estimate ever contradicted the calibration.
+    is_uncalibrated: bool,
+    /// Deviation of the last frame from the mean estimate, or its possible error if the frame is
     /// no evidence.
-    strayed: Option<f64>,
+    deviation: Option<f64>,
     /// Size of the focal step that would explain a jump of the pose, until a frame contradicts it;
     /// 0 for none.
     step: f64,
@@ -115,7 +115,7 @@ impl LensWatch {
     }
 
     /// Whether the focal length must be estimated in every frame.
-    pub fn asks(&self) -> bool {
+    pub fn needs_estimate(&self) -> bool {
         self.is_moved || self.step > 0.0 || self.by_matches.is_some()
     }
 
@@ -126,13 +126,13 @@ impl LensWatch {
 
     /// Whether a frame's tiles contradict the matches, so that matching again is worthwhile. Tiles
     /// alone do not decide: through a wrong lens few of them are aligned.
-    pub fn is_disputed(&self, clue: &FocalClue) -> bool {
+    pub fn contradicts_matches(&self, clue: &FocalClue) -> bool {
         self.by_matches.is_some_and(|change| self.contradicts(clue, change.abs()))
     }
 
     /// Takes the result of matching.
-    pub fn hear_matches(&mut self, said: MatchedFocal) {
-        match said {
+    pub fn update_by_matches(&mut self, focal: MatchedFocal) {
+        match focal {
             MatchedFocal::Changed(change) => {
                 if !self.is_trial && !std::mem::replace(&mut self.has_warned, true) {
                     let percent = 100.0 * (change.exp() - 1.0);
@@ -149,17 +149,17 @@ impl LensWatch {
         }
     }
 
-    /// Returns the deviation of the last frame's log focal length from the usual estimate if it is
+    /// Returns the deviation of the last frame's log focal length from the mean estimate if it is
     /// clear, or how far it may be off.
-    pub fn strayed(&self) -> Option<f64> {
-        self.strayed
+    pub fn deviation(&self) -> Option<f64> {
+        self.deviation
     }
 
-    /// Says which body the next clue comes from: the usual estimate of one body does not apply to
+    /// Says which body the next clue comes from: the mean estimate of one body does not apply to
     /// another.
-    pub fn listen_to(&mut self, body: usize) {
-        if body != self.speaker && !self.is_moved {
-            (self.habit, self.speaker, self.is_rough) = (Habit::default(), body, false);
+    pub fn select_body(&mut self, body: usize) {
+        if body != self.body && !self.is_moved {
+            (self.focal_mean, self.body, self.is_uncalibrated) = (FocalMean::default(), body, false);
         }
     }
 
@@ -167,38 +167,38 @@ impl LensWatch {
     /// pose; `is_seen`: whether the frame was examined; `doubt`: sigma of the log of the calibrated
     /// focal length.
     pub fn update(&mut self, clue: Option<&FocalClue>, step: Option<f64>, is_seen: bool, doubt: f64) -> LensState {
-        self.take_step(clue, step);
+        self.update_step(clue, step);
         let doubted = self.by_matches.map_or(0.0, f64::abs).max(self.step);
-        self.strayed = Some(doubted).filter(|size| *size > 0.0);
+        self.deviation = Some(doubted).filter(|size| *size > 0.0);
         let Some(clue) = clue else {
             // Examined, and nothing contradicts the lens: the sequence of contradicting frames
             // ends.
             if is_seen {
                 self.against = 0;
-                self.habit.add(0.0, TUNING.fitting_frame_focal_sigma, 1.0);
+                self.focal_mean.add(0.0, TUNING.fitting_frame_focal_sigma, 1.0);
             }
             return self.state(false);
         };
-        let usual = self.habit.usual();
-        let strayed = usual.and_then(|(usual, sigma)| clue.strays(usual, sigma));
-        let likely = strayed.map(f64::abs).or(clue.possible_change(doubt)).unwrap_or(0.0);
-        self.strayed = Some(likely.min(TUNING.max_focal_change).max(doubted)).filter(|size| *size > 0.0);
-        self.is_rough |= self.habit.is_rough();
-        let is_rough = self.is_rough;
-        let has_changed = usual.is_some_and(|(usual, sigma)| clue.has_changed(usual, sigma, doubt, is_rough));
-        let is_usual = self.is_by_habit && usual.is_some_and(|(usual, sigma)| clue.is_usual(usual, sigma));
-        let is_against = if self.is_moved { clue.is_right(doubt) || is_usual } else { clue.is_off(doubt) || has_changed };
-        // While the lens counts as changed, the usual estimate stays as it was before.
+        let mean = self.focal_mean.mean();
+        let deviation = mean.and_then(|(mean, sigma)| clue.deviation(mean, sigma));
+        let likely = deviation.map(f64::abs).or(clue.possible_change(doubt)).unwrap_or(0.0);
+        self.deviation = Some(likely.min(TUNING.max_focal_change).max(doubted)).filter(|size| *size > 0.0);
+        self.is_uncalibrated |= self.focal_mean.is_uncalibrated();
+        let is_uncalibrated = self.is_uncalibrated;
+        let has_changed = mean.is_some_and(|(mean, sigma)| clue.has_changed(mean, sigma, doubt, is_uncalibrated));
+        let agrees_with_mean = self.is_moved_by_mean && mean.is_some_and(|(mean, sigma)| clue.agrees_with_mean(mean, sigma));
+        let is_against = if self.is_moved { clue.is_right(doubt) || agrees_with_mean } else { clue.is_off(doubt) || has_changed };
+        // While the lens counts as changed, the mean estimate stays as it was before.
         if !self.is_moved && !is_against && doubted == 0.0 {
-            self.habit.add(clue.change, clue.sigma, if strayed.is_some() { TUNING.deviating_frame_weight } else { 1.0 });
+            self.focal_mean.add(clue.change, clue.sigma, if deviation.is_some() { TUNING.deviating_frame_weight } else { 1.0 });
         }
         self.against = if is_against { self.against + 1 } else { 0 };
         let needed = if self.is_moved { TUNING.frames_to_restored_lens } else { TUNING.frames_to_changed_lens };
         if self.against >= needed {
             (self.is_moved, self.against) = (!self.is_moved, 0);
-            self.is_by_habit = self.is_moved && has_changed && !clue.is_off(doubt);
+            self.is_moved_by_mean = self.is_moved && has_changed && !clue.is_off(doubt);
             if !self.is_trial {
-                self.say(clue.change);
+                self.log_change(clue.change);
             }
         }
         self.state(is_against)
@@ -206,7 +206,7 @@ impl LensWatch {
 
     /// Logs whether poses are withheld from now on; `change`: log ratio of the fitted focal length
     /// to the calibrated one.
-    fn say(&self, change: f64) {
+    fn log_change(&self, change: f64) {
         let percent = 100.0 * (change.exp() - 1.0);
         if self.is_moved {
             warn!(
@@ -218,7 +218,7 @@ impl LensWatch {
     }
 
     /// Remembers a step until a frame's estimate of the focal length contradicts it.
-    fn take_step(&mut self, clue: Option<&FocalClue>, step: Option<f64>) {
+    fn update_step(&mut self, clue: Option<&FocalClue>, step: Option<f64>) {
         self.step = self.step.max(step.map_or(0.0, f64::abs));
         if clue.is_some_and(|clue| self.contradicts(clue, self.step)) {
             self.step = 0.0;
@@ -227,8 +227,8 @@ impl LensWatch {
 
     /// Whether a frame's estimate is closer to no step than to one of this size.
     fn contradicts(&self, clue: &FocalClue, size: f64) -> bool {
-        let usual = self.habit.usual().map_or(0.0, |(usual, _)| usual);
-        (clue.change - usual).abs() + TUNING.restored_focal_sigmas * clue.sigma < 0.5 * size
+        let mean = self.focal_mean.mean().map_or(0.0, |(mean, _)| mean);
+        (clue.change - mean).abs() + TUNING.restored_focal_sigmas * clue.sigma < 0.5 * size
     }
 
     fn state(&self, is_against: bool) -> LensState {
@@ -252,8 +252,8 @@ mod tests {
     fn one_bad_frame_is_suspect_and_two_mean_the_lens_moved() {
         use LensState::{Fits, Moved, Suspect};
         let mut watch = LensWatch::default();
-        let said = [0.0, 0.02, 0.001, 0.02, 0.04, 0.002].map(|change| watch.update(Some(&clue(change)), None, true, 0.0));
-        assert_eq!(said, [Fits, Suspect, Fits, Suspect, Moved, Moved]);
+        let states = [0.0, 0.02, 0.001, 0.02, 0.04, 0.002].map(|change| watch.update(Some(&clue(change)), None, true, 0.0));
+        assert_eq!(states, [Fits, Suspect, Fits, Suspect, Moved, Moved]);
     }
 
     #[test]
@@ -263,8 +263,8 @@ mod tests {
         assert_eq!([0.02, 0.03].map(|change| watch.update(Some(&clue(change)), None, true, 0.0))[1], Moved);
         let weak = FocalClue { change: 0.0, sigma: 0.01, share: 0.0, is_contested: false };
         assert!((0..50).all(|_| watch.update(Some(&weak), None, true, 0.0) == Moved && watch.update(None, None, false, 0.0) == Moved));
-        let said = [0.001, 0.03, 0.001, 0.001, 0.001].map(|change| watch.update(Some(&clue(change)), None, true, 0.0));
-        assert_eq!(said, [Moved, Moved, Moved, Moved, Fits]);
+        let states = [0.001, 0.03, 0.001, 0.001, 0.001].map(|change| watch.update(Some(&clue(change)), None, true, 0.0));
+        assert_eq!(states, [Moved, Moved, Moved, Moved, Fits]);
     }
 
     /// An estimate from folded cloth, varying slightly from frame to frame.
@@ -278,9 +278,10 @@ mod tests {
         let mut watch = LensWatch::default();
         assert!((0..40).all(|k| watch.update(Some(&folds(k)), None, true, 0.0) == Fits));
         let zoomed = |k: u32, by: f64| FocalClue { change: folds(k).change + by, share: 0.1, ..folds(k) };
-        let said = [0.005, 0.02, 0.025, 0.03].map(|by| watch.update(Some(&zoomed(0, by)), None, true, 0.0));
-        assert_eq!(said, [Fits, Suspect, Moved, Moved]);
-        // A view from head-on says nothing; from the side the folds say what they said before.
+        let states = [0.005, 0.02, 0.025, 0.03].map(|by| watch.update(Some(&zoomed(0, by)), None, true, 0.0));
+        assert_eq!(states, [Fits, Suspect, Moved, Moved]);
+        // A view from head-on has no information; from the side the folds give the same estimate as
+        // before.
         let ahead = FocalClue { change: 0.01, sigma: 0.08, share: 0.01, is_contested: false };
         assert!((0..20).all(|_| watch.update(Some(&ahead), None, true, 0.0) == Moved));
         assert_eq!([0, 1, 2].map(|k| watch.update(Some(&folds(k)), None, true, 0.0)), [Moved, Moved, Fits]);
@@ -288,13 +289,13 @@ mod tests {
 
     #[test]
     fn small_focal_deviations_are_reported_as_uncertainty() {
-        let strays = |of: FocalClue| FocalClue { change: of.change + 0.013, share: 0.1, ..of };
+        let deviating = |of: FocalClue| FocalClue { change: of.change + 0.013, share: 0.1, ..of };
         let mut watch = LensWatch::default();
-        assert!((0..40).all(|k| watch.update(Some(&folds(k)), None, true, 0.0) == LensState::Fits && watch.strayed().is_none()));
-        assert_eq!(watch.update(Some(&strays(folds(1))), None, true, 0.0), LensState::Fits);
-        assert!(watch.strayed().is_some_and(|by| (0.01..0.015).contains(&by)), "{:?}", watch.strayed());
+        assert!((0..40).all(|k| watch.update(Some(&folds(k)), None, true, 0.0) == LensState::Fits && watch.deviation().is_none()));
+        assert_eq!(watch.update(Some(&deviating(folds(1))), None, true, 0.0), LensState::Fits);
+        assert!(watch.deviation().is_some_and(|by| (0.01..0.015).contains(&by)), "{:?}", watch.deviation());
         assert_eq!(watch.update(Some(&folds(1)), None, true, 0.0), LensState::Fits);
-        assert!(watch.strayed().is_none());
+        assert!(watch.deviation().is_none());
     }
 
     #[test]
@@ -314,11 +315,11 @@ mod tests {
         // A print of red things on the way to a blue gel, from ever closer to head-on.
         let gel = [(-0.006, 0.005), (-0.0087, 0.0059), (-0.0128, 0.0082), (-0.0186, 0.0099), (-0.0394, 0.0119), (-0.0591, 0.0177)];
         let blue = [(-0.13, 0.0266), (-0.192, 0.044), (-0.254, 0.0512), (-0.586, 0.171), (1.752, 0.491), (0.444, 0.16)];
-        let said = |watch: &mut LensWatch, (change, sigma)| {
+        let state = |watch: &mut LensWatch, (change, sigma)| {
             watch.update(Some(&FocalClue { change, sigma, share: 0.09, is_contested: false }), None, true, 0.0)
         };
-        assert!((0..20).all(|_| said(&mut watch, gel[0]) == LensState::Fits));
-        assert!(gel.into_iter().chain(blue).all(|clue| said(&mut watch, clue) == LensState::Fits));
+        assert!((0..20).all(|_| state(&mut watch, gel[0]) == LensState::Fits));
+        assert!(gel.into_iter().chain(blue).all(|clue| state(&mut watch, clue) == LensState::Fits));
     }
 
     #[test]
@@ -327,27 +328,27 @@ mod tests {
         let ahead = FocalClue { sigma: 0.02, ..clue(0.01) };
         assert_eq!(watch.update(Some(&ahead), Some(-0.03), true, 0.0), LensState::Fits);
         // Frames that say nothing about it leave it open.
-        assert!((0..9).all(|_| watch.update(None, None, false, 0.0) == LensState::Fits && watch.strayed() == Some(0.03)));
+        assert!((0..9).all(|_| watch.update(None, None, false, 0.0) == LensState::Fits && watch.deviation() == Some(0.03)));
         watch.update(Some(&ahead), None, true, 0.0);
-        assert!(watch.asks() && watch.strayed() == Some(0.03));
+        assert!(watch.needs_estimate() && watch.deviation() == Some(0.03));
         watch.update(Some(&clue(0.001)), None, true, 0.0);
-        assert!(!watch.asks() && watch.strayed().is_none());
+        assert!(!watch.needs_estimate() && watch.deviation().is_none());
     }
 
     #[test]
     fn a_focal_doubt_from_matches_needs_matches_to_clear_it() {
         let mut watch = LensWatch::new(true);
-        watch.hear_matches(MatchedFocal::Changed(0.4));
+        watch.update_by_matches(MatchedFocal::Changed(0.4));
         // Few tiles are aligned through such a lens, and those may claim that it fits.
         let fits = clue(0.001);
         assert_eq!(watch.update(Some(&fits), None, true, 0.0), LensState::Fits);
-        assert!(watch.asks() && watch.is_disputed(&fits) && watch.strayed() == Some(0.4));
-        watch.hear_matches(MatchedFocal::Unclear);
+        assert!(watch.needs_estimate() && watch.contradicts_matches(&fits) && watch.deviation() == Some(0.4));
+        watch.update_by_matches(MatchedFocal::Unclear);
         watch.update(None, None, false, 0.0);
-        assert_eq!(watch.strayed(), Some(0.4));
-        watch.hear_matches(MatchedFocal::Calibrated);
+        assert_eq!(watch.deviation(), Some(0.4));
+        watch.update_by_matches(MatchedFocal::Calibrated);
         watch.update(Some(&fits), None, true, 0.0);
-        assert!(!watch.asks() && watch.strayed().is_none());
+        assert!(!watch.needs_estimate() && watch.deviation().is_none());
     }
 
     #[test]

@@ -35,7 +35,7 @@ pub enum Part {
         /// Displacement of its centre from the configured place along the stage's x, y and z, mm.
         moved_mm: [f64; 3],
         /// Its rotation from the configured direction, degrees.
-        turned_deg: f64,
+        rotation_deg: f64,
     },
     /// The corners of a surface's picture: it is cropped or photographed askew, or hangs sheared.
     Corners {
@@ -80,13 +80,13 @@ pub struct ModelNews {
 impl ModelNews {
     /// Returns the message: what is wrong, what it costs, and how to fix it.
     pub fn text(&self) -> String {
-        let says = self.part.says(self.surface.as_deref().unwrap_or_default());
+        let message = self.part.message(self.surface.as_deref().unwrap_or_default());
         // The other surfaces outvote one that was moved, so that poses are not off.
         let costs = match self.part {
             Part::Place { .. } => String::new(),
             _ => format!(", which puts poses {} mm off (rms)", figures(self.cost_mm)),
         };
-        format!("{says}{costs}: {}", self.part.mend())
+        format!("{message}{costs}: {}", self.part.hint())
     }
 }
 
@@ -126,9 +126,9 @@ impl Part {
 
     /// Returns how far a displaced surface is off at its edge, metres; 0 for other parts.
     pub fn size_m(&self, body: &PreparedBody) -> f64 {
-        let Self::Place { surface, moved_mm: [x, y, z], turned_deg } = self else { return 0.0 };
+        let Self::Place { surface, moved_mm: [x, y, z], rotation_deg } = self else { return 0.0 };
         let [width, height] = body.surfaces[*surface].spec.size_m;
-        1e-3 * (x * x + y * y + z * z).sqrt() + 0.5 * width.hypot(height) * turned_deg.to_radians()
+        1e-3 * (x * x + y * y + z * z).sqrt() + 0.5 * width.hypot(height) * rotation_deg.to_radians()
     }
 
     /// Whether the error is small enough for a linear model.
@@ -151,7 +151,7 @@ impl Part {
     }
 
     /// Returns what is wrong, as a sentence without its full stop. `name`: the name of its surface.
-    pub fn says(&self, name: &str) -> String {
+    pub fn message(&self, name: &str) -> String {
         match *self {
             Self::Lens { focal_percent, centre_px: [x, y], radial, farthest_px } => format!(
                 "the lens is not as calibrated: a focal length {focal_percent:+.2} % off, a centre {x:+.1}, {y:+.1} px off and a k1 {radial:+.3} off explain how the \
@@ -161,11 +161,11 @@ impl Part {
             Self::Shape { rms_mm, most_mm, .. } => {
                 format!("{name} does not have its configured shape: {} mm off (rms), {} mm at most", figures(rms_mm), figures(most_mm))
             }
-            Self::Place { moved_mm: [x, y, z], turned_deg, .. } => {
+            Self::Place { moved_mm: [x, y, z], rotation_deg, .. } => {
                 let far = (x * x + y * y + z * z).sqrt();
                 format!(
                     "{name} is not at its configured position: {} mm from there, by [{x:.1}, {y:.1}, {z:.1}] mm, turned by \
-                     {turned_deg:.2} degrees",
+                     {rotation_deg:.2} degrees",
                     figures(far)
                 )
             }
@@ -182,7 +182,7 @@ impl Part {
     }
 
     /// Returns how to fix it.
-    pub fn mend(&self) -> &'static str {
+    pub fn hint(&self) -> &'static str {
         match self {
             Self::Lens { .. } => {
                 "calibrate the lens as it is now: `stagepose survey WALK --config FILE --lens refine --output DIR`, or `stagepose calibrate`"
@@ -206,19 +206,20 @@ mod tests {
     #[test]
     fn misfit_sentences_state_the_size() {
         let lens = Part::Lens { focal_percent: 2.561, centre_px: [10.6, -7.1], radial: -0.19, farthest_px: 41.23 };
-        assert!(lens.says("").contains("+2.56 %") && lens.says("").contains("41.2 px") && lens.mend().contains("--lens refine"));
-        let place = Part::Place { surface: 2, moved_mm: [3.0, 0.0, -4.0], turned_deg: 0.5 };
+        assert!(lens.message("").contains("+2.56 %") && lens.message("").contains("41.2 px") && lens.hint().contains("--lens refine"));
+        let place = Part::Place { surface: 2, moved_mm: [3.0, 0.0, -4.0], rotation_deg: 0.5 };
         assert!(
-            place.says("tree.png").starts_with("tree.png is not at its configured position") && place.says("tree.png").contains("5.00 mm")
+            place.message("tree.png").starts_with("tree.png is not at its configured position")
+                && place.message("tree.png").contains("5.00 mm")
         );
         let ratio = Part::Ratio { surface: 0, wider_percent: -0.5 };
-        assert_eq!(ratio.says("cloth.png"), "cloth.png is 0.500 % narrower for its height than size_m says");
+        assert_eq!(ratio.message("cloth.png"), "cloth.png is 0.500 % narrower for its height than size_m says");
         let corners = Part::Corners { surface: 0, most_px: 1.42, most_mm: 1.57 };
         assert_eq!(
-            corners.says("a.jpg"),
+            corners.message("a.jpg"),
             "a.jpg: its corners do not match the surface as it hangs: 1.42 px off in the picture, 1.57 mm on the surface"
         );
-        assert!(corners.mend().contains("corners_px") && corners.surface() == Some(0) && corners.word() == "corners");
+        assert!(corners.hint().contains("corners_px") && corners.surface() == Some(0) && corners.word() == "corners");
         assert_eq!(figures(0.0), "0");
     }
 }

@@ -62,7 +62,7 @@ pub struct ModelStudy {
     information: f64,
     /// Errors of the camera's position per unknown, as a fraction of its distance: products, summed
     /// over frames. Then the sum of the distances, metres.
-    strayed: DMatrix<f64>,
+    shift_products: DMatrix<f64>,
     distances_m: f64,
     shared: OMatrix<f64, U12, Dyn>,
     row: Matrix2xX<f64>,
@@ -92,7 +92,7 @@ impl ModelStudy {
             squared_by_poses: 0.0,
             frames: 0.0,
             information: 0.0,
-            strayed: DMatrix::zeros(n, n),
+            shift_products: DMatrix::zeros(n, n),
             distances_m: 0.0,
             shared: OMatrix::<f64, U12, Dyn>::zeros(n),
             row: unknowns.row(),
@@ -105,7 +105,7 @@ impl ModelStudy {
     pub fn forget(&mut self, share: f64) {
         self.normal *= share;
         self.right *= share;
-        self.strayed *= share;
+        self.shift_products *= share;
         let Self { squared, numbers, squared_by_poses, frames, information, distances_m, .. } = self;
         for sum in [squared, numbers, squared_by_poses, frames, information, distances_m] {
             *sum *= share;
@@ -116,7 +116,7 @@ impl ModelStudy {
     pub fn add(&mut self, frame: &StudiedFrame, body: &PreparedBody) {
         let StudiedFrame { residuals, pose, anchors, rows } = *frame;
         let scales: Vec<f64> = (0..body.surfaces.len()).map(|k| self.scale_of(k, residuals, anchors)).collect();
-        let Self { unknowns, normal, right, shared, row, strayed, .. } = self;
+        let Self { unknowns, normal, right, shared, row, shift_products, .. } = self;
         let mut own = nuisance_normal(rows);
         let mut own_right = SVector::<f64, NUISANCES>::zeros();
         let (mut squared, mut weights, mut all_information, mut depths_m) = (0.0, 0.0, 0.0, 0.0);
@@ -155,7 +155,7 @@ impl ModelStudy {
         right.gemv_tr(-1.0, &by_shared, &own_right, 1.0);
         let distance_m = depths_m / weights;
         let shifts = by_shared.fixed_rows::<3>(0) / distance_m;
-        strayed.gemm_tr(1.0, &shifts, &shifts, 1.0);
+        shift_products.gemm_tr(1.0, &shifts, &shifts, 1.0);
         let pose_right = own_right.fixed_rows::<6>(0).into_owned();
         let by_pose = own.fixed_view::<6, 6>(0, 0).into_owned().cholesky();
         self.squared_by_poses += squared - by_pose.map_or(0.0, |factor| pose_right.dot(&factor.solve(&pose_right)));
@@ -197,7 +197,7 @@ impl ModelStudy {
     /// frames, as a fraction of the distance.
     fn cost(&self, columns: &[usize], numbers: &[f64]) -> f64 {
         let pairs = columns.iter().zip(numbers);
-        let squared: f64 = pairs.clone().map(|(i, x)| x * pairs.clone().map(|(k, y)| self.strayed[(*i, *k)] * y).sum::<f64>()).sum();
+        let squared: f64 = pairs.clone().map(|(i, x)| x * pairs.clone().map(|(k, y)| self.shift_products[(*i, *k)] * y).sum::<f64>()).sum();
         (squared.max(0.0) / self.frames.max(1.0)).sqrt()
     }
 
@@ -234,8 +234,8 @@ impl ModelStudy {
             let share = (before.left - solved.left) / self.squared;
             let is_later = usize::from(!named.is_empty());
             tracing::debug!(?candidate, gain, share, left = solved.left / self.squared, "likeliest");
-            let leaves = if named.is_empty() { 1.0 } else { TUNING.max_later_residual_ratio };
-            if gain < TUNING.min_part_gain || share < TUNING.min_part_gain_ratio[is_later] || solved.left > leaves * before.left {
+            let max_left = if named.is_empty() { 1.0 } else { TUNING.max_later_residual_ratio };
+            if gain < TUNING.min_part_gain || share < TUNING.min_part_gain_ratio[is_later] || solved.left > max_left * before.left {
                 break;
             }
             before = Solved { columns: solved.columns.clone(), numbers: solved.numbers.clone(), ..solved };
@@ -367,8 +367,8 @@ impl Candidate {
                 Part::Corners { surface, most_px: off[0], most_mm: 1e3 * off[1] }
             }
             Kind::Place(surface) => {
-                let turn = SVector::<f64, 3>::new(numbers[3], numbers[4], numbers[5]);
-                Part::Place { surface, moved_mm: [0, 1, 2].map(|k| 1e3 * numbers[k]), turned_deg: turn.norm().to_degrees() }
+                let rotation = SVector::<f64, 3>::new(numbers[3], numbers[4], numbers[5]);
+                Part::Place { surface, moved_mm: [0, 1, 2].map(|k| 1e3 * numbers[k]), rotation_deg: rotation.norm().to_degrees() }
             }
             Kind::Shape(surface) => {
                 let spec = &body.surfaces[surface].spec;

@@ -18,33 +18,34 @@ const NOISE_PX: f64 = 0.02;
 
 /// A cloth and two flats before it.
 fn set() -> Vec<SurfaceSpec> {
-    let flat = |seed: u32, place: Vector3<f64>, turn: f64| {
+    let flat = |seed: u32, place: Vector3<f64>, rotation: f64| {
         let mut flat = cloth(seed);
-        flat.pose = Pose::new(UnitQuaternion::from_euler_angles(0.0, turn, 0.0), place);
+        flat.pose = Pose::new(UnitQuaternion::from_euler_angles(0.0, rotation, 0.0), place);
         flat.size_m = [1.2, 0.9];
         flat
     };
     vec![cloth(1), flat(2, Vector3::new(0.9, 0.3, 0.9), 0.4), flat(3, Vector3::new(-1.0, -0.4, 0.6), -0.3)]
 }
 
-/// Studies a walk past the `real` stage through the `real_lens`, tracked with the `told` stage.
-fn misfits(told: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, real_lens: &CameraModel) -> Vec<Misfit> {
-    walk(told, real, real_lens, [0.0; 4]).0
+/// Studies a walk past the `real` stage through the `real_lens`, tracked with the `configured`
+/// stage.
+fn misfits(configured: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, real_lens: &CameraModel) -> Vec<Misfit> {
+    walk(configured, real, real_lens, [0.0; 4]).0
 }
 
 /// The same, with the root mean square pose error, mm.
-fn walk(told: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, real_lens: &CameraModel, askew: [f64; 4]) -> (Vec<Misfit>, f64) {
+fn walk(configured: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, real_lens: &CameraModel, askew: [f64; 4]) -> (Vec<Misfit>, f64) {
     let mut random = Pcg64Mcg::seed_from_u64(5);
-    let (told, real, told_lens) = (prepared(told), prepared(real), lens(640, 480));
-    let mut study = ModelStudy::new(told.surfaces.len(), 14);
+    let (configured, real, configured_lens) = (prepared(configured), prepared(real), lens(640, 480));
+    let mut study = ModelStudy::new(configured.surfaces.len(), 14);
     let mut squared_m2 = 0.0;
     for k in 0..14 {
-        let (turn, tilt) = (0.09 * f64::from(k) - 0.6, 0.12 * f64::from(k % 4) - 0.18);
-        let start = facing(tilt, turn, Vector3::new(0.4 * turn, 0.1 * tilt, 4.3 + 0.15 * f64::from(k % 5)));
+        let (rotation, tilt) = (0.09 * f64::from(k) - 0.6, 0.12 * f64::from(k % 4) - 0.18);
+        let start = facing(tilt, rotation, Vector3::new(0.4 * rotation, 0.1 * tilt, 4.3 + 0.15 * f64::from(k % 5)));
         let noise = |_, _| Vector2::from_fn(|_, _| (0..12).map(|_| random.random_range(-0.5..0.5)).sum::<f64>() * NOISE_PX);
         let mut anchors = seen_anchors(&real, &start, real_lens, 8, noise);
         for a in &mut anchors {
-            let spec = &told.surfaces[a.surface as usize].spec;
+            let spec = &configured.surfaces[a.surface as usize].spec;
             let at = spec.to_metres(a.artwork);
             let moved: Vector2<f64> = moved_by_corners(spec.size_m, at).iter().zip(askew).map(|(by, number)| by * number).sum();
             a.artwork = spec.to_artwork(at - moved);
@@ -52,15 +53,15 @@ fn walk(told: Vec<SurfaceSpec>, real: Vec<SurfaceSpec>, real_lens: &CameraModel,
             a.observation.information /= NOISE_PX.powi(2);
         }
         let observations: Vec<Observation> = anchors.iter().map(|a| a.observation).collect();
-        let pose = resect(&start, &MovingCamera::still(&told_lens), &observations, 30).expect("a pose").pose;
+        let pose = resect(&start, &MovingCamera::still(&configured_lens), &observations, 30).expect("a pose").pose;
         squared_m2 += (pose.inverse().translation - start.inverse().translation).norm_squared();
         let mut residuals = TileResiduals::default();
-        residuals.take(&pose, &told_lens, &anchors).expect("tiles enough");
+        residuals.take(&pose, &configured_lens, &anchors).expect("tiles enough");
         let rows = RowMotion { shutter: Shutter::default(), readout_sigma_s: 0.02, before: Some((pose, 0.03, None)) };
-        let rows = RowDisplacement::new(&told_lens, &rows, &pose);
-        study.add(&StudiedFrame { residuals: &residuals, pose: &pose, anchors: &anchors, rows: &rows }, &told);
+        let rows = RowDisplacement::new(&configured_lens, &rows, &pose);
+        study.add(&StudiedFrame { residuals: &residuals, pose: &pose, anchors: &anchors, rows: &rows }, &configured);
     }
-    (study.misfits(&told, &told_lens), 1e3 * (squared_m2 / 14.0_f64).sqrt())
+    (study.misfits(&configured, &configured_lens), 1e3 * (squared_m2 / 14.0_f64).sqrt())
 }
 
 #[test]
@@ -110,8 +111,8 @@ fn a_misplaced_flat_is_reported_with_its_offset() {
     let mut moved = set();
     moved[2].pose.translation += Vector3::new(0.006, -0.004, 0.012);
     let found = misfits(set(), moved, &lens(640, 480));
-    let [Misfit { part: Part::Place { surface: 2, moved_mm: [x, y, z], turned_deg }, .. }] = found[..] else { panic!("{found:?}") };
-    assert!((x - 6.0).abs() < 0.3 && (y + 4.0).abs() < 0.3 && (z - 12.0).abs() < 0.6 && turned_deg < 0.05, "{found:?}");
+    let [Misfit { part: Part::Place { surface: 2, moved_mm: [x, y, z], rotation_deg }, .. }] = found[..] else { panic!("{found:?}") };
+    assert!((x - 6.0).abs() < 0.3 && (y + 4.0).abs() < 0.3 && (z - 12.0).abs() < 0.6 && rotation_deg < 0.05, "{found:?}");
 }
 
 #[test]
@@ -121,7 +122,7 @@ fn between_two_surfaces_the_second_is_reported_as_moved() {
     moved[1].pose = Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.41, 0.0), moved[1].pose.translation + Vector3::new(0.0, 0.01, 0.0));
     let found = misfits(two(), moved, &lens(640, 480));
     assert!(
-        matches!(found[..], [Misfit { part: Part::Place { surface: 1, turned_deg, .. }, .. }] if (turned_deg - 0.57).abs() < 0.1),
+        matches!(found[..], [Misfit { part: Part::Place { surface: 1, rotation_deg, .. }, .. }] if (rotation_deg - 0.57).abs() < 0.1),
         "{found:?}"
     );
 }

@@ -36,7 +36,7 @@ pub struct ModelWatch {
     views: Vec<Vector3<f64>>,
     /// The part found last, and how many times in a row.
     found: Option<(Key, u32)>,
-    told: Vec<Key>,
+    reported: Vec<Key>,
 }
 
 impl ModelWatch {
@@ -51,7 +51,7 @@ impl ModelWatch {
     }
 
     fn of(study: ModelStudy, is_thorough: bool) -> Self {
-        Self { study, is_thorough, passed: 0, studied: 0, doubts: Vec::new(), views: Vec::new(), found: None, told: Vec::new() }
+        Self { study, is_thorough, passed: 0, studied: 0, doubts: Vec::new(), views: Vec::new(), found: None, reported: Vec::new() }
     }
 
     /// Whether every frame is studied.
@@ -97,7 +97,7 @@ impl ModelWatch {
             return None;
         }
         self.studied = 0;
-        let misfit = self.study.misfits(body, camera).into_iter().find(|m| !self.told.contains(&key(m)));
+        let misfit = self.study.misfits(body, camera).into_iter().find(|m| !self.reported.contains(&key(m)));
         self.study.forget(TUNING.studied_frame_weight_kept);
         let key = misfit.as_ref().map(key);
         let times = self.found.filter(|(last, _)| Some(*last) == key).map_or(1, |(_, times)| times + 1);
@@ -106,7 +106,7 @@ impl ModelWatch {
         if times < TUNING.comparisons_to_report && !is_decisive {
             return None;
         }
-        self.told.extend(key);
+        self.reported.extend(key);
         misfit
     }
 

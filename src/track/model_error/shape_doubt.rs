@@ -217,9 +217,9 @@ mod tests {
     #[test]
     fn batched_modes_give_the_same_covariance_as_single_ones() {
         let camera = lens(1280, 720);
-        let turned = facing(0.3, 0.1, Vector3::new(0.4, 0.2, 0.5));
+        let rotated = facing(0.3, 0.1, Vector3::new(0.4, 0.2, 0.5));
         // One of them has more ways than fit side by side.
-        let specs = vec![doubted(1, 5), SurfaceSpec { pose: Pose::new(turned.rotation, turned.translation), ..doubted(2, 31) }, cloth(3)];
+        let specs = vec![doubted(1, 5), SurfaceSpec { pose: Pose::new(rotated.rotation, rotated.translation), ..doubted(2, 31) }, cloth(3)];
         let body = prepared(specs);
         let pose = facing(0.2, -0.3, Vector3::new(0.1, 0.05, 4.4));
         let mut random = Pcg64Mcg::seed_from_u64(4);

@@ -56,8 +56,8 @@ pub fn covariance_by_surfaces(
         let mut moved = own.fixed_columns_mut::<3>(8);
         moved += by_point * doubt.position_m;
         let from_centre: Vector3<f64> = o.point.coords - spec.pose.translation;
-        let mut turned = own.fixed_columns_mut::<3>(11);
-        turned += -by_point * skew(&from_centre) * doubt.rotation_rad;
+        let mut rotated = own.fixed_columns_mut::<3>(11);
+        rotated += -by_point * skew(&from_centre) * doubt.rotation_rad;
     }
     let factor = normal.cholesky()?;
     let mut covariance = Matrix6::zeros();
@@ -108,8 +108,8 @@ mod tests {
         let observations: Vec<Observation> = anchors.iter().map(|anchor| anchor.observation).collect();
         let found = resect(pose, &MovingCamera::still(&camera), &observations, 30).expect("a pose").pose.inverse();
         let truth = pose.inverse();
-        let (moved, turned) = (found.translation - truth.translation, (found.rotation * truth.rotation.inverse()).scaled_axis());
-        Vector6::new(moved.x, moved.y, moved.z, turned.x, turned.y, turned.z)
+        let (moved, rotated) = (found.translation - truth.translation, (found.rotation * truth.rotation.inverse()).scaled_axis());
+        Vector6::new(moved.x, moved.y, moved.z, rotated.x, rotated.y, rotated.z)
     }
 
     #[test]

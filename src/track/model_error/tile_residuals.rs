@@ -271,9 +271,9 @@ mod tests {
         let found = resect(&pose, &MovingCamera::still(&camera), &observations, 30).expect("a pose").pose;
         let mut residuals = TileResiduals::default();
         residuals.take(&found, &camera, &anchors).expect("tiles enough");
-        let told = perturbed(&found, &(residuals.pose_by_focal().expect("it is solved") * -by));
+        let predicted = perturbed(&found, &(residuals.pose_by_focal().expect("it is solved") * -by));
         let off = |p: &Pose<Camera, Body>| (p.translation - pose.translation).norm();
-        assert!(off(&found) > 0.004 && off(&told) < 0.1 * off(&found), "{} {}", off(&found), off(&told));
+        assert!(off(&found) > 0.004 && off(&predicted) < 0.1 * off(&found), "{} {}", off(&found), off(&predicted));
     }
 
     #[test]

@@ -51,8 +51,8 @@ fn flipped(pose: &Pose<Camera, Body>, body: &PreparedBody, surface: u32) -> Pose
     // Mirror the normal at the line of sight, and rotate the surface there by the shortest
     // rotation.
     let mirrored = 2.0 * sight.dot(&normal) * sight - normal;
-    let turn = UnitQuaternion::rotation_between(&normal, &mirrored).unwrap_or_else(UnitQuaternion::identity);
-    let flipped = Pose::<Camera, SurfaceFrame>::new(turn * t_camera_surface.rotation, t_camera_surface.translation);
+    let rotation = UnitQuaternion::rotation_between(&normal, &mirrored).unwrap_or_else(UnitQuaternion::identity);
+    let flipped = Pose::<Camera, SurfaceFrame>::new(rotation * t_camera_surface.rotation, t_camera_surface.translation);
     flipped * spec.pose.inverse()
 }
 

@@ -108,8 +108,8 @@ fn hidden_masked_and_back_facing_anchors_are_skipped() {
         assert!(!behind, "hidden at {}", t.point);
     }
     // From behind, nothing is painted.
-    let turned = facing(0.0, std::f64::consts::PI, Vector3::new(0.0, 0.0, 4.2));
-    visible_targets(&body, &turned, &camera, &SearchPicture { image: &image, scale: 1.0, mask: None }, 1000, &mut targets);
+    let rotated = facing(0.0, std::f64::consts::PI, Vector3::new(0.0, 0.0, 4.2));
+    visible_targets(&body, &rotated, &camera, &SearchPicture { image: &image, scale: 1.0, mask: None }, 1000, &mut targets);
     assert!(targets.is_empty());
 }
 

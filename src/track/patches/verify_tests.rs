@@ -33,10 +33,10 @@ fn frame() -> GrayImage {
 fn a_pose_that_is_nearly_right_becomes_right() {
     let start = perturbed(&truth(), &Vector6::new(0.02, -0.015, 0.03, 0.006, -0.005, 0.003));
     let (found, anchors) = verified(&frame(), &start).expect("the picture agrees");
-    let (shift, turn) =
+    let (shift, rotation) =
         ((found.pose.translation - truth().inverse().translation).norm(), found.pose.angle_to(&truth().inverse()).to_degrees());
-    println!("{shift:.5} m, {turn:.4} degrees, {} anchors, share {:.2}, {:.3} px", anchors.len(), found.share, found.solver_rms_px);
-    assert!(shift < 0.003 && turn < 0.03, "{shift} {turn}");
+    println!("{shift:.5} m, {rotation:.4} degrees, {} anchors, share {:.2}, {:.3} px", anchors.len(), found.share, found.solver_rms_px);
+    assert!(shift < 0.003 && rotation < 0.03, "{shift} {rotation}");
     assert!(found.share > 0.8 && anchors.len() > 100 && found.solver_rms_px < 0.2);
     assert_eq!(found.covariance, found.covariance.transpose());
     assert!(found.covariance.cholesky().is_some());

@@ -39,8 +39,8 @@ const SET: &str = "set.json";
 pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     let (for_backup, for_restore) = (supervisor.clone(), supervisor.clone());
     vec![
-        Route::aside(Method::GET, "/api/v1/backup", Access::Paired, move |_| backup(&for_backup)),
-        Route::aside(Method::POST, "/api/v1/restore", Access::Change, move |call| restore(&for_restore, call))
+        Route::slow(Method::GET, "/api/v1/backup", Access::Paired, move |_| backup(&for_backup)),
+        Route::slow(Method::POST, "/api/v1/restore", Access::Change, move |call| restore(&for_restore, call))
             .takes_a_file()
             .seldom_unless("try=1"),
     ]
@@ -74,9 +74,9 @@ fn backup(supervisor: &Supervisor) -> Result<Reply, Reply> {
 }
 
 /// A folder that is removed when this is dropped.
-struct Aside(PathBuf);
+struct Staging(PathBuf);
 
-impl Drop for Aside {
+impl Drop for Staging {
     fn drop(&mut self) {
         let _ = std::fs::remove_dir_all(&self.0);
     }
@@ -89,16 +89,17 @@ fn restore(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     let file = supervisor.file();
     let folder = file.parent().unwrap_or(Path::new("")).to_owned();
     // A hidden folder in the same file system as the target.
-    let aside = Aside(folder.join(format!(".restore-{}", std::process::id())));
-    let _ = std::fs::remove_dir_all(&aside.0);
-    std::fs::create_dir_all(aside.0.join("sets")).map_err(|e| unwritable(file, &e))?;
-    let names = unpack(&packed, &aside.0)?;
-    let text = safe_file::read(&aside.0.join(CONFIG), MAX_PACKED).ok().and_then(|bytes| String::from_utf8(bytes).ok());
+    let staging = Staging(folder.join(format!(".restore-{}", std::process::id())));
+    let _ = std::fs::remove_dir_all(&staging.0);
+    std::fs::create_dir_all(staging.0.join("sets")).map_err(|e| unwritable(file, &e))?;
+    let names = unpack(&packed, &staging.0)?;
+    let text = safe_file::read(&staging.0.join(CONFIG), MAX_PACKED).ok().and_then(|bytes| String::from_utf8(bytes).ok());
     let text =
         text.ok_or_else(|| Reply::text(422, "the zip has no stage.toml, so it is not a backup; give one of GET /api/v1/backup\n"))?;
-    let (settings, findings) = judged_to_run(&text, &aside.0.join(CONFIG), supervisor);
+    let (settings, findings) = judged_to_run(&text, &staging.0.join(CONFIG), supervisor);
     let Some(settings) = settings else { return Ok(reply(422, &findings, false)) };
-    let is_named = |name: &str| name == CONFIG || name == SET || name.starts_with("sets/") || settings.files.contains(&aside.0.join(name));
+    let is_named =
+        |name: &str| name == CONFIG || name == SET || name.starts_with("sets/") || settings.files.contains(&staging.0.join(name));
     if let Some(name) = names.iter().find(|name| !is_named(name)) {
         let sentence = format!("{name}: the config in the zip does not name this file; give a zip of GET /api/v1/backup\n");
         return Err(Reply::text(422, sentence));
@@ -114,8 +115,8 @@ fn restore(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
     call.still_may()?;
     // The config comes last, because it names the others.
     let in_order = names.iter().map(String::as_str).filter(|name| *name != CONFIG).chain([CONFIG]);
-    let moves: Vec<(PathBuf, PathBuf)> = in_order.map(|name| (aside.0.join(name), target(name))).collect();
-    move_all(&moves, &aside.0.join("before")).map_err(|(to, e)| unwritable(&to, &e))?;
+    let moves: Vec<(PathBuf, PathBuf)> = in_order.map(|name| (staging.0.join(name), target(name))).collect();
+    move_all(&moves, &staging.0.join("before")).map_err(|(to, e)| unwritable(&to, &e))?;
     supervisor.reload();
     Ok(reply(200, &findings, true))
 }
@@ -196,7 +197,7 @@ fn unpack(packed: &[u8], folder: &Path) -> Result<BTreeSet<String>, Reply> {
 mod tests {
     use super::*;
     use crate::web::api::gltf::tests::glb;
-    use crate::web::api::tests::{asked, supervised};
+    use crate::web::api::tests::{respond, supervised};
 
     fn zipped(files: &[(&str, &[u8])]) -> Vec<u8> {
         let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
@@ -215,17 +216,17 @@ mod tests {
         std::fs::create_dir(one.path().join("sets")).unwrap();
         let model = glb(r#"{"asset":{"version":"2.0"}}"#);
         std::fs::write(one.path().join("sets/door.glb"), &model).unwrap();
-        let (status, zip) = asked(&routes(&from), "GET", "/api/v1/backup", b"");
+        let (status, zip) = respond(&routes(&from), "GET", "/api/v1/backup", b"");
         assert_eq!(status, 200);
         let to = supervised(other.path());
         std::fs::write(to.file(), "# it was another one\n").unwrap();
-        let (status, said) = asked(&routes(&to), "POST", "/api/v1/restore?try=1", &zip);
+        let (status, said) = respond(&routes(&to), "POST", "/api/v1/restore?try=1", &zip);
         assert_eq!((status, to.take_reload()), (200, false), "{}", String::from_utf8_lossy(&said));
-        let told: serde_json::Value = serde_json::from_slice(&said).unwrap();
-        assert_eq!((&told["replaces"], &told["saved"]), (&json!(["stage.toml"]), &json!(false)), "{told}");
-        assert!(told["adds"].as_array().unwrap().contains(&json!("sets/door.glb")), "{told}");
+        let findings: serde_json::Value = serde_json::from_slice(&said).unwrap();
+        assert_eq!((&findings["replaces"], &findings["saved"]), (&json!(["stage.toml"]), &json!(false)), "{findings}");
+        assert!(findings["adds"].as_array().unwrap().contains(&json!("sets/door.glb")), "{findings}");
         assert_eq!(std::fs::read_to_string(to.file()).unwrap(), "# it was another one\n", "it was only tried");
-        let (status, said) = asked(&routes(&to), "POST", "/api/v1/restore", &zip);
+        let (status, said) = respond(&routes(&to), "POST", "/api/v1/restore", &zip);
         assert_eq!(status, 200, "{}", String::from_utf8_lossy(&said));
         assert!(to.take_reload());
         assert!(crate::config::Settings::load(to.file()).is_ok());
@@ -260,7 +261,7 @@ mod tests {
             ("bad model", zipped(&[("sets/a.glb", b"x")])),
             ("many", zipped(&many)),
         ] {
-            let (status, said) = asked(&routes(&supervisor), "POST", "/api/v1/restore", &zip);
+            let (status, said) = respond(&routes(&supervisor), "POST", "/api/v1/restore", &zip);
             assert_eq!(status, 422, "{what}: {}", String::from_utf8_lossy(&said));
         }
         assert_eq!((std::fs::read(supervisor.file()).unwrap(), supervisor.take_reload()), (before, false));
@@ -288,14 +289,14 @@ mod tests {
             ("sets/door.glb", &model),
             ("stage.toml", &new),
         ]);
-        let (status, said) = asked(&routes(&supervisor), "POST", "/api/v1/restore", &zip);
+        let (status, said) = respond(&routes(&supervisor), "POST", "/api/v1/restore", &zip);
         let said = String::from_utf8_lossy(&said).into_owned();
         assert!(status == 500 && said.contains("door.glb"), "{status}: {said}");
         assert_eq!((std::fs::read(supervisor.file()).unwrap(), std::fs::read(at("backdrop.png")).unwrap()), (config, picture));
         assert!(!at("set.json").exists() && !at("sets/a.glb").exists() && !supervisor.take_reload());
         // Without that obstacle all files are moved.
         std::fs::remove_dir(at("sets/door.glb")).unwrap();
-        assert_eq!(asked(&routes(&supervisor), "POST", "/api/v1/restore", &zip).0, 200);
+        assert_eq!(respond(&routes(&supervisor), "POST", "/api/v1/restore", &zip).0, 200);
         assert_eq!((std::fs::read(supervisor.file()).unwrap(), std::fs::read(at("backdrop.png")).unwrap()), (new, other));
         assert!(at("set.json").exists() && at("sets/a.glb").exists() && supervisor.take_reload());
     }

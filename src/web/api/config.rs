@@ -29,7 +29,7 @@ const ONE_EACH: Duration = Duration::from_secs(3);
 pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     let (for_get, for_put) = (supervisor.clone(), supervisor.clone());
     vec![
-        Route::aside(Method::GET, "/api/v1/config", Access::Paired, move |_| {
+        Route::slow(Method::GET, "/api/v1/config", Access::Paired, move |_| {
             let read = safe_file::read(&for_get.keeping().current(), MAX_CONFIG);
             if read.as_ref().is_err_and(|e| e.kind() == io::ErrorKind::NotFound) {
                 let sentence = format!("{}: there is no config yet; put one here, with this ETag\n", for_get.file().display());
@@ -39,7 +39,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             let tag = tag(&bytes);
             Ok(Reply::new(200, "text/plain; charset=utf-8", bytes).with("etag", &tag))
         }),
-        Route::aside(Method::PUT, "/api/v1/config", Access::Change, move |call| {
+        Route::slow(Method::PUT, "/api/v1/config", Access::Change, move |call| {
             let text = String::from_utf8(call.content(MAX_CONFIG)?).map_err(|_| Reply::text(400, "a config is text in UTF-8\n"))?;
             let wanted = call.header("if-match").ok_or_else(|| {
                 Reply::text(428, "say which config this one replaces: If-Match with the ETag of GET /api/v1/config, or * for any\n")
@@ -79,8 +79,8 @@ fn unreadable(file: &Path, error: &io::Error) -> Reply {
 
 /// Returns the reply for a config that cannot be written.
 pub(super) fn unwritable(file: &Path, error: &io::Error) -> Reply {
-    let mend = "start the daemon with a config in a folder that it may write, such as /var/lib/stagepose for the service";
-    Reply::text(500, format!("{}: the config cannot be written ({error}); {mend}\n", file.display()))
+    let hint = "start the daemon with a config in a folder that it may write, such as /var/lib/stagepose for the service";
+    Reply::text(500, format!("{}: the config cannot be written ({error}); {hint}\n", file.display()))
 }
 
 /// Returns a content's ETag.
@@ -121,16 +121,16 @@ pub(super) fn keep_former(files: &[PathBuf]) -> io::Result<Option<PathBuf>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::web::api::tests::{asked, asked_with, supervised};
+    use crate::web::api::tests::{respond, respond_with, supervised};
 
     #[test]
     fn a_good_config_is_taken_over_and_the_former_kept() {
         let folder = tempfile::tempdir().unwrap();
         let supervisor = supervised(folder.path());
         let routes = routes(&supervisor);
-        let (status, text) = asked(&routes, "GET", "/api/v1/config", b"");
+        let (status, text) = respond(&routes, "GET", "/api/v1/config", b"");
         assert_eq!(status, 200);
-        let put = |if_match: &str, text: &[u8]| asked_with(&routes, "PUT", "/api/v1/config", if_match, text);
+        let put = |if_match: &str, text: &[u8]| respond_with(&routes, "PUT", "/api/v1/config", if_match, text);
         let new = [&text[..], b"[log]\nlevel = \"info\"\n"].concat();
         assert_eq!(put("", &new).0, 428);
         assert_eq!(put("If-Match: \"0\"\r\n", &new).0, 412);
@@ -156,14 +156,14 @@ mod tests {
             ("[camera]\nfov_deg = 600\n[[stage.surface]]\nimage = \"backdrop.png\"\nsize_m = [4.0, 3.0]\n", Some(2), "fov_deg"),
             ("", None, "stage"),
         ] {
-            let (status, said) = asked_with(&routes(&supervisor), "PUT", "/api/v1/config", "If-Match: *\r\n", text.as_bytes());
+            let (status, said) = respond_with(&routes(&supervisor), "PUT", "/api/v1/config", "If-Match: *\r\n", text.as_bytes());
             let said: serde_json::Value = serde_json::from_slice(&said).unwrap();
             let finding = &said["findings"][0];
             assert_eq!((status, &said["saved"], &finding["level"]), (422, &false.into(), &"error".into()), "{said}");
             assert_eq!(finding["line"].as_u64(), line, "{said}");
             assert!(finding.to_string().contains(word), "{said}");
         }
-        assert_eq!(asked_with(&routes(&supervisor), "PUT", "/api/v1/config", "If-Match: *\r\n", b"\xff").0, 400);
+        assert_eq!(respond_with(&routes(&supervisor), "PUT", "/api/v1/config", "If-Match: *\r\n", b"\xff").0, 400);
         assert_eq!((std::fs::read(supervisor.file()).unwrap(), supervisor.take_reload()), (before, false));
     }
 
@@ -175,7 +175,7 @@ mod tests {
         let plain = std::fs::read_to_string(supervisor.file()).unwrap();
         let put = |more: &str| {
             let text = format!("{plain}{more}");
-            let (status, said) = asked_with(&routes, "PUT", "/api/v1/config", "If-Match: *\r\n", text.as_bytes());
+            let (status, said) = respond_with(&routes, "PUT", "/api/v1/config", "If-Match: *\r\n", text.as_bytes());
             (status, String::from_utf8(said).unwrap())
         };
         let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();

@@ -26,14 +26,15 @@ pub(super) struct Finding {
     /// What is wrong.
     pub sentence: String,
     /// How to fix it.
-    pub mend: Option<String>,
+    #[serde(rename = "mend")]
+    pub hint: Option<String>,
 }
 
 /// Splits a message into sentence and fix. By this project's convention the fix follows the last
 /// semicolon.
 fn parts(message: &str) -> (String, Option<String>) {
     match message.rsplit_once("; ") {
-        Some((says, mend)) => (says.to_owned(), Some(mend.to_owned())),
+        Some((sentence, hint)) => (sentence.to_owned(), Some(hint.to_owned())),
         None => (message.to_owned(), None),
     }
 }
@@ -46,8 +47,8 @@ fn refused(error: &ConfigError) -> Finding {
         ConfigError::PictureSize { line, .. } => (Some("[camera] calibration".to_owned()), Some(*line)),
         _ => (None, None),
     };
-    let (sentence, mend) = parts(&error.to_string());
-    Finding { level: "error", key, line, sentence, mend }
+    let (sentence, hint) = parts(&error.to_string());
+    Finding { level: "error", key, line, sentence, hint }
 }
 
 /// Returns what is wrong with the config file, if there is no config to track with or the former
@@ -57,8 +58,8 @@ pub(super) fn of_refused(supervisor: &Supervisor) -> Vec<Finding> {
         return Vec::new();
     }
     let error = |text: &str| {
-        let (sentence, mend) = parts(text);
-        vec![Finding { level: "error", key: None, line: None, sentence, mend }]
+        let (sentence, hint) = parts(text);
+        vec![Finding { level: "error", key: None, line: None, sentence, hint }]
     };
     let file = supervisor.file();
     let read = safe_file::read(&supervisor.keeping().current(), MAX_CONFIG).map(String::from_utf8);
@@ -80,8 +81,8 @@ fn odd(found: &Diagnosed) -> Finding {
         Grade::Note => "note",
         _ => "warning",
     };
-    let (sentence, mend) = parts(&found.says);
-    Finding { level, key: None, line: None, sentence, mend }
+    let (sentence, hint) = parts(&found.message);
+    Finding { level, key: None, line: None, sentence, hint }
 }
 
 /// As [`judged`], and also checks whether this machine provides all that the config requires, as

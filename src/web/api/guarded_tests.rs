@@ -53,8 +53,11 @@ fn refused(server: &Server, method: &str, path: &str, headers: &str) -> u16 {
     let answer = exchange(server.address(), method, path, headers, b"");
     let of = format!("{method} {path} {headers:?}");
     holds_the_browser(&answer, &of);
-    let says = answer.text();
-    assert!(says.ends_with('\n') && says.len() > 10 && answer.values("content-type") == ["text/plain; charset=utf-8"], "{of}: {says}");
+    let message = answer.text();
+    assert!(
+        message.ends_with('\n') && message.len() > 10 && answer.values("content-type") == ["text/plain; charset=utf-8"],
+        "{of}: {message}"
+    );
     answer.status
 }
 

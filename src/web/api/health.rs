@@ -40,11 +40,12 @@ struct Part {
     /// `good`, `warn`, `bad` or `off`.
     level: &'static str,
     sentence: String,
-    mend: Option<String>,
+    #[serde(rename = "mend")]
+    hint: Option<String>,
 }
 
-fn part(part: &str, level: &'static str, sentence: impl Into<String>, mend: Option<&str>) -> Part {
-    Part { part: part.to_owned(), level, sentence: sentence.into(), mend: mend.map(str::to_owned) }
+fn part(part: &str, level: &'static str, sentence: impl Into<String>, hint: Option<&str>) -> Part {
+    Part { part: part.to_owned(), level, sentence: sentence.into(), hint: hint.map(str::to_owned) }
 }
 
 pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
@@ -52,19 +53,19 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     let (for_health, for_outputs, for_text) = (of(supervisor), of(supervisor), of(supervisor));
     let rates: Arc<Rates> = Arc::default();
     vec![
-        Route::aside(Method::GET, "/api/v1/health", Access::Anyone, move |_| {
+        Route::slow(Method::GET, "/api/v1/health", Access::Anyone, move |_| {
             Ok(Reply::json(200, printable(&json!({"parts": parts(&for_health)}).to_string()).into_owned()))
         })
         .probe(),
-        Route::aside(Method::GET, "/api/v1/outputs", Access::Anyone, move |_| {
+        Route::slow(Method::GET, "/api/v1/outputs", Access::Anyone, move |_| {
             let outputs: Vec<Value> = rates.of(for_outputs.outputs(), Instant::now()).iter().map(output).collect();
             Ok(Reply::json(200, json!({"outputs": outputs}).to_string()))
         }),
-        Route::aside(Method::GET, "/api/v1/log", Access::Paired, |call| {
+        Route::slow(Method::GET, "/api/v1/log", Access::Paired, |call| {
             let lines = call.queried("lines", 200, 1..=MAX_LINES)?;
             Ok(Reply::text(200, log_tail(lines as usize).concat()))
         }),
-        Route::aside(Method::GET, "/api/v1/diagnostics", Access::Paired, move |_| Ok(Reply::text(200, diagnostics(&for_text)))),
+        Route::slow(Method::GET, "/api/v1/diagnostics", Access::Paired, move |_| Ok(Reply::text(200, diagnostics(&for_text)))),
     ]
 }
 
@@ -84,7 +85,7 @@ fn parts(supervisor: &Supervisor) -> Vec<Part> {
     let (level, goes_on) = if supervisor.settings().is_some() { ("warn", "; the previous config stays active") } else { ("bad", "") };
     let of_config = of_refused(supervisor).into_iter().map(|finding| {
         let place = finding.line.map_or_else(String::new, |line| format!("line {line}: "));
-        part("config", level, format!("{place}{}{goes_on}", finding.sentence), finding.mend.as_deref())
+        part("config", level, format!("{place}{}{goes_on}", finding.sentence), finding.hint.as_deref())
     });
     let mut parts: Vec<Part> = of_config.collect();
     parts.extend([camera(statistics, supervisor.mode()), tracker(statistics)]);
@@ -144,7 +145,7 @@ fn shutter(configured: &KnownShutter, learnt: &LearntCamera) -> Part {
         (None, Some(exposure)) => format!("; exposed for {}, learnt from blur", time(exposure)),
         (None, None) => String::new(),
     };
-    let (level, rows, mend) = match (configured.readout_s, &learnt.readout) {
+    let (level, rows, hint) = match (configured.readout_s, &learnt.readout) {
         (Some(0.0), _) => ("good", "all rows are read at once, as configured".to_owned(), None),
         (Some(readout_s), _) => ("good", format!("rows are read in {:.1} ms, as configured", 1e3 * readout_s), None),
         (None, Some(readout)) if readout.seconds == 0.0 => ("good", "all rows are read at once, learnt from motion".to_owned(), None),
@@ -155,7 +156,7 @@ fn shutter(configured: &KnownShutter, learnt: &LearntCamera) -> Part {
             Some("move the camera quickly for three seconds with the stage in view: it is then learnt and kept"),
         ),
     };
-    part("shutter", level, rows + &exposure, mend)
+    part("shutter", level, rows + &exposure, hint)
 }
 
 fn of_output(output: &OutputStatistics) -> Part {
@@ -235,7 +236,7 @@ impl Rates {
     fn of(&self, outputs: Vec<OutputStatistics>, now: Instant) -> Vec<(OutputStatistics, Option<f64>)> {
         let mut before = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         before.retain(|look| outputs.iter().any(|output| output.name == look.name));
-        let mut told = Vec::new();
+        let mut with_rates = Vec::new();
         for output in outputs {
             let rate = match before.iter_mut().find(|look| look.name == output.name) {
                 None => {
@@ -252,9 +253,9 @@ impl Rates {
                     look.rate
                 }
             };
-            told.push((output, rate));
+            with_rates.push((output, rate));
         }
-        told
+        with_rates
     }
 }
 
@@ -285,8 +286,8 @@ fn decoded(protocol: &str, packet: &[u8]) -> Value {
 pub(super) fn diagnostics(supervisor: &Supervisor) -> String {
     let mut text = format!("stagepose {}\nconfig {}\n\n", env!("CARGO_PKG_VERSION"), supervisor.file().display());
     for part in parts(supervisor) {
-        let mend = part.mend.map_or_else(String::new, |mend| format!("; {mend}"));
-        text += &format!("{:<5} {}: {}{mend}\n", part.level, part.part, part.sentence);
+        let hint = part.hint.map_or_else(String::new, |hint| format!("; {hint}"));
+        text += &format!("{:<5} {}: {}{hint}\n", part.level, part.part, part.sentence);
     }
     text += "\n";
     text += &metrics(&supervisor.link.statistics, &FrameClock::new(Stamps::Live)).body;
@@ -298,7 +299,7 @@ pub(super) fn diagnostics(supervisor: &Supervisor) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::web::api::tests::{asked, supervised};
+    use crate::web::api::tests::{respond, supervised};
 
     #[test]
     fn each_part_reports_its_health() {
@@ -307,20 +308,20 @@ mod tests {
         let levels = |supervisor: &Supervisor| -> Vec<(String, &'static str)> {
             parts(supervisor).into_iter().filter(|part| part.part != "disk").map(|part| (part.part, part.level)).collect()
         };
-        let told = |all: [(&str, &'static str); 5]| all.map(|(part, level)| (part.to_owned(), level)).to_vec();
+        let expected = |all: [(&str, &'static str); 5]| all.map(|(part, level)| (part.to_owned(), level)).to_vec();
         let off = ["tracker", "shutter", "recorder", "clock"].map(|part| (part, "off"));
-        assert_eq!(levels(&supervisor), told([("camera", "bad"), off[0], off[1], off[2], off[3]]));
+        assert_eq!(levels(&supervisor), expected([("camera", "bad"), off[0], off[1], off[2], off[3]]));
         let statistics = &supervisor.link.statistics;
         statistics.camera_opened("Cam", false);
         statistics.set_recorder(RecorderState::Stopped);
         assert_eq!(levels(&supervisor)[0].1, "good");
         assert_eq!(levels(&supervisor)[3].1, "bad");
-        assert!(parts(&supervisor).iter().all(|part| part.level != "bad" || part.mend.is_some()));
+        assert!(parts(&supervisor).iter().all(|part| part.level != "bad" || part.hint.is_some()));
         supervisor.set_mode(Mode::Setup);
         assert_eq!(levels(&supervisor)[0].1, "off");
-        let (status, text) = asked(&routes(&supervisor), "GET", "/api/v1/diagnostics", b"");
+        let (status, text) = respond(&routes(&supervisor), "GET", "/api/v1/diagnostics", b"");
         assert!(status == 200 && String::from_utf8(text).unwrap().contains("recorder: recording stopped"));
-        assert_eq!(asked(&routes(&supervisor), "GET", "/api/v1/log?lines=0", b"").0, 400);
+        assert_eq!(respond(&routes(&supervisor), "GET", "/api/v1/log?lines=0", b"").0, 400);
     }
 
     #[test]
@@ -332,7 +333,7 @@ mod tests {
             (part.level, part.sentence)
         };
         let unknown = shutter(&KnownShutter::default(), &LearntCamera::default());
-        assert!(unknown.level == "off" && unknown.mend.is_some_and(|mend| mend.contains("move the camera")));
+        assert!(unknown.level == "off" && unknown.hint.is_some_and(|hint| hint.contains("move the camera")));
         let (level, sentence) = said(KnownShutter::default(), learnt);
         assert_eq!(
             (level, sentence.as_str()),

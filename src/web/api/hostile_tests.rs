@@ -292,7 +292,7 @@ impl Requests {
 }
 
 /// Whether a refusal says what is wrong, as text or as a config's findings.
-fn says_why(answer: &Answer) -> bool {
+fn explains_itself(answer: &Answer) -> bool {
     let text = answer.text();
     let findings = || serde_json::from_str::<Value>(&text).is_ok_and(|said| said["findings"][0]["sentence"].is_string());
     (text.ends_with('\n') && text.trim().len() > 10) || findings()
@@ -338,7 +338,7 @@ fn two_thousand_wrong_requests_do_no_harm() {
         };
         let not_yet = answer.status == 503 && NOT_YET.iter().any(|path| wrong.path.starts_with(path.split('{').next().unwrap()));
         let is_answered = (200..500).contains(&answer.status) || not_yet;
-        let is_explained = answer.status < 400 || wrong.method == "HEAD" || not_yet || says_why(&answer);
+        let is_explained = answer.status < 400 || wrong.method == "HEAD" || not_yet || explains_itself(&answer);
         if !is_answered || !is_explained || answer.text().contains(SECRET) {
             harm.push(format!("{} for {}", answer.status, shown()));
         }

@@ -84,12 +84,12 @@ mod tests {
     }
 
     /// Returns status and content of a request to a server with these routes.
-    pub(super) fn asked(routes: &[Route], method: &str, path: &str, content: &[u8]) -> (u16, Vec<u8>) {
-        asked_with(routes, method, path, "", content)
+    pub(super) fn respond(routes: &[Route], method: &str, path: &str, content: &[u8]) -> (u16, Vec<u8>) {
+        respond_with(routes, method, path, "", content)
     }
 
-    /// As [`asked`], with additional headers.
-    pub(super) fn asked_with(routes: &[Route], method: &str, path: &str, headers: &str, content: &[u8]) -> (u16, Vec<u8>) {
+    /// As [`respond`], with additional headers.
+    pub(super) fn respond_with(routes: &[Route], method: &str, path: &str, headers: &str, content: &[u8]) -> (u16, Vec<u8>) {
         let settings = HttpSettings { listen: (Ipv4Addr::LOCALHOST, 0).into(), hosts: Vec::new() };
         let server = Server::start(&settings, routes.to_vec()).unwrap();
         let answer = exchange(server.address(), method, path, &format!("Host: localhost\r\n{headers}"), content);

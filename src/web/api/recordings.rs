@@ -46,7 +46,7 @@ const DEEPEST: usize = 4;
 pub(super) fn routes(supervisor: &Arc<Supervisor>, lines: &Arc<LineIndex>) -> Vec<Route> {
     let read = |path, access, answer: fn(&Folder, &mut Call) -> Result<Reply, Reply>| {
         let folder = Folder::new(supervisor, lines);
-        Route::aside(Method::GET, path, access, move |call| answer(&folder, call))
+        Route::slow(Method::GET, path, access, move |call| answer(&folder, call))
     };
     let downloads: Arc<AtomicUsize> = Arc::default();
     let for_report = supervisor.clone();
@@ -56,10 +56,8 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>, lines: &Arc<LineIndex>) -> Ve
         read("/api/v1/recordings/{id}/timeline", Access::Anyone, Folder::timeline),
         read("/api/v1/recordings/{id}/frame/{row}", Access::Anyone, Folder::frame),
         read("/api/v1/recordings/{id}/poses", Access::Anyone, Folder::poses),
-        Route::aside(Method::GET, "/api/v1/recordings/{id}/download", Access::Paired, move |call| {
-            download(&folder.clip(call)?, &downloads)
-        }),
-        Route::aside(Method::GET, "/api/v1/recordings/{id}/report", Access::Paired, move |call| {
+        Route::slow(Method::GET, "/api/v1/recordings/{id}/download", Access::Paired, move |call| download(&folder.clip(call)?, &downloads)),
+        Route::slow(Method::GET, "/api/v1/recordings/{id}/report", Access::Paired, move |call| {
             report(&for_report, &of_report.clip(call)?, call)
         }),
     ]
@@ -116,10 +114,10 @@ impl Folder {
     fn timeline(&self, call: &mut Call) -> Result<Reply, Reply> {
         let clip = self.clip(call)?;
         let points = call.queried("points", 1000, 1..=MAX_POINTS)?;
-        let told = timeline(&clip.path, "poses.jsonl", points as usize);
-        let mut told = told.map_err(|e| failed("the recording cannot be read", &e))?;
-        told["retracked"] = clip.path.join("retracked/compared.json").is_file().into();
-        Ok(Reply::json(200, told.to_string()))
+        let timeline = timeline(&clip.path, "poses.jsonl", points as usize);
+        let mut timeline = timeline.map_err(|e| failed("the recording cannot be read", &e))?;
+        timeline["retracked"] = clip.path.join("retracked/compared.json").is_file().into();
+        Ok(Reply::json(200, timeline.to_string()))
     }
 
     fn frame(&self, call: &mut Call) -> Result<Reply, Reply> {

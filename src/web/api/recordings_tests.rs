@@ -1,5 +1,5 @@
 use super::*;
-use crate::web::api::tests::{asked, supervised};
+use crate::web::api::tests::{respond, supervised};
 
 /// Makes a recording of three rows: one with a JPEG, one with a grey picture, one without a
 /// picture.
@@ -21,15 +21,15 @@ fn a_recording_is_listed_and_its_rows_are_given() {
     let folder = tempfile::tempdir().unwrap();
     recording(folder.path());
     let supervisor = supervised(folder.path());
-    let get = |path: &str| asked(&routes(&supervisor, &Arc::default()), "GET", path, b"");
+    let get = |path: &str| respond(&routes(&supervisor, &Arc::default()), "GET", path, b"");
     let listed: Value = serde_json::from_slice(&get("/api/v1/recordings").1).unwrap();
     assert_eq!(listed["recordings"].as_array().unwrap().len(), 1);
     assert_eq!((&listed["recordings"][0]["id"], &listed["recordings"][0]["frames"]), (&"clip-1".into(), &3.into()));
     assert!(get("/api/v1/recordings/clip-1/frame/0").1.starts_with(&[0xFF, 0xD8]));
     assert!(get("/api/v1/recordings/clip-1/frame/1").1.starts_with(&[0xFF, 0xD8]));
     assert_eq!(get("/api/v1/recordings/clip-1/poses?from=1&count=1").1.iter().filter(|b| **b == b'\n').count(), 1);
-    let told: Value = serde_json::from_slice(&get("/api/v1/recordings/clip-1/timeline?points=2").1).unwrap();
-    assert_eq!(told["frames"], 3);
+    let value: Value = serde_json::from_slice(&get("/api/v1/recordings/clip-1/timeline?points=2").1).unwrap();
+    assert_eq!(value["frames"], 3);
 }
 
 #[test]
@@ -37,7 +37,7 @@ fn nothing_outside_of_the_folder_is_given() {
     let folder = tempfile::tempdir().unwrap();
     recording(folder.path());
     let supervisor = supervised(folder.path());
-    let status = |path: &str| asked(&routes(&supervisor, &Arc::default()), "GET", path, b"").0;
+    let status = |path: &str| respond(&routes(&supervisor, &Arc::default()), "GET", path, b"").0;
     assert_eq!(status("/api/v1/recordings/clip-1/frame/2"), 404, "its name leads out");
     for id in ["root", "..", ".", "%2e%2e", "..%2f..", "clip-1%2f..", "a%00b", "%ff", "none"] {
         for below in ["timeline", "frame/0", "poses", "download"] {
@@ -56,7 +56,7 @@ fn a_download_is_a_zip_of_all_of_it() {
     let folder = tempfile::tempdir().unwrap();
     recording(folder.path());
     let supervisor = supervised(folder.path());
-    let (status, zipped) = asked(&routes(&supervisor, &Arc::default()), "GET", "/api/v1/recordings/clip-1/download", b"");
+    let (status, zipped) = respond(&routes(&supervisor, &Arc::default()), "GET", "/api/v1/recordings/clip-1/download", b"");
     assert_eq!(status, 200);
     let mut zip = zip::ZipArchive::new(io::Cursor::new(zipped)).unwrap();
     let names: Vec<String> = zip.file_names().map(str::to_owned).collect();
@@ -73,7 +73,7 @@ fn a_report_has_texts_and_pictures_on_request_only() {
     let supervisor = supervised(folder.path());
     let names = |query: &str| -> Vec<String> {
         let (status, zipped) =
-            asked(&routes(&supervisor, &Arc::default()), "GET", &format!("/api/v1/recordings/clip-1/report{query}"), b"");
+            respond(&routes(&supervisor, &Arc::default()), "GET", &format!("/api/v1/recordings/clip-1/report{query}"), b"");
         assert_eq!(status, 200);
         let zip = zip::ZipArchive::new(io::Cursor::new(zipped)).unwrap();
         zip.file_names().map(str::to_owned).collect()
@@ -97,7 +97,7 @@ fn no_link_below_a_recording_is_followed() {
     let grey = folder.path().join("outside");
     std::fs::create_dir(&grey).unwrap();
     std::fs::write(grey.join("b.pgm"), b"P5\n1 1\n255\nS").unwrap();
-    let get = |path: &str| asked(&routes(&supervisor, &Arc::default()), "GET", &format!("/api/v1/recordings/clip-1/{path}"), b"");
+    let get = |path: &str| respond(&routes(&supervisor, &Arc::default()), "GET", &format!("/api/v1/recordings/clip-1/{path}"), b"");
     let link = |to: &Path, name: &str| {
         let at = clip.join(name);
         let _ = std::fs::remove_file(&at).or_else(|_| std::fs::remove_dir_all(&at));
@@ -131,7 +131,7 @@ fn a_picture_beyond_the_limit_is_not_decoded_and_one_within_is() {
     recording(folder.path());
     let supervisor = supervised(folder.path());
     let picture = folder.path().join("recordings/clip-1/frames/0000/b.pgm");
-    let get = || asked(&routes(&supervisor, &Arc::default()), "GET", "/api/v1/recordings/clip-1/frame/1", b"");
+    let get = || respond(&routes(&supervisor, &Arc::default()), "GET", "/api/v1/recordings/clip-1/frame/1", b"");
     let pgm = |width: usize, height: usize| [format!("P5\n{width} {height}\n255\n").into_bytes(), vec![7; width * height]].concat();
     std::fs::write(&picture, pgm(4000, 3000)).unwrap();
     let (status, shown) = get();

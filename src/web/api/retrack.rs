@@ -27,7 +27,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>, lines: &Arc<LineIndex>) -> Ve
     let to_start = Folder::new(supervisor, lines);
     let read = |path, answer: fn(&Folder, &Path, &mut Call) -> Result<Reply, Reply>| {
         let folder = Folder::new(supervisor, lines);
-        Route::aside(Method::GET, path, Access::Anyone, move |call| {
+        Route::slow(Method::GET, path, Access::Anyone, move |call| {
             let clip = folder.clip(call)?.path;
             if !clip.join("retracked/compared.json").is_file() {
                 return Err(Reply::text(404, "this recording has not been tracked again yet; POST to its retrack\n"));
@@ -37,17 +37,17 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>, lines: &Arc<LineIndex>) -> Ve
     };
     let none = || Reply::text(404, "there is no such job; only the last ones are remembered\n");
     vec![
-        Route::aside(Method::POST, "/api/v1/recordings/{id}/retrack", Access::Change, move |call| start(&for_start, &to_start, call)),
-        read("/api/v1/recordings/{id}/retracked", told),
+        Route::slow(Method::POST, "/api/v1/recordings/{id}/retrack", Access::Change, move |call| start(&for_start, &to_start, call)),
+        read("/api/v1/recordings/{id}/retracked", retracked),
         read("/api/v1/recordings/{id}/retracked/poses", |folder, clip, call| folder.records(clip, "retracked/poses.jsonl", call)),
         read("/api/v1/recordings/{id}/retracked/differences", |folder, clip, call| {
             folder.records(clip, "retracked/differences.jsonl", call)
         }),
-        Route::aside(Method::GET, "/api/v1/jobs/{number}", Access::Anyone, move |call| {
+        Route::slow(Method::GET, "/api/v1/jobs/{number}", Access::Anyone, move |call| {
             let job = for_job.jobs.job(call.number("number")?).ok_or_else(none)?;
             Ok(Reply::json(200, json!(job).to_string()))
         }),
-        Route::aside(Method::DELETE, "/api/v1/jobs/{number}", Access::Change, move |call| {
+        Route::slow(Method::DELETE, "/api/v1/jobs/{number}", Access::Change, move |call| {
             let number = call.number("number")?;
             match for_cancel.jobs.cancel(number) {
                 true => Ok(Reply::text(202, "the job ends\n")),
@@ -80,19 +80,19 @@ fn start(supervisor: &Arc<Supervisor>, folder: &Folder, call: &Call) -> Result<R
 }
 
 /// Returns the timeline of the new records, and how they compare with the recorded ones.
-fn told(_: &Folder, clip: &Path, call: &mut Call) -> Result<Reply, Reply> {
+fn retracked(_: &Folder, clip: &Path, call: &mut Call) -> Result<Reply, Reply> {
     let points = call.queried("points", 1000, 1..=MAX_POINTS)?;
-    let told = timeline(clip, "retracked/poses.jsonl", points as usize);
-    let mut told = told.map_err(|e| failed("what was tracked again cannot be read", &e))?;
+    let new_timeline = timeline(clip, "retracked/poses.jsonl", points as usize);
+    let mut new_timeline = new_timeline.map_err(|e| failed("what was tracked again cannot be read", &e))?;
     let compared = safe_file::read_below(clip, Path::new("retracked/compared.json"), LARGEST);
-    told["compared"] = compared.ok().and_then(|bytes| serde_json::from_slice::<Value>(&bytes).ok()).unwrap_or(Value::Null);
-    Ok(Reply::json(200, told.to_string()))
+    new_timeline["compared"] = compared.ok().and_then(|bytes| serde_json::from_slice::<Value>(&bytes).ok()).unwrap_or(Value::Null);
+    Ok(Reply::json(200, new_timeline.to_string()))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::web::api::tests::{asked, supervised};
+    use crate::web::api::tests::{respond, supervised};
 
     #[test]
     fn retracking_a_recording_reproduces_it() {
@@ -109,7 +109,7 @@ mod tests {
         std::fs::write(clip.join("timestamps.csv"), stamps).unwrap();
         std::fs::write(clip.join("poses.jsonl"), "").unwrap();
         let ask = |method: &str, path: &str| {
-            let (status, content) = asked(&routes(&supervisor, &Arc::default()), method, path, b"");
+            let (status, content) = respond(&routes(&supervisor, &Arc::default()), method, path, b"");
             (status, String::from_utf8(content).unwrap())
         };
         let again = || {
@@ -133,9 +133,9 @@ mod tests {
         // Replace the recorded file by the result: now both are the same.
         std::fs::write(clip.join("poses.jsonl"), &first).unwrap();
         assert_eq!(again(), first);
-        let (status, told) = ask("GET", "/api/v1/recordings/clip-1/retracked?points=10");
-        let told: Value = serde_json::from_str(&told).unwrap();
-        assert_eq!((status, &told["frames"], &told["compared"]["same_record"]), (200, &5.into(), &5.into()), "{told}");
+        let (status, timeline) = ask("GET", "/api/v1/recordings/clip-1/retracked?points=10");
+        let timeline: Value = serde_json::from_str(&timeline).unwrap();
+        assert_eq!((status, &timeline["frames"], &timeline["compared"]["same_record"]), (200, &5.into(), &5.into()), "{timeline}");
         assert_eq!(ask("GET", "/api/v1/recordings/clip-1/retracked/differences?from=4").1.lines().count(), 1);
         assert_eq!(ask("DELETE", "/api/v1/jobs/1").0, 409);
         assert!(!clip.join(".retracked").exists());

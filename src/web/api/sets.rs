@@ -31,7 +31,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     let for_put = supervisor.clone();
     let route = |method, path, access, answer: fn(&Path, &mut Call) -> Result<Reply, Reply>| {
         let supervisor = supervisor.clone();
-        Route::aside(method, path, access, move |call| answer(&folder(&supervisor), call))
+        Route::slow(method, path, access, move |call| answer(&folder(&supervisor), call))
     };
     vec![
         route(Method::GET, "/api/v1/set", Access::Anyone, |folder, _| {
@@ -39,7 +39,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             let tag = tag(&text);
             Ok(Reply::new(200, "application/json", text).with("etag", &tag))
         }),
-        Route::aside(Method::PUT, "/api/v1/set", Access::Change, move |call| put_set(&for_put, call)).takes(MAX_SET),
+        Route::slow(Method::PUT, "/api/v1/set", Access::Change, move |call| put_set(&for_put, call)).takes(MAX_SET),
         route(Method::GET, "/api/v1/sets", Access::Anyone, |folder, _| {
             let models: Vec<Value> = models(folder).into_iter().map(|(name, bytes)| json!({"name": name, "bytes": bytes})).collect();
             Ok(Reply::json(200, json!({"sets": models}).to_string()))
@@ -175,42 +175,42 @@ fn tempfile(target: &Path) -> io::Result<Unfinished> {
 mod tests {
     use super::*;
     use crate::web::api::gltf::tests::glb;
-    use crate::web::api::tests::{asked, asked_with, supervised};
+    use crate::web::api::tests::{respond, respond_with, supervised};
 
     #[test]
     fn a_set_is_kept_beside_the_config() {
         let folder = tempfile::tempdir().unwrap();
         let routes = routes(&supervised(folder.path()));
-        assert_eq!(asked(&routes, "GET", "/api/v1/set", b"").1, EMPTY.as_bytes());
+        assert_eq!(respond(&routes, "GET", "/api/v1/set", b"").1, EMPTY.as_bytes());
         let set = br#"{"objects":[{"kind":"cone"}],"more":1}"#;
-        assert_eq!(asked(&routes, "PUT", "/api/v1/set", set).0, 204);
-        assert_eq!(asked(&routes, "GET", "/api/v1/set", b"").1, set);
-        assert_eq!(asked_with(&routes, "PUT", "/api/v1/set", "If-Match: \"0\"\r\n", set).0, 412);
+        assert_eq!(respond(&routes, "PUT", "/api/v1/set", set).0, 204);
+        assert_eq!(respond(&routes, "GET", "/api/v1/set", b"").1, set);
+        assert_eq!(respond_with(&routes, "PUT", "/api/v1/set", "If-Match: \"0\"\r\n", set).0, 412);
         for (bad, status) in [(&b"{"[..], 400), (b"[]", 422), (b"{}", 422), (b"\"objects\"", 422), (b"", 400)] {
-            assert_eq!(asked(&routes, "PUT", "/api/v1/set", bad).0, status, "{}", String::from_utf8_lossy(bad));
+            assert_eq!(respond(&routes, "PUT", "/api/v1/set", bad).0, status, "{}", String::from_utf8_lossy(bad));
         }
-        assert_eq!(asked(&routes, "PUT", "/api/v1/set", &vec![b' '; 2 << 20]).0, 413);
-        assert_eq!(asked(&routes, "GET", "/api/v1/set", b"").1, set);
+        assert_eq!(respond(&routes, "PUT", "/api/v1/set", &vec![b' '; 2 << 20]).0, 413);
+        assert_eq!(respond(&routes, "GET", "/api/v1/set", b"").1, set);
     }
 
     #[test]
     fn a_model_is_judged_before_it_is_kept() {
         let folder = tempfile::tempdir().unwrap();
         let routes = routes(&supervised(folder.path()));
-        let put = |path: &str, content: &[u8]| asked(&routes, "PUT", &format!("/api/v1/sets/{path}"), content).0;
+        let put = |path: &str, content: &[u8]| respond(&routes, "PUT", &format!("/api/v1/sets/{path}"), content).0;
         let good = glb(r#"{"asset":{"version":"2.0"}}"#);
         assert_eq!(put("door.glb", &good), 204);
-        assert_eq!(asked(&routes, "GET", "/api/v1/sets/door.glb", b""), (200, good.clone()));
+        assert_eq!(respond(&routes, "GET", "/api/v1/sets/door.glb", b""), (200, good.clone()));
         for name in ["door.gltf", "a.b.glb", ".glb", "..%2fdoor.glb", "%2e%2e", "door.glb%00", &format!("{}.glb", "a".repeat(65))] {
             assert_eq!(put(name, &good), 400, "{name}");
         }
         assert_eq!(put("door.glb", b"no model"), 422);
         assert_eq!(put("linked.glb", &glb(r#"{"asset":{"version":"2.0"},"images":[{"uri":"http://evil.example/x.png"}]}"#)), 422);
-        assert_eq!(asked(&routes, "GET", "/api/v1/sets/door.glb", b"").1, good, "the good one stays");
+        assert_eq!(respond(&routes, "GET", "/api/v1/sets/door.glb", b"").1, good, "the good one stays");
         let left: Vec<_> = std::fs::read_dir(folder.path().join("sets")).unwrap().map(|e| e.unwrap().file_name()).collect();
         assert_eq!(left, ["door.glb"], "nothing half is left");
-        assert_eq!(asked(&routes, "DELETE", "/api/v1/sets/door.glb", b"").0, 204);
-        assert_eq!(asked(&routes, "DELETE", "/api/v1/sets/door.glb", b"").0, 404);
-        assert_eq!(asked(&routes, "GET", "/api/v1/sets", b"").1, br#"{"sets":[]}"#);
+        assert_eq!(respond(&routes, "DELETE", "/api/v1/sets/door.glb", b"").0, 204);
+        assert_eq!(respond(&routes, "DELETE", "/api/v1/sets/door.glb", b"").0, 404);
+        assert_eq!(respond(&routes, "GET", "/api/v1/sets", b"").1, br#"{"sets":[]}"#);
     }
 }

@@ -49,8 +49,8 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     let of = |supervisor: &Arc<Supervisor>| supervisor.clone();
     let (for_mode, for_start, for_stop, for_mark) = (of(supervisor), of(supervisor), of(supervisor), of(supervisor));
     let for_ring = of(supervisor);
-    let record = |supervisor: Arc<Supervisor>, path, wish, says: &'static str| {
-        Route::aside(Method::POST, path, Access::Change, move |_| {
+    let record = |supervisor: Arc<Supervisor>, path, wish, reply: &'static str| {
+        Route::slow(Method::POST, path, Access::Change, move |_| {
             if supervisor.settings().is_none() || supervisor.mode() != Mode::Track {
                 return Err(Reply::text(409, "nothing is tracked, so nothing can be recorded; start tracking first\n"));
             }
@@ -61,11 +61,11 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
                     .map_err(|e| Reply::text(409, format!("recordings cannot go to {}: {}\n", folder.display(), unwritten(&e))))?;
             }
             supervisor.record(wish);
-            Ok(Reply::text(202, says))
+            Ok(Reply::text(202, reply))
         })
     };
     vec![
-        Route::aside(Method::POST, "/api/v1/mode", Access::Change, move |call| {
+        Route::slow(Method::POST, "/api/v1/mode", Access::Change, move |call| {
             let wanted: Wanted = call.json(LARGEST)?;
             let mode = Mode::ALL.into_iter().find(|mode| mode.word() == wanted.mode);
             let mode = mode.ok_or_else(|| Reply::text(422, "there is no such mode; give track or setup\n"))?;
@@ -86,7 +86,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
         }),
         record(for_start, "/api/v1/recordings/start", RecordingWish::Start, "a recording begins\n").seldom(),
         record(for_stop, "/api/v1/recordings/stop", RecordingWish::Stop, "the recording ends\n"),
-        Route::aside(Method::POST, "/api/v1/recordings/mark", Access::Change, move |call| {
+        Route::slow(Method::POST, "/api/v1/recordings/mark", Access::Change, move |call| {
             let mark: Mark = call.json(LARGEST)?;
             if mark.text.chars().count() > MAX_MARK {
                 return Err(Reply::text(422, format!("a mark has at most {MAX_MARK} characters\n")));

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use crate::daemon::live::Event;
 use crate::safe_file;
-use crate::web::events::said;
+use crate::web::events::level_and_message;
 
 /// Maximum number of events, the first ones: a list that a person reads. Raised, larger answers.
 const MAX_EVENTS: usize = 2000;
@@ -103,17 +103,17 @@ pub(super) fn timeline(clip: &Path, poses: &str, points: usize) -> io::Result<Va
         columns = joined(columns);
     }
     let mut first_row = 0;
-    let told: Vec<Value> = columns
+    let column_values: Vec<Value> = columns
         .into_iter()
         .map(|column| {
             let state = WORST_FIRST.into_iter().find(|state| column.states.contains_key(*state));
-            let told = json!({"row": first_row, "rows": column.rows, "state": state, "rms_px": column.rms_px, "states": column.states});
+            let value = json!({"row": first_row, "rows": column.rows, "state": state, "rms_px": column.rms_px, "states": column.states});
             first_row += column.rows;
-            told
+            value
         })
         .collect();
     let ends = (stamps.first().copied(), stamps.last().copied());
-    Ok(json!({"frames": rows, "first_ns": ends.0, "last_ns": ends.1, "columns": told, "events": with_rows(clip, &stamps)}))
+    Ok(json!({"frames": rows, "first_ns": ends.0, "last_ns": ends.1, "columns": column_values, "events": with_rows(clip, &stamps)}))
 }
 
 fn joined(columns: Vec<Column>) -> Vec<Column> {
@@ -132,17 +132,18 @@ fn joined(columns: Vec<Column>) -> Vec<Column> {
 fn with_rows(clip: &Path, stamps: &[i64]) -> Vec<Value> {
     let Ok(file) = safe_file::open_below(clip, Path::new("events.jsonl")) else { return Vec::new() };
     let lines = BufReader::new(file).lines().map_while(Result::ok);
-    let told = lines.filter_map(|line| serde_json::from_str::<Value>(&line).ok()).filter(Value::is_object);
-    told.take(MAX_EVENTS)
+    let events = lines.filter_map(|line| serde_json::from_str::<Value>(&line).ok()).filter(Value::is_object);
+    events
+        .take(MAX_EVENTS)
         .map(|mut event| {
             let at = event["timestamp_ns"].as_i64().unwrap_or_default();
-            let (level, says) = match serde_json::from_value::<Event>(event.clone()) {
-                Ok(event) => said(&event),
+            let (level, message) = match serde_json::from_value::<Event>(event.clone()) {
+                Ok(event) => level_and_message(&event),
                 // An event of another version.
                 Err(_) => ("info", event["event"].as_str().unwrap_or("event").replace('_', " ")),
             };
             event["level"] = level.into();
-            event["says"] = says.into();
+            event["says"] = message.into();
             event["row"] = stamps.partition_point(|stamp| *stamp < at).min(stamps.len().saturating_sub(1)).into();
             event
         })
@@ -178,19 +179,19 @@ mod tests {
         std::fs::write(&poses, text).unwrap();
         std::fs::write(&events, "{\"timestamp_ns\":70000,\"event\":\"marked\",\"text\":\"cue 1\"}\nnonsense\n{\"timestamp_ns\":1000000,\"event\":\"no_such_event\"}\n").unwrap();
         for points in [1, 7, 100, 1000, 4000] {
-            let told = timeline(folder.path(), "poses.jsonl", points).unwrap();
-            let columns = told["columns"].as_array().unwrap();
+            let answer = timeline(folder.path(), "poses.jsonl", points).unwrap();
+            let columns = answer["columns"].as_array().unwrap();
             assert!(columns.len() <= points && columns.len() * 2 + 2 > points.min(1001), "{} of {points}", columns.len());
             assert_eq!(columns.iter().map(|c| c["rows"].as_u64().unwrap()).sum::<u64>(), 1001);
             let lost: Vec<_> = columns.iter().filter(|c| c["state"] == "lost").collect();
             assert_eq!(lost.len(), 1);
             let first = lost[0]["row"].as_u64().unwrap();
             assert!((first..first + lost[0]["rows"].as_u64().unwrap()).contains(&700));
-            assert_eq!((&told["frames"], &told["last_ns"]), (&1001.into(), &100_000.into()));
-            let rows: Vec<_> = told["events"].as_array().unwrap().iter().map(|e| e["row"].as_u64().unwrap()).collect();
+            assert_eq!((&answer["frames"], &answer["last_ns"]), (&1001.into(), &100_000.into()));
+            let rows: Vec<_> = answer["events"].as_array().unwrap().iter().map(|e| e["row"].as_u64().unwrap()).collect();
             assert_eq!(rows, [700, 1000]);
-            let says: Vec<_> = told["events"].as_array().unwrap().iter().map(|e| (e["level"].as_str(), e["says"].as_str())).collect();
-            assert_eq!(says, [(Some("info"), Some("marked: cue 1")), (Some("info"), Some("no such event"))]);
+            let messages: Vec<_> = answer["events"].as_array().unwrap().iter().map(|e| (e["level"].as_str(), e["says"].as_str())).collect();
+            assert_eq!(messages, [(Some("info"), Some("marked: cue 1")), (Some("info"), Some("no such event"))]);
         }
         std::fs::write(&poses, "").unwrap();
         std::fs::remove_file(&events).unwrap();

@@ -125,19 +125,19 @@ impl Declarations {
         format!("{{ {} }}", seen.keys.iter().map(field).collect::<Vec<_>>().join("; "))
     }
 
-    fn add_words(&mut self, name: &'static str, [key, within]: [&'static str; 2], words: Vec<&'static str>, says: &str) {
+    fn add_words(&mut self, name: &'static str, [key, within]: [&'static str; 2], words: Vec<&'static str>, doc: &str) {
         let list: Vec<String> = words.iter().map(|word| format!("{word:?}")).collect();
-        let _ = write!(self.text, "/** {says} */\nexport type {name} = {};\n\n", list.join(" | "));
+        let _ = write!(self.text, "/** {doc} */\nexport type {name} = {};\n\n", list.join(" | "));
         self.words.push(Words { name, key, within, words });
     }
 
-    fn add<'a>(&mut self, name: &'static str, says: &str, samples: impl IntoIterator<Item = &'a Value>) {
+    fn add<'a>(&mut self, name: &'static str, doc: &str, samples: impl IntoIterator<Item = &'a Value>) {
         let mut seen = Seen::default();
         samples.into_iter().for_each(|sample| seen.add(sample));
         assert!(seen.objects > 0 && seen.list.is_none(), "{name} has no samples, or others than objects");
         let form = self.fields(&seen, name);
         let lines = inner(&form);
-        let _ = write!(self.text, "/** {says} */\nexport type {name} = {{\n");
+        let _ = write!(self.text, "/** {doc} */\nexport type {name} = {{\n");
         for field in top_level(lines) {
             let _ = writeln!(self.text, "  {field};");
         }

@@ -25,7 +25,7 @@ impl Describer for BinaryComparisons {
             let (x, y) = (x.round() as u32, y.round() as u32);
             let angle = orientation(&level.smooth, x, y);
             let round = Keypoint::round(keypoint.position, keypoint.scale(), keypoint.response);
-            Some((round.turned(f64::from(angle)), describe(&level.smooth, x, y, angle)))
+            Some((round.rotated(f64::from(angle)), describe(&level.smooth, x, y, angle)))
         });
         let (keypoints, bits) = described.unzip();
         Features { keypoints, descriptors: Descriptors::Bits(bits) }

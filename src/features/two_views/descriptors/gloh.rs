@@ -59,7 +59,7 @@ impl Describer for GlohDescriber {
             for direction in orientation.directions(&region) {
                 let mut numbers = grid.gather(&region, direction);
                 if normalise(&mut numbers, true) {
-                    described.push(keypoint.turned(f64::from(direction)));
+                    described.push(keypoint.rotated(f64::from(direction)));
                     match &reduction {
                         Some(reduction) => values.extend(reduction.of(&numbers)),
                         None => values.extend(numbers),
@@ -181,24 +181,24 @@ struct Line {
     /// Pixels of the normalised region per pixel.
     scale: f32,
     /// Rotation of the grid, radians.
-    turn: f32,
+    angle: f32,
 }
 
 impl PolarGrid {
-    /// Returns the histograms of a region with the grid rotated by `turn` radians: the centre, the
+    /// Returns the histograms of a region with the grid rotated by `angle` radians: the centre, the
     /// inner ring from that direction on, the outer ring.
-    fn gather(&mut self, region: &Region, turn: f32) -> [f32; FULL_LENGTH] {
+    fn gather(&mut self, region: &Region, angle: f32) -> [f32; FULL_LENGTH] {
         let pixel = region.sigma / PIXELS_PER_SIGMA;
         let reach = f64::from(RADII[2] + OUTER_FADE) * pixel;
         self.window.set(region, reach, f64::from(RADII[2]) * pixel);
         // Wrapped to -pi..pi, so that no relative angle is below minus two turns.
-        let turn = turn - TAU * (turn / TAU).round();
+        let angle = angle - TAU * (angle / TAU).round();
         let mut grids = [[[0.0; DIRECTIONS]; CELLS]; 2];
         for y in self.window.rows() {
             let half = (reach * reach - (y as f64 - region.middle.y).powi(2)).max(0.0).sqrt();
             let Some(row) = self.window.row(region, y, -half, half) else { continue };
             self.gradients.of_row(row.rows, row.weights, row.weight);
-            let line = Line { start: row.place, scale: (1.0 / pixel) as f32, turn };
+            let line = Line { start: row.place, scale: (1.0 / pixel) as f32, angle };
             self.shares.resize(self.gradients.directions.len());
             place_row(line, &self.gradients.directions, &mut self.gradients.lengths, &mut self.shares);
             add_row(&self.shares, &self.gradients.lengths, &mut grids);
@@ -245,12 +245,12 @@ fn place_row_plain(line: Line, directions: &[f32], lengths: &mut [f32], shares: 
         let (place, inside) = ring((x * x + y * y).sqrt() * line.scale);
         let place = place.min(2.0 - 1e-6);
         // Rounding may turn a value slightly below 0 into a whole turn.
-        let sector = bin(direction(x, y) - line.turn, SECTORS as f32).min(SECTORS as f32 - 1e-6);
+        let sector = bin(direction(x, y) - line.angle, SECTORS as f32).min(SECTORS as f32 - 1e-6);
         let (first, column) = (place as i32, sector as i32);
         cells[i] = (first * ROW as i32 + column) as u32;
         next[i] = sector - column as f32;
         outer[i] = place - first as f32;
-        bins[i] = bin(directions[i] - line.turn, DIRECTIONS as f32);
+        bins[i] = bin(directions[i] - line.angle, DIRECTIONS as f32);
         lengths[i] *= inside;
     }
 }
@@ -269,11 +269,11 @@ mod tests {
     use crate::features::two_views::FloatImage;
     use crate::features::two_views::detectors::{Detector, SiftDetector};
 
-    fn grid(level: impl Fn(f32, f32) -> f32, turn: f32) -> [f32; FULL_LENGTH] {
+    fn grid(level: impl Fn(f32, f32) -> f32, angle: f32) -> [f32; FULL_LENGTH] {
         let values = (0..81 * 81).map(|k| level((k % 81) as f32 - 40.0, (k / 81) as f32 - 40.0)).collect();
         let image = FloatImage { width: 81, height: 81, values };
         let region = Region { image: &image, middle: Vector2::repeat(40.0), sigma: 5.0 };
-        PolarGrid::default().gather(&region, turn)
+        PolarGrid::default().gather(&region, angle)
     }
 
     #[test]
@@ -286,13 +286,13 @@ mod tests {
         let of_other_direction: f32 = numbers.iter().enumerate().filter(|(k, _)| k % DIRECTIONS != 0).map(|(_, v)| v).sum();
         assert!(of_other_direction < 1e-3 * numbers.iter().sum::<f32>());
         // In a frame rotated by a quarter turn it is a quarter earlier: sector 6, direction 12.
-        let turned = grid(|x, _| if x > 16.0 { 100.0 } else { 0.0 }, TAU / 4.0);
-        let largest = (0..FULL_LENGTH).max_by(|a, b| turned[*a].total_cmp(&turned[*b]));
+        let rotated = grid(|x, _| if x > 16.0 { 100.0 } else { 0.0 }, TAU / 4.0);
+        let largest = (0..FULL_LENGTH).max_by(|a, b| rotated[*a].total_cmp(&rotated[*b]));
         assert_eq!(largest, Some((1 + 6) * DIRECTIONS + 12));
     }
 
     /// Like [`PolarGrid::gather`], pixel by pixel and cell by cell.
-    fn plain_grid(region: &Region, turn: f64) -> Vec<f64> {
+    fn plain_grid(region: &Region, angle: f64) -> Vec<f64> {
         let (image, pixel) = (region.image, region.sigma / PIXELS_PER_SIGMA);
         let mut histograms = vec![0.0; FULL_LENGTH];
         let around = |angle: f64, count: usize, bin: usize| {
@@ -311,8 +311,8 @@ mod tests {
             for (k, number) in histograms.iter_mut().enumerate() {
                 let (place, bin) = (k / DIRECTIONS, k % DIRECTIONS);
                 let ring = if place == 0 { 0 } else { 1 + (place - 1) / SECTORS };
-                let sector = if place == 0 { 1.0 } else { around(d.y.atan2(d.x) - turn, SECTORS, (place - 1) % SECTORS) };
-                *number += length * rings[ring].clamp(0.0, 1.0) * sector * around(gy.atan2(gx) - turn, DIRECTIONS, bin);
+                let sector = if place == 0 { 1.0 } else { around(d.y.atan2(d.x) - angle, SECTORS, (place - 1) % SECTORS) };
+                *number += length * rings[ring].clamp(0.0, 1.0) * sector * around(gy.atan2(gx) - angle, DIRECTIONS, bin);
             }
         }
         histograms
@@ -322,15 +322,15 @@ mod tests {
     fn the_grid_matches_a_plain_implementation() {
         let value = |k: usize| ((k % 71 / 6 * 73 + k / 71 / 5 * 151 + k * 37 % 29) % 200) as f32;
         let image = FloatImage { width: 71, height: 64, values: (0..71 * 64).map(value).collect() };
-        for (sigma, turn, middle) in
+        for (sigma, angle, middle) in
             [(1.7, 0.3, [35.2, 30.0]), (3.3, 6.1, [30.0, 33.3]), (2.4, -2.5, [4.4, 60.1]), (2.0, 0.0, [40.0, 30.0])]
         {
             let region = Region { image: &image, middle: Vector2::from(middle), sigma };
-            let fast = PolarGrid::default().gather(&region, turn);
-            let plain = plain_grid(&region, f64::from(turn));
+            let fast = PolarGrid::default().gather(&region, angle);
+            let plain = plain_grid(&region, f64::from(angle));
             let length = plain.iter().map(|v| v * v).sum::<f64>().sqrt();
             for (k, (a, b)) in fast.iter().zip(plain).enumerate() {
-                assert!((f64::from(*a) - b).abs() < 1e-3 * length, "{sigma} {turn}, {k}: {a} not {b}");
+                assert!((f64::from(*a) - b).abs() < 1e-3 * length, "{sigma} {angle}, {k}: {a} not {b}");
             }
         }
     }
@@ -362,7 +362,7 @@ mod tests {
         assert!(bin(-1e-9, 8.0) <= 8.0);
         let mut shares = Shares::default();
         shares.resize(1);
-        place_row(Line { start: [1.0, -1e-9], scale: 1.0, turn: 0.0 }, &[-1e-9], &mut [1.0], &mut shares);
+        place_row(Line { start: [1.0, -1e-9], scale: 1.0, angle: 0.0 }, &[-1e-9], &mut [1.0], &mut shares);
         let mut grids = [[[0.0; DIRECTIONS]; CELLS]; 2];
         add_row(&shares, &[1.0], &mut grids);
         assert!((grids.iter().flatten().flatten().sum::<f32>() - 1.0).abs() < 1e-5);
@@ -388,8 +388,8 @@ mod tests {
     fn descriptors_match_in_a_rotated_picture() {
         let level = |x: u32, y: u32| ((x / 11 * 73 + y / 9 * 151 + (x * x + y * 3) / 400 * 37) % 200 + 20) as u8;
         let picture = GrayImage::from_fn(150, 130, |x, y| Luma([level(x, y)]));
-        let turned = image::imageops::rotate90(&picture);
-        let forms = [&picture, &turned].map(PictureForms::new);
+        let rotated = image::imageops::rotate90(&picture);
+        let forms = [&picture, &rotated].map(PictureForms::new);
         let place = |p: Vector2<f64>| Vector2::new(129.0 - p.y, p.x);
         for (describer, length) in [(GlohDescriber { reduced: true }, REDUCED_LENGTH), (GlohDescriber { reduced: false }, FULL_LENGTH)] {
             let keypoints = SiftDetector { count: 60, ..Default::default() }.detect(&forms[0]);

@@ -157,8 +157,8 @@ mod tests {
             ([250.7, 120.2], 5.0, 2.6, 2.7),
             ([9.1, 30.0], 3.1, 3.0, 0.2),
         ] {
-            let turn = nalgebra::Rotation2::new(angle).into_inner();
-            let shape = turn * Matrix2::new(short * ratio, 0.0, 0.0, short) * nalgebra::Rotation2::new(1.0).into_inner();
+            let rotation = nalgebra::Rotation2::new(angle).into_inner();
+            let shape = rotation * Matrix2::new(short * ratio, 0.0, 0.0, short) * nalgebra::Rotation2::new(1.0).into_inner();
             let keypoint = Keypoint { position: Vector2::from(middle), shape, response: 1.0 };
             let (region, framed) = patch.region(&forms, &keypoint).unwrap();
             assert!((framed.shape * framed.shape.transpose() - shape * shape.transpose()).amax() < 1e-9 * short * short);

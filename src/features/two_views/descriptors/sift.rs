@@ -52,7 +52,7 @@ impl Describer for SiftDescriber {
             for direction in orientation.directions(&region) {
                 let mut numbers = grid.gather(&region, direction);
                 if normalise(&mut numbers, self.root) {
-                    described.push(keypoint.turned(f64::from(direction)));
+                    described.push(keypoint.rotated(f64::from(direction)));
                     values.extend(numbers);
                 }
             }
@@ -93,7 +93,7 @@ struct Line {
     start: [f32; 2],
     step: [f32; 2],
     /// Rotation of the grid, radians.
-    turn: f32,
+    rotation: f32,
 }
 
 impl Grid {
@@ -103,16 +103,16 @@ impl Grid {
         let (sin, cos) = f64::from(direction).sin_cos();
         let half = (CELLS + 1) as f64 / 2.0;
         self.window.set(region, half * cell * (sin.abs() + cos.abs()), CELLS as f64 / 2.0 * cell);
-        let (along, aside) = (cos / cell, sin / cell);
+        let (along, across) = (cos / cell, sin / cell);
         let mut grids = [[[0.0; DIRECTIONS]; RIMMED * RIMMED]; 2];
         for y in self.window.rows() {
             let down = y as f64 - region.middle.y;
-            let (low, high) = overlap(within(along, aside * down, half), within(-aside, along * down, half));
+            let (low, high) = overlap(within(along, across * down, half), within(-across, along * down, half));
             let Some(row) = self.window.row(region, y, low, high) else { continue };
             self.gradients.of_row(row.rows, row.weights, row.weight);
             let [x, y] = row.place.map(f64::from);
-            let start = [along * x + aside * y + half, along * y - aside * x + half].map(|v| v as f32);
-            let line = Line { start, step: [along as f32, -aside as f32], turn: direction };
+            let start = [along * x + across * y + half, along * y - across * x + half].map(|v| v as f32);
+            let line = Line { start, step: [along as f32, -across as f32], rotation: direction };
             self.shares.resize(self.gradients.directions.len());
             place_row(line, &self.gradients.directions, &mut self.shares);
             add_row(&self.shares, &self.gradients.lengths, &mut grids);
@@ -156,7 +156,7 @@ fn place_row_plain(line: Line, directions: &[f32], shares: &mut Shares) {
         cells[i] = (row * RIMMED as i32 + column) as u32;
         right[i] = u - column as f32;
         lower[i] = v - row as f32;
-        bins[i] = bin(directions[i] - line.turn, DIRECTIONS as f32);
+        bins[i] = bin(directions[i] - line.rotation, DIRECTIONS as f32);
     }
 }
 
@@ -239,13 +239,13 @@ mod tests {
 
     #[test]
     fn descriptors_match_under_rotation_scale_and_tilt() {
-        let turn = |angle: f64| Matrix2::new(angle.cos(), -angle.sin(), angle.sin(), angle.cos());
+        let rotation = |angle: f64| Matrix2::new(angle.cos(), -angle.sin(), angle.sin(), angle.cos());
         for (matrix, least) in [
-            (turn(0.7), 16),
-            (turn(-2.9), 16),
-            (turn(0.4) * 1.7, 15),
+            (rotation(0.7), 16),
+            (rotation(-2.9), 16),
+            (rotation(0.4) * 1.7, 15),
             (Matrix2::new(1.0, 0.3, 0.0, 1.4), 15),
-            (turn(1.0) * Matrix2::new(2.2, 0.0, 0.0, 0.8) * turn(0.3), 15),
+            (rotation(1.0) * Matrix2::new(2.2, 0.0, 0.0, 0.8) * rotation(0.3), 15),
         ] {
             let (right, off) = found_again(matrix);
             assert!(right >= least, "{matrix}: {right}");

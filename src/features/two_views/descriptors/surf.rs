@@ -53,7 +53,7 @@ impl Describer for SurfDescriber {
             }
             let angle = if self.upright { 0.0 } else { direction(integral, place, scale) };
             if let Some(sums) = described(integral, place, scale, angle) {
-                kept.push(Keypoint::round(place, scale, keypoint.response).turned(angle));
+                kept.push(Keypoint::round(place, scale, keypoint.response).rotated(angle));
                 values.extend_from_slice(&sums);
             }
         }
@@ -115,8 +115,8 @@ fn described(integral: &IntegralImage, place: Vector2<f64>, scale: f64, angle: f
     for k in 0..side * side {
         let (i, j) = (k % side, k / side);
         let offset = Vector2::new(i as f64, j as f64) - Vector2::from_element(0.5 * (side - 1) as f64);
-        let turned = Vector2::new(cos * offset.x - sin * offset.y, sin * offset.x + cos * offset.y);
-        let Some(response) = wavelets(integral, place + turned * scale, half) else { continue };
+        let rotated = Vector2::new(cos * offset.x - sin * offset.y, sin * offset.x + cos * offset.y);
+        let Some(response) = wavelets(integral, place + rotated * scale, half) else { continue };
         let weighted = response * (-0.5 * offset.norm_squared() / (WEIGHT_SIGMA * WEIGHT_SIGMA)).exp();
         let (along, beside) = (cos * weighted.x + sin * weighted.y, cos * weighted.y - sin * weighted.x);
         let cell = 4 * (j / SAMPLES * GRID + i / SAMPLES);
@@ -160,8 +160,8 @@ mod tests {
     fn places(picture: &GrayImage, angle: f64, scale: f64) -> Vec<(Vec<f32>, f64)> {
         let (sin, cos) = angle.sin_cos();
         let offsets = (0..25).map(|k| Vector2::new(f64::from(k % 5 - 2), f64::from(k / 5 - 2)) * 9.0 * scale);
-        let turned = offsets.map(|o| Vector2::new(100.0 + cos * o.x - sin * o.y, 100.0 + sin * o.x + cos * o.y));
-        turned.map(|place| at(picture, place, 2.5 * scale)).collect()
+        let rotated = offsets.map(|o| Vector2::new(100.0 + cos * o.x - sin * o.y, 100.0 + sin * o.x + cos * o.y));
+        rotated.map(|place| at(picture, place, 2.5 * scale)).collect()
     }
 
     fn at(picture: &GrayImage, place: Vector2<f64>, scale: f64) -> (Vec<f32>, f64) {
@@ -191,8 +191,8 @@ mod tests {
                 distances.enumerate().min_by(|a, b| a.1.total_cmp(&b.1)).map(|(k, _)| k)
             };
             let right = others.iter().enumerate().filter(|(k, o)| nearest(&o.0) == Some(*k)).count();
-            let turned = others.iter().zip(&reference).filter(|(o, r)| between(o.1 - r.1, angle) < 0.2).count();
-            assert!(right >= 23 && turned >= 20, "{angle} {scale}: {right} {turned}");
+            let rotated = others.iter().zip(&reference).filter(|(o, r)| between(o.1 - r.1, angle) < 0.2).count();
+            assert!(right >= 23 && rotated >= 20, "{angle} {scale}: {right} {rotated}");
         }
     }
 

@@ -185,10 +185,11 @@ mod tests {
         for measure in MEASURES {
             let first = detect(measure, &painting.seen(&view(0.0, 0.0, 1.0)));
             assert!(first.len() > 40, "{measure:?}: {}", first.len());
-            for (turn, tilt, scale, share) in [(0.7, 0.0, 1.0, 0.6), (0.0, 0.7, 1.0, 0.4), (1.9, 0.52, 0.8, 0.3), (0.3, 1.05, 1.2, 0.2)] {
-                let known = view(turn, tilt, scale);
+            for (rotation, tilt, scale, share) in [(0.7, 0.0, 1.0, 0.6), (0.0, 0.7, 1.0, 0.4), (1.9, 0.52, 0.8, 0.3), (0.3, 1.05, 1.2, 0.2)]
+            {
+                let known = view(rotation, tilt, scale);
                 let found = repeatability(&first, &detect(measure, &painting.seen(&known)), &known, [(300, 300); 2]);
-                assert!(found.share > share && found.error_px.unwrap() < 0.6, "{measure:?} {turn} {tilt} {scale}: {found:?}");
+                assert!(found.share > share && found.error_px.unwrap() < 0.6, "{measure:?} {rotation} {tilt} {scale}: {found:?}");
             }
         }
     }
@@ -197,8 +198,8 @@ mod tests {
     fn shapes_move_with_the_picture() {
         let painting = Painting::new();
         let first = detect(AffineMeasure::Hessian, &painting.seen(&view(0.0, 0.0, 1.0)));
-        for (turn, tilt, scale) in [(0.0, 0.0, 1.0), (0.8, 0.0, 0.9), (0.3, 0.8, 1.0), (2.0, 1.05, 1.2)] {
-            let known = view(turn, tilt, scale);
+        for (rotation, tilt, scale) in [(0.0, 0.0, 1.0), (0.8, 0.0, 0.9), (0.3, 0.8, 1.0), (2.0, 1.05, 1.2)] {
+            let known = view(rotation, tilt, scale);
             let map = known.0.fixed_view::<2, 2>(0, 0).into_owned();
             let second = detect(AffineMeasure::Hessian, &painting.seen(&known));
             // Ratio of the axes of one ellipse in the frame of the other, for the most similar
@@ -213,7 +214,7 @@ mod tests {
             ratios.sort_by(f64::total_cmp);
             let median = ratios[ratios.len() / 2];
             // Circles would have a ratio of 1.43 at the third view, and of 2 at the last.
-            assert!(ratios.len() > 50 && median < 1.1, "{turn} {tilt} {scale}: {median} of {}", ratios.len());
+            assert!(ratios.len() > 50 && median < 1.1, "{rotation} {tilt} {scale}: {median} of {}", ratios.len());
         }
     }
 

@@ -274,8 +274,8 @@ mod tests {
             let found = detect(HarrisDetector { measure, count: 4, ..Default::default() }, &square(middle, 20.0, angle));
             assert_eq!(found.len(), 4);
             for k in 0..4 {
-                let turn = angle + std::f64::consts::FRAC_PI_4 * f64::from(2 * k + 1);
-                let corner = middle + 20.0 * 2f64.sqrt() * Vector2::new(turn.cos(), turn.sin());
+                let rotation = angle + std::f64::consts::FRAC_PI_4 * f64::from(2 * k + 1);
+                let corner = middle + 20.0 * 2f64.sqrt() * Vector2::new(rotation.cos(), rotation.sin());
                 let nearest = found.iter().map(|f| (f.position - corner).norm()).fold(f64::MAX, f64::min);
                 assert!(nearest < 0.35, "{measure:?} {dx} {angle}: {nearest}");
             }

@@ -38,8 +38,8 @@ impl LiveCorners {
     /// Converts a corner to a keypoint. All have the same response: strengths on different levels
     /// are not comparable, and each level has its quota.
     pub fn keypoint(feature: &Feature) -> Keypoint {
-        let turn: Matrix2<f64> = Rotation2::new(f64::from(feature.angle)).into_inner();
-        Keypoint { position: feature.position, shape: turn * (REGION_SIGMA * feature.scale), response: 1.0 }
+        let rotation: Matrix2<f64> = Rotation2::new(f64::from(feature.angle)).into_inner();
+        Keypoint { position: feature.position, shape: rotation * (REGION_SIGMA * feature.scale), response: 1.0 }
     }
 }
 

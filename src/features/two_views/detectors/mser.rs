@@ -374,12 +374,12 @@ mod tests {
         let painting = Painting::new();
         let first = detect(&painting.seen(&view(0.0, 0.0, 1.0)));
         assert!(first.len() > 50, "{}", first.len());
-        for (turn, tilt, scale) in [(0.7, 0.0, 1.0), (0.0, 0.52, 1.0), (0.0, 0.0, 0.6), (1.9, 0.52, 0.8)] {
-            let known = view(turn, tilt, scale);
+        for (rotation, tilt, scale) in [(0.7, 0.0, 1.0), (0.0, 0.52, 1.0), (0.0, 0.0, 0.6), (1.9, 0.52, 0.8)] {
+            let known = view(rotation, tilt, scale);
             // Skip what is too small to be found in the second picture.
             let large: Vec<Keypoint> = first.iter().filter(|k| k.scale() * scale > 4.0).copied().collect();
             let found = repeatability(&large, &detect(&painting.seen(&known)), &known, [(300, 300); 2]);
-            assert!(found.share > 0.6 && found.error_px.unwrap() < 0.4, "{turn} {tilt} {scale}: {found:?} of {}", large.len());
+            assert!(found.share > 0.6 && found.error_px.unwrap() < 0.4, "{rotation} {tilt} {scale}: {found:?} of {}", large.len());
         }
     }
 

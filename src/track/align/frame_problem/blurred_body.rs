@@ -7,7 +7,7 @@
 use super::super::hypotheses::velocity_by_blur::{KnownBlur, VelocityByBlur, velocity_by_blur};
 use super::super::picture::surface::nearest_centre;
 use super::super::pixels::level_spec::LevelSpec;
-use super::super::solve::level_problem::Expected;
+use super::super::solve::level_problem::LevelPrior;
 use super::{Buffers, FrameProblem, LevelFit};
 use crate::track::align::tuning::TUNING;
 use crate::track::frame::frame_levels::{FINEST, LEVELS};
@@ -25,9 +25,9 @@ impl FrameProblem<'_> {
         // A still camera has no blur. In a wrong pose the better half of the tiles takes part as
         // always, and their blur means nothing.
         let is_global = self.slow.shutter.is_global();
-        let scale = self.buffers.fine.solution()?.found.scale;
-        let is_blurred = self.is_clearly_blurred(scale);
-        if self.buffers.has_kept || (self.buffers.fine.open_share() < TUNING.min_blur_inlier_ratio && !is_blurred) {
+        let residual_sigma = self.buffers.fine.solution()?.found.residual_sigma;
+        let is_blurred = self.is_clearly_blurred(residual_sigma);
+        if self.buffers.has_kept || (self.buffers.fine.inlier_tile_ratio() < TUNING.min_blur_inlier_ratio && !is_blurred) {
             return Some(false);
         }
         // With a global shutter the pose does not depend on the velocity. A picture that is large
@@ -38,10 +38,10 @@ impl FrameProblem<'_> {
         self.settle_with_blur()
     }
 
-    /// Does the same for a partly occluded body, once it is known which tiles fit. `scale`: its
+    /// Does the same for a partly occluded body, once it is known which tiles fit. `residual_sigma`: its
     /// residuals, sigmas.
-    pub fn solve_covered_with_blur(&mut self, scale: f64) -> Option<bool> {
-        let may_be_blurred = self.is_found_again() && self.slow.shutter.is_global() && scale > TUNING.min_occluded_blur_sigma;
+    pub fn solve_covered_with_blur(&mut self, residual_sigma: f64) -> Option<bool> {
+        let may_be_blurred = self.is_found_again() && self.slow.shutter.is_global() && residual_sigma > TUNING.min_occluded_blur_sigma;
         if !may_be_blurred || self.has_pixels(LEVELS - 1) {
             return Some(false);
         }
@@ -58,14 +58,14 @@ impl FrameProblem<'_> {
         of_velocity += by_blur.information;
         expected = expected.with_twist(&of_velocity.clone_owned().cholesky()?.solve(&score));
         self.has_opposite = by_blur.has_opposite;
-        self.settle(by_blur.motion, &Expected { motion: &expected, information: &information, ..self.known })?;
+        self.settle(by_blur.motion, &LevelPrior { motion: &expected, information: &information, ..self.known })?;
         Some(true)
     }
 
     /// Whether a newly found body's residuals at the finest level come from blur. Only under a
     /// global shutter; rows of a rolling one show the velocity themselves.
-    pub(super) fn is_clearly_blurred(&self, scale: f64) -> bool {
-        !self.is_followed && self.slow.shutter.is_global() && shows_blur(scale, self.progress.above.as_ref())
+    pub(super) fn is_clearly_blurred(&self, residual_sigma: f64) -> bool {
+        !self.is_followed && self.slow.shutter.is_global() && shows_blur(residual_sigma, self.progress.above.as_ref())
     }
 
     /// Returns the velocity that the blur of the solved frame shows, if any.
@@ -89,16 +89,16 @@ impl FrameProblem<'_> {
     }
 }
 
-/// Whether residuals of the finest level (`scale`, sigmas) come from blur, judged by the fit of the
+/// Whether residuals of the finest level (`residual_sigma`, sigmas) come from blur, judged by the fit of the
 /// level above.
-fn shows_blur(scale: f64, above: Option<&LevelFit>) -> bool {
+fn shows_blur(residual_sigma: f64, above: Option<&LevelFit>) -> bool {
     let Some(above) = above else { return false };
-    let ratio = if above.open_share > TUNING.min_coarse_inlier_ratio {
+    let ratio = if above.inlier_tile_ratio > TUNING.min_coarse_inlier_ratio {
         TUNING.min_blur_residual_ratio_of_coarse_fit
     } else {
         TUNING.min_blur_residual_ratio
     };
-    scale > TUNING.clear_fit_sigma.max(ratio * above.scale)
+    residual_sigma > TUNING.clear_fit_sigma.max(ratio * above.residual_sigma)
 }
 
 #[cfg(test)]
@@ -107,7 +107,7 @@ mod tests {
 
     #[test]
     fn missing_fine_detail_marks_a_body_as_blurred() {
-        let above = |scale, open_share| LevelFit { scale, open_share };
+        let above = |residual_sigma, inlier_tile_ratio| LevelFit { residual_sigma, inlier_tile_ratio };
         assert!(shows_blur(4.2, Some(&above(2.9, 0.88))) && !shows_blur(4.2, Some(&above(2.9, 0.55))));
         assert!(
             shows_blur(7.8, Some(&above(5.0, 0.5)))

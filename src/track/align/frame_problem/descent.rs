@@ -32,10 +32,10 @@ impl FrameProblem<'_> {
         let Descent { mut found, coarsest, .. } = self.descend(near, None);
         let mut is_close = found.is_some_and(|f| self.is_close(&f));
         // Residuals beyond `hopeless_sigma` mean blur, not occlusion.
-        let may_fit = !is_close && found.is_some_and(|f| f.scale < TUNING.hopeless_sigma);
+        let may_fit = !is_close && found.is_some_and(|f| f.residual_sigma < TUNING.hopeless_sigma);
         if may_fit && self.was_reported && !self.known.is_sure && self.buffers.fine.may_be_covered() {
             found = self.settle_by_what_fits();
-            is_close = found.is_some_and(|f| f.scale < TUNING.clear_fit_sigma);
+            is_close = found.is_some_and(|f| f.residual_sigma < TUNING.clear_fit_sigma);
         }
         if !is_close && !self.is_nearby_only && !self.wanders && self.begins_above(near, far) {
             found = self.descend_from_far(far, found, coarsest);
@@ -43,7 +43,7 @@ impl FrameProblem<'_> {
         let found = found?;
         let spec = self.spec(FINEST, &found.motion);
         let start_error_px = spec.moved_px(self.known.motion, &found.motion) * spec.frame_px();
-        self.lessons.start = Some((start_error_px, self.buffers.fine.open_share()));
+        self.updates.start = Some((start_error_px, self.buffers.fine.inlier_tile_ratio()));
         self.try_enlargement(found)
     }
 
@@ -62,7 +62,8 @@ impl FrameProblem<'_> {
 
     /// Whether a solution from nearby is clearly right.
     fn is_close(&self, found: &Corrected) -> bool {
-        found.scale < TUNING.clear_fit_sigma && self.buffers.fine.open_share() > TUNING.clear_fit_inlier_ratio * self.slow.open_share
+        found.residual_sigma < TUNING.clear_fit_sigma
+            && self.buffers.fine.inlier_tile_ratio() > TUNING.clear_fit_inlier_ratio * self.slow.inlier_tile_ratio
     }
 
     /// Descends from the level that holds the whole uncertainty. Where this descent meets the first
@@ -102,7 +103,10 @@ impl FrameProblem<'_> {
                 descent.found = solved.converged;
                 break;
             }
-            let fit = |corrected: Corrected| LevelFit { scale: corrected.scale, open_share: self.buffers.coarse.open_share() };
+            let fit = |corrected: Corrected| LevelFit {
+                residual_sigma: corrected.residual_sigma,
+                inlier_tile_ratio: self.buffers.coarse.inlier_tile_ratio(),
+            };
             self.progress.above = solved.converged.map(fit);
             (motion, is_first) = (solved.motion, false);
             descent.coarsest.get_or_insert((level, motion));
@@ -122,7 +126,7 @@ mod tests {
     use image::GrayImage;
     use nalgebra::{Vector3, Vector6};
 
-    use super::super::super::learned::slow_estimates::SlowEstimates;
+    use super::super::super::learned::online_calibration::OnlineCalibration;
     use super::super::super::request::AlignRequest;
     use super::super::super::{AlignSurface, CameraRays};
     use super::super::Buffers;
@@ -142,7 +146,7 @@ mod tests {
         let (mut levels, rays) = (FrameLevels::default(), CameraRays::new(lens(480, 360), None));
         levels.update(&covered);
         let surfaces = [AlignSurface::new(&cloth(1))];
-        let slow = SlowEstimates::new(Shutter { readout_s: 0.0, exposure_s: 1e-6 });
+        let slow = OnlineCalibration::new(Shutter { readout_s: 0.0, exposure_s: 1e-6 });
         let mut buffers = Buffers::with_room_for(&surfaces);
         let start = perturbed(&truth, &(Vector6::x() * off_m)).inverse();
         let expected = MotionEstimate::unseen(start, 3.4, 0.1, 0.03);
@@ -178,9 +182,10 @@ mod tests {
             let nearby = problem.descend(FINEST + 1, None);
             let found = problem.descend_from_far(FINEST + 3, nearby.found, nearby.coarsest).expect("reached");
             assert!(
-                found.scale < TUNING.clear_fit_sigma && nearby.found.is_none_or(|found| found.scale > TUNING.clear_fit_sigma),
+                found.residual_sigma < TUNING.clear_fit_sigma
+                    && nearby.found.is_none_or(|found| found.residual_sigma > TUNING.clear_fit_sigma),
                 "{}",
-                found.scale
+                found.residual_sigma
             );
         });
     }
@@ -190,20 +195,20 @@ mod tests {
         let shutter = Shutter { readout_s: 0.02, exposure_s: 0.012 };
         let still = Motion::still(facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4)).inverse());
         // A blur of twelve pixels of the frame.
-        let truth = Motion { turn_rate: Vector3::new(0.3, 2.0, 0.0), ..still };
+        let truth = Motion { angular_velocity: Vector3::new(0.3, 2.0, 0.0), ..still };
         let (mut levels, rays, surfaces) = (FrameLevels::default(), CameraRays::new(lens(480, 360), None), [AlignSurface::new(&cloth(1))]);
         levels.update(&moving_view(&cloth(1), &truth, &shutter, &lens(480, 360)));
-        let (slow, mut buffers) = (SlowEstimates::new(shutter), Buffers::with_room_for(&surfaces));
+        let (slow, mut buffers) = (OnlineCalibration::new(shutter), Buffers::with_room_for(&surfaces));
         let expected = MotionEstimate::unseen(truth.pose, 3.4, 0.1, 0.03);
         let information = expected.covariance.cholesky().expect("positive").inverse();
         let request = AlignRequest { was_reported: true, ..AlignRequest::new(&expected) };
         let mut problem = FrameProblem::new(&surfaces, &slow, &mut buffers, &mut levels, &rays, &request, &information);
         let found = problem.descend(FINEST + 1, None).found.expect("the picture agrees");
-        let LevelFit { scale, open_share } = problem.progress.above.expect("solved");
+        let LevelFit { residual_sigma, inlier_tile_ratio } = problem.progress.above.expect("solved");
         assert!(
-            scale < TUNING.clear_fit_sigma && open_share > 0.9 && found.scale < TUNING.clear_fit_sigma,
-            "{scale} {open_share} {}",
-            found.scale
+            residual_sigma < TUNING.clear_fit_sigma && inlier_tile_ratio > 0.9 && found.residual_sigma < TUNING.clear_fit_sigma,
+            "{residual_sigma} {inlier_tile_ratio} {}",
+            found.residual_sigma
         );
     }
 
@@ -214,7 +219,7 @@ mod tests {
                 let found = problem.coarse_to_fine().expect("the picture agrees in a third");
                 let left_px = problem.progress.last_moved_px;
                 assert!(
-                    found.scale < TUNING.clear_fit_sigma && (TUNING.fine_converged_px..TUNING.max_last_step_px).contains(&left_px),
+                    found.residual_sigma < TUNING.clear_fit_sigma && (TUNING.fine_converged_px..TUNING.max_last_step_px).contains(&left_px),
                     "{left_px} px"
                 );
                 assert_eq!(problem.settle_uncovered(), Some(true));

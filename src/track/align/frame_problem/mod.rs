@@ -6,7 +6,7 @@
 //! level that the start error requires down to the finest. [`FrameProblem::solve`] runs first. Then
 //! velocity jumps and motion blur are tried where the result calls for them (`blurred_body` for
 //! bodies that were just found), and [`FrameProblem::verify`] judges the result. The slow estimates
-//! do not change here; what a frame would teach them is in its `Lessons`.
+//! do not change here; what a frame would teach them is in its `Updates`.
 
 mod blurred_body;
 mod descent;
@@ -20,14 +20,14 @@ use super::learned::clue::Clue;
 use super::learned::exposure::{KnownPsfVariance, exposure_clue};
 use super::learned::gradient_gain::ChangeSums;
 use super::learned::light::RememberedLight;
-use super::learned::slow_estimates::{Lessons, SlowEstimates};
+use super::learned::online_calibration::{OnlineCalibration, Updates};
 use super::picture::surface::{AlignSurface, distance_m};
 use super::pixels::level_spec::LevelSpec;
 use super::pixels::selection::Selector;
 use super::request::AlignRequest;
-use super::solve::jump_instant::{Expectation, RowBands};
+use super::solve::jump_instant::{MotionPrior, RowBands};
 use super::solve::level_problem::solution::Conclusion;
-use super::solve::level_problem::{Corrected, Expected, LevelProblem};
+use super::solve::level_problem::{Corrected, LevelPrior, LevelProblem};
 use super::solve::shutter_clue::{ReadoutQuestion, ShutterClue};
 use super::solve::system::schur_complement::SchurComplement;
 use super::solve::verdict::{Alignment, squared_mahalanobis};
@@ -71,12 +71,12 @@ impl Buffers {
 /// A frame being solved for one body.
 pub struct FrameProblem<'a> {
     surfaces: &'a [AlignSurface],
-    slow: &'a SlowEstimates,
+    slow: &'a OnlineCalibration,
     buffers: &'a mut Buffers,
     levels: &'a mut FrameLevels,
     rays: &'a CameraRays,
     expected: &'a MotionEstimate,
-    known: Expected<'a>,
+    known: LevelPrior<'a>,
     /// Whether the body was seen in the frame before.
     is_followed: bool,
     /// Whether a pose of it was reported before. Then whatever differs from the body is in front of
@@ -92,7 +92,7 @@ pub struct FrameProblem<'a> {
     wanders: bool,
     /// See [`Alignment::has_opposite`].
     has_opposite: bool,
-    lessons: Lessons,
+    updates: Updates,
 }
 
 /// How far the solution has come. A descent that leads to the same solution as an earlier one
@@ -111,9 +111,9 @@ struct Progress {
 #[derive(Clone, Copy)]
 struct LevelFit {
     /// Robust standard deviation of the residuals, sigmas of noise.
-    scale: f64,
+    residual_sigma: f64,
     /// Ratio of tiles that take part.
-    open_share: f64,
+    inlier_tile_ratio: f64,
 }
 
 /// Result of a level's last linearisation.
@@ -127,7 +127,7 @@ impl<'a> FrameProblem<'a> {
     /// Prepares a frame for solving. `information`: inverse covariance of the predicted motion.
     pub fn new(
         surfaces: &'a [AlignSurface],
-        slow: &'a SlowEstimates,
+        slow: &'a OnlineCalibration,
         buffers: &'a mut Buffers,
         levels: &'a mut FrameLevels,
         rays: &'a CameraRays,
@@ -137,8 +137,8 @@ impl<'a> FrameProblem<'a> {
         buffers.light.clone_from(&slow.light);
         let AlignRequest { expected, since_s, was_reported, is_nearby_only, .. } = *request;
         let (motion, psf_variance, is_followed) = (&expected.motion, slow.psf_variance, since_s.is_some());
-        let known = Expected { motion, information, psf_variance, psf_variance_sigma: TUNING.psf_variance_sigma, is_sure: is_followed };
-        let (bands, lessons) = (RowBands::new(slow.shutter), Lessons::none(slow));
+        let known = LevelPrior { motion, information, psf_variance, psf_variance_sigma: TUNING.psf_variance_sigma, is_sure: is_followed };
+        let (bands, updates) = (RowBands::new(slow.shutter), Updates::none(slow));
         let mut frame = Self {
             surfaces,
             slow,
@@ -154,7 +154,7 @@ impl<'a> FrameProblem<'a> {
             progress: Progress { last_step: Vector6::zeros(), last_moved_px: 0.0, above: None },
             wanders: false,
             has_opposite: false,
-            lessons,
+            updates,
         };
         let spec = frame.spec(FINEST, motion);
         if spec.frame_px() * spec.blur_px > TUNING.max_sharp_blur_px {
@@ -164,7 +164,7 @@ impl<'a> FrameProblem<'a> {
     }
 
     fn spec(&self, level: usize, motion: &Motion) -> LevelSpec<'a> {
-        let spec = LevelSpec::new(self.surfaces, self.slow, self.rays, self.lessons.is_enlarged, level, motion);
+        let spec = LevelSpec::new(self.surfaces, self.slow, self.rays, self.updates.is_enlarged, level, motion);
         // A start found by features may lead nowhere. Filling up the pixels would then take as long
         // as several frames, in vain.
         LevelSpec { fills_up: level == FINEST && self.is_followed, ..spec }
@@ -234,24 +234,31 @@ impl<'a> FrameProblem<'a> {
             }
             let solved = problem.solve(spec, &self.known, light, is_first, if is_first { 3 } else { 2 })?;
             let moved = problem.moved_px(spec, &motion, &solved.motion);
-            let open_share = problem.open_share();
-            tracing::trace!(level = spec.level, moved, pixels = problem.pixels().len(), scale = solved.scale, open_share);
+            let inlier_tile_ratio = problem.inlier_tile_ratio();
+            tracing::trace!(
+                level = spec.level,
+                moved,
+                pixels = problem.pixels().len(),
+                scale = solved.residual_sigma,
+                open_share = inlier_tile_ratio
+            );
             (self.progress.last_step, self.progress.last_moved_px) = (motion.pose_error_to(&solved.motion), moved);
             motion = solved.motion;
             converged = Some(solved).filter(|_| moved < TUNING.max_last_step_px);
-            let is_half_open = is_finest && open_share < TUNING.hopeless_inlier_ratio;
+            let is_half_open = is_finest && inlier_tile_ratio < TUNING.hopeless_inlier_ratio;
             // Where barely half the tiles of a new body fit, and those poorly, full convergence is
             // not needed: tiles keep entering and leaving.
-            let is_poor = is_half_open && !self.is_followed && round >= TUNING.settling_rounds && solved.scale > TUNING.clear_fit_sigma;
+            let is_poor =
+                is_half_open && !self.is_followed && round >= TUNING.settling_rounds && solved.residual_sigma > TUNING.clear_fit_sigma;
             // An occluded body converges later, once it is known which tiles fit; a blurred one
             // fits once its velocity is known.
-            let is_covered = is_half_open && self.is_found_again() && solved.scale < TUNING.clear_fit_sigma;
-            let is_hopeless = is_half_open && round + 1 >= TUNING.hopeless_rounds && solved.scale > TUNING.hopeless_sigma;
-            let is_blurred = is_hopeless && solved.scale < TUNING.poor_fit_sigma && self.is_clearly_blurred(solved.scale);
+            let is_covered = is_half_open && self.is_found_again() && solved.residual_sigma < TUNING.clear_fit_sigma;
+            let is_hopeless = is_half_open && round + 1 >= TUNING.hopeless_rounds && solved.residual_sigma > TUNING.hopeless_sigma;
+            let is_blurred = is_hopeless && solved.residual_sigma < TUNING.poor_fit_sigma && self.is_clearly_blurred(solved.residual_sigma);
             if moved < if is_poor || is_covered || is_blurred { TUNING.max_last_step_px } else { small_px } {
                 break;
             }
-            let longest_px = if is_poor || solved.scale > TUNING.poor_fit_sigma {
+            let longest_px = if is_poor || solved.residual_sigma > TUNING.poor_fit_sigma {
                 TUNING.max_settled_step_of_poor_fit_px
             } else {
                 TUNING.max_settled_step_px
@@ -265,7 +272,7 @@ impl<'a> FrameProblem<'a> {
             }
         }
         if is_finest {
-            self.lessons.changes = changes;
+            self.updates.changes = changes;
         }
         Some(Iterated { motion, converged })
     }
@@ -279,18 +286,18 @@ impl<'a> FrameProblem<'a> {
         if !self.slow.is_trial_due() || !has_copies {
             return Some(found);
         }
-        self.lessons.has_tried = true;
-        let was = self.lessons.is_enlarged;
+        self.updates.has_tried = true;
+        let was = self.updates.is_enlarged;
         let [misfit, other] = [was, !was].map(|is_enlarged| self.misfit_of_trial(is_enlarged, &found));
-        self.lessons.is_enlarged = was;
+        self.updates.is_enlarged = was;
         tracing::debug!(was, misfit, other, "enlargement");
         if other >= TUNING.max_enlargement_misfit_ratio * misfit {
             return Some(found);
         }
         self.buffers.trial_light.clone_from(&self.buffers.light);
-        self.lessons.is_enlarged = !was;
+        self.updates.is_enlarged = !was;
         self.solve_again(&found).or_else(|| {
-            self.lessons.is_enlarged = was;
+            self.updates.is_enlarged = was;
             self.buffers.light.clone_from(&self.buffers.trial_light);
             self.solve_again(&found)
         })
@@ -299,7 +306,7 @@ impl<'a> FrameProblem<'a> {
     /// Returns the finest level's misfit with or without the enlarged copies, solved in separate
     /// buffers; infinite where it cannot be solved.
     fn misfit_of_trial(&mut self, is_enlarged: bool, found: &Corrected) -> f64 {
-        self.lessons.is_enlarged = is_enlarged;
+        self.updates.is_enlarged = is_enlarged;
         let spec = LevelSpec { count: TUNING.enlargement_trial_pixels, ..self.spec(FINEST, &found.motion) };
         // The coarse levels are finished, so their buffers are free.
         let Buffers { coarse: aside, selector, light, trial_light, .. } = &mut *self.buffers;
@@ -324,7 +331,7 @@ impl<'a> FrameProblem<'a> {
     /// the prediction, their residuals are large and weigh little beside the prior: the pose stays
     /// where it was predicted, and only the residuals show the jump.
     pub fn is_surprising(&self, found: &Corrected) -> bool {
-        found.scale > TUNING.clear_fit_sigma || is_unexpected(squared_mahalanobis(self.expected, &found.motion))
+        found.residual_sigma > TUNING.clear_fit_sigma || is_unexpected(squared_mahalanobis(self.expected, &found.motion))
     }
 
     /// Solves the finest level once more from the solution, with a prior whose velocity may have
@@ -332,12 +339,12 @@ impl<'a> FrameProblem<'a> {
     pub fn solve_with_jump(&mut self, found: &Corrected, since_s: f64) -> Option<()> {
         let with_jump = jumped(self.expected, since_s, &self.slow.shutter, distance_m(self.surfaces, &self.expected.motion.pose));
         let information = with_jump.covariance.cholesky()?.inverse();
-        let known = Expected { information: &information, ..self.known };
+        let known = LevelPrior { information: &information, ..self.known };
         self.settle(found.motion, &known)
     }
 
     /// Solves the finest level's pixels from a motion until a step is small.
-    fn settle(&mut self, mut motion: Motion, known: &Expected) -> Option<()> {
+    fn settle(&mut self, mut motion: Motion, known: &LevelPrior) -> Option<()> {
         self.buffers.has_kept = false;
         for _ in 0..TUNING.max_settling_steps {
             let spec = self.spec(FINEST, &motion);
@@ -399,7 +406,7 @@ impl<'a> FrameProblem<'a> {
     /// singular.
     pub fn verify(&mut self) -> Option<(Alignment, Option<Clue>)> {
         self.bands = RowBands::new(self.slow.shutter);
-        let Corrected { motion, scale } = self.buffers.fine.solution()?.found;
+        let Corrected { motion, residual_sigma } = self.buffers.fine.solution()?.found;
         let spec = self.spec(FINEST, &motion);
         let mut solution = self.buffers.fine.solution()?;
         let blur_px = spec.blur_px * spec.frame_px();
@@ -409,7 +416,7 @@ impl<'a> FrameProblem<'a> {
             estimate,
             pose: motion.pose,
             covariance: covariance + self.progress.last_step * self.progress.last_step.transpose() * TUNING.missing_step_ratio.powi(2),
-            scale,
+            residual_sigma,
             inliers,
             rms_px: (squared_px / inliers.max(1.0)).sqrt() * spec.frame_px(),
             tiles,
@@ -420,12 +427,12 @@ impl<'a> FrameProblem<'a> {
         };
         let psf_variance = self.buffers.light.psf_variance();
         if blur_px < TUNING.max_sharp_blur_px {
-            self.lessons.psf_variance = Some(psf_variance);
-            self.lessons.noise = found.is_conclusive().then(|| solution.noise_sums());
+            self.updates.psf_variance = Some(psf_variance);
+            self.updates.noise = found.is_conclusive().then(|| solution.noise_sums());
         }
         let known = KnownPsfVariance { error: self.slow.psf_variance - psf_variance, sigma: TUNING.blurred_psf_variance_sigma };
         let exposure = exposure_clue(&blur, known, blur_px);
-        self.lessons.exposure = exposure.map(|clue| (clue, blur_px));
+        self.updates.exposure = exposure.map(|clue| (clue, blur_px));
         Some((found, exposure))
     }
 
@@ -435,7 +442,7 @@ impl<'a> FrameProblem<'a> {
     pub fn allow_for_jumps(&mut self, found: &mut Alignment, since_s: Option<f64>, has_jumped: bool) {
         let shutter = &self.slow.shutter;
         let Some(since_s) = since_s else {
-            self.lessons.line = Some(UniformMotion::new(found.pose));
+            self.updates.line = Some(UniformMotion::new(found.pose));
             found.covariance += by_start(&found.estimate, shutter);
             return;
         };
@@ -443,9 +450,9 @@ impl<'a> FrameProblem<'a> {
         let distance_m = distance_m(self.surfaces, pose);
         let mut line = self.slow.line;
         let led = line.as_mut().filter(|_| since_s > 0.0).and_then(|line| line.add(pose, covariance, since_s, distance_m));
-        self.lessons.line = Some(line.unwrap_or(UniformMotion::new(*pose)));
+        self.updates.line = Some(line.unwrap_or(UniformMotion::new(*pose)));
         *covariance += by_bend(self.expected, estimate, led.as_ref(), shutter, distance_m);
-        let with_jerk = Expectation {
+        let with_jerk = MotionPrior {
             information: *self.known.information,
             error: estimate.motion.error_to(self.known.motion),
             likelihood: TUNING.jerk_probability,
@@ -454,7 +461,7 @@ impl<'a> FrameProblem<'a> {
             covariance: (!has_jumped).then_some(estimate.covariance),
         };
         let on_line = led.filter(|led| led.has_left && !shutter.is_global()).and_then(|Continuation { expected, .. }| {
-            Some(Expectation {
+            Some(MotionPrior {
                 information: expected.covariance.cholesky()?.inverse(),
                 error: estimate.motion.error_to(&expected.motion),
                 likelihood: 1.0 - TUNING.jerk_probability,
@@ -484,8 +491,8 @@ impl<'a> FrameProblem<'a> {
     }
 
     /// Returns what the slow estimates would learn from the frame.
-    pub fn into_lessons(self) -> Lessons {
-        self.lessons
+    pub fn into_updates(self) -> Updates {
+        self.updates
     }
 
     /// Returns the uncertainty of the start in the frame: two sigma, pixels.

@@ -74,7 +74,7 @@ struct BlurStart<'a, F> {
     known: Vector6<f64>,
     information: Matrix6<f64>,
     /// The components estimated by blur; the others stay.
-    asked: [bool; POSE],
+    estimated: [bool; POSE],
     /// Returns the motion with a given velocity.
     with_velocity: &'a F,
 }
@@ -94,19 +94,20 @@ impl BlurSearch<'_, '_> {
     fn image_velocity(&self, problem: &mut LevelProblem) -> Option<VelocityByBlur> {
         let motion = &self.found.motion;
         let known = motion.twist();
-        let asked = [false, false, false, true, true, false];
-        let px_per_turn_rate = focal_px(self.spec) * self.spec.shutter.exposure_s;
-        let of_asked = TUNING.blur_prior_information * px_per_turn_rate.powi(2);
-        let information = Matrix6::from_diagonal(&Vector6::from(asked.map(|is_asked| if is_asked { of_asked } else { 1.0 })));
+        let estimated = [false, false, false, true, true, false];
+        let px_per_angular_velocity = focal_px(self.spec) * self.spec.shutter.exposure_s;
+        let prior_information = TUNING.blur_prior_information * px_per_angular_velocity.powi(2);
+        let information =
+            Matrix6::from_diagonal(&Vector6::from(estimated.map(|is_estimated| if is_estimated { prior_information } else { 1.0 })));
         let with_velocity = |velocity: &Vector6<f64>| motion.with_twist(velocity);
-        let turn_by_velocity = turn_by_velocity(&motion.pose.rotation_matrix(), &self.middle)?;
-        let first = known + self.first_change(problem, &(turn_by_velocity * known))?;
-        let fit = self.fit(problem, &BlurStart { first, known, information, asked, with_velocity: &with_velocity })?;
-        let by_turn = turn_by_velocity.transpose() * fit.information.fixed_view::<2, 2>(3, 3);
+        let angular_velocity_by_twist = angular_velocity_by_twist(&motion.pose.rotation_matrix(), &self.middle)?;
+        let first = known + self.first_change(problem, &(angular_velocity_by_twist * known))?;
+        let fit = self.fit(problem, &BlurStart { first, known, information, estimated, with_velocity: &with_velocity })?;
+        let by_rotation = angular_velocity_by_twist.transpose() * fit.information.fixed_view::<2, 2>(3, 3);
         Some(VelocityByBlur {
             motion: with_velocity(&fit.velocity),
-            information: by_turn * turn_by_velocity,
-            score: by_turn * (turn_by_velocity * fit.shown),
+            information: by_rotation * angular_velocity_by_twist,
+            score: by_rotation * (angular_velocity_by_twist * fit.shown),
             has_opposite: true,
         })
     }
@@ -126,7 +127,7 @@ impl BlurSearch<'_, '_> {
             let pose = found.motion.with_pose_corrected(&(pose_by_velocity * (velocity - known)));
             Motion { pose, ..found.motion }.with_twist(velocity)
         };
-        let start = BlurStart { first: known, known, information, asked: [true; POSE], with_velocity: &with_velocity };
+        let start = BlurStart { first: known, known, information, estimated: [true; POSE], with_velocity: &with_velocity };
         let fit = self.fit(problem, &start)?;
         let by_rows = |velocity: &Vector6<f64>| (velocity - known).dot(&(information * (velocity - known)));
         let is_sure = by_rows(&-fit.velocity) - by_rows(&fit.velocity) > TUNING.min_direction_preference;
@@ -149,7 +150,7 @@ impl BlurSearch<'_, '_> {
             let motion = (start.with_velocity)(&velocity);
             let shutter = Shutter { exposure_s: self.spec.shutter.exposure_s * f64::exp(exposure), ..*self.spec.shutter };
             let spec = blurred(&LevelSpec { shutter: &shutter, ..*self.spec }, &motion);
-            let step = problem.velocity_step(&spec, &motion, &start.asked, &self.known_velocity(nothing))?;
+            let step = problem.velocity_step(&spec, &motion, &start.estimated, &self.known_velocity(nothing))?;
             let by_blur = positive(&(step.covariance.cholesky()?.inverse() - nothing));
             let believed = by_blur * self.believed(&by_blur, &velocity, spec.blur_of(&motion));
             let [faster, longer] = self.fused(start, &velocity, exposure, &believed, &step.step)?;
@@ -218,14 +219,14 @@ impl BlurSearch<'_, '_> {
     }
 
     /// Returns the change of the known velocity that explains the missing squared blur. It leads to
-    /// one of two opposite velocities. `known_turn`: the angular velocities across and down that
-    /// move the middle of the picture as the known velocity does. `None` where no blur is
+    /// one of two opposite velocities. `known_angular_velocity`: the angular velocities across and
+    /// down that move the middle of the picture as the known velocity does. `None` where no blur is
     /// significantly missing.
-    fn first_change(&self, problem: &mut LevelProblem, known_turn: &Vector2<f64>) -> Option<Vector6<f64>> {
-        let turn_rate = TUNING.trial_blur_px / (focal_px(self.spec) * self.spec.shutter.exposure_s);
+    fn first_change(&self, problem: &mut LevelProblem, known_angular_velocity: &Vector2<f64>) -> Option<Vector6<f64>> {
+        let angular_velocity = TUNING.trial_blur_px / (focal_px(self.spec) * self.spec.shutter.exposure_s);
         let spec = LevelSpec { blur_px: TUNING.trial_blur_px, ..*self.spec }.with_places();
         let known = self.known_velocity(Matrix6::identity());
-        let (squared, covariance) = problem.missing_blur(&spec, &self.found.motion, turn_rate, &known)?;
+        let (squared, covariance) = problem.missing_blur(&spec, &self.found.motion, angular_velocity, &known)?;
         let missing = Matrix2::new(squared.x, squared.z, squared.z, squared.y);
         // In units of the trial blur's variance.
         let systematic = TUNING.min_blur_errors * TUNING.blur_error_px2 / (TUNING.trial_blur_px * TUNING.trial_blur_px / 12.0);
@@ -240,7 +241,7 @@ impl BlurSearch<'_, '_> {
         // The prediction already contains the known velocity's blur: the second moments of the
         // whole blur are those of the known one and of the missing one. A body that moves along
         // with the camera has less.
-        let known_way = Vector2::new(-known_turn.y, known_turn.x) / turn_rate;
+        let known_way = Vector2::new(-known_angular_velocity.y, known_angular_velocity.x) / angular_velocity;
         let may_be_shorter = known_way.norm_squared() > systematic;
         if !(telling(&missing) || may_be_shorter && telling(&-missing)) {
             return None;
@@ -248,8 +249,8 @@ impl BlurSearch<'_, '_> {
         let (squared_way, along) = longest_axis(&(missing + known_way * known_way.transpose()));
         let way = along * squared_way.max(0.0).sqrt();
         let nearer = if way.dot(&known_way) < 0.0 { -way } else { way };
-        let turn = along_frame(&(nearer - known_way)) * turn_rate;
-        Some(Vector6::new(0.0, 0.0, 0.0, turn.x, turn.y, turn.z))
+        let change = along_frame(&(nearer - known_way)) * angular_velocity;
+        Some(Vector6::new(0.0, 0.0, 0.0, change.x, change.y, change.z))
     }
 
     /// Returns what is known beside a velocity with this information.
@@ -269,7 +270,7 @@ fn longest_axis(moments: &Matrix2<f64>) -> (f64, Vector2<f64>) {
 /// Returns the matrix from a velocity [v, ω] to the angular velocities across and down the frame
 /// that move a point in the same way. `rotation`: from camera to body axes; `point`: in camera
 /// axes, metres. A point far to the side is replaced by one straight ahead.
-fn turn_by_velocity(rotation: &Matrix3<f64>, point: &Vector3<f64>) -> Option<Matrix2x6<f64>> {
+fn angular_velocity_by_twist(rotation: &Matrix3<f64>, point: &Vector3<f64>) -> Option<Matrix2x6<f64>> {
     let distance_m = point.norm();
     let point = if point.z > TUNING.min_depth_ratio * distance_m { *point } else { Vector3::z() * distance_m };
     let in_frame = Matrix2x3::new(1.0, 0.0, -point.x / point.z, 0.0, 1.0, -point.y / point.z) / point.z;

@@ -30,8 +30,8 @@ pub fn jumped(expected: &MotionEstimate, dt_s: f64, shutter: &Shutter, distance_
     let frame_s = shutter.readout_s + shutter.exposure_s;
     // At any instant since the last frame, or up to the end of this one.
     let since_s = dt_s.max(0.5 * frame_s);
-    let [speed, turn_rate, ..] = unseen(distance_m);
-    for (first, sigma) in [(0, speed), (3, turn_rate)] {
+    let [speed, angular_velocity, ..] = unseen(distance_m);
+    for (first, sigma) in [(0, speed), (3, angular_velocity)] {
         let bend = if frame_s > 0.0 { TUNING.jump_acceleration_sigma * sigma * shutter.readout_s / frame_s.powi(2) } else { 0.0 };
         for k in first..first + 3 {
             covariance[(k, k)] += (sigma * since_s).powi(2) / 3.0;
@@ -58,7 +58,7 @@ pub fn by_bend(
 ) -> Matrix6<f64> {
     let error = expected.motion.error_to(&found.motion);
     let frame_s = shutter.readout_s.hypot(shutter.exposure_s);
-    let [speed, turn_rate, ..] = unseen(distance_m);
+    let [speed, angular_velocity, ..] = unseen(distance_m);
     let off = line.map_or(error, |line| line.expected.motion.error_to(&found.motion));
     let off: Vector6<f64> = off.fixed_rows::<6>(0).into_owned();
     let share = if line.is_some() { TUNING.jump_line_error_ratio } else { TUNING.jump_prediction_error_ratio };
@@ -67,7 +67,7 @@ pub fn by_bend(
     let left = line.filter(|line| line.has_left);
     let covariance = left.map_or(Matrix6::zeros(), |line| line.expected.covariance.fixed_view::<6, 6>(0, 0).into_owned());
     // How long a usual jump takes to get there.
-    let takes_s = (off.fixed_rows::<3>(0).norm() / speed).hypot(off.fixed_rows::<3>(3).norm() / turn_rate);
+    let takes_s = (off.fixed_rows::<3>(0).norm() / speed).hypot(off.fixed_rows::<3>(3).norm() / angular_velocity);
     let most = (TUNING.max_jump_sigmas / 8.0 * frame_s / takes_s.max(f64::MIN_POSITIVE)).min(1.0);
     let bend: Vector6<f64> = error.fixed_rows::<6>(6) * (TUNING.jump_velocity_error_ratio * frame_s);
     (off * off.transpose() + covariance) * (share * most).powi(2) + bend * bend.transpose()

@@ -34,7 +34,7 @@ dispatch! {
 pub fn noise_sums_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) -> [f32; 9] {
     let RunView { pixels, run, appearance, light, residuals } = *view;
     let (zero, one) = (L::splat(0.0), L::splat(1.0));
-    let largest = L::splat(TUNING.max_squared_noise_residual * (weighting.scale * weighting.scale) as f32);
+    let largest = L::splat(TUNING.max_squared_noise_residual * (weighting.residual_sigma * weighting.residual_sigma) as f32);
     let mut sums = [zero; 9];
     for k in run.range().step_by(LANES * weighting.stride) {
         let (columns, g) = columns::<L>(pixels, appearance, light, k);

@@ -21,7 +21,7 @@ const TUKEY: f32 = robust_kernel::TUKEY as f32;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RobustWeighting {
     /// Robust standard deviation of the whitened residuals.
-    pub scale: f64,
+    pub residual_sigma: f64,
     /// Whether to use Cauchy's weights, which never vanish, instead of Tukey's: for a start that
     /// may be far off.
     pub is_first_pass: bool,
@@ -142,12 +142,12 @@ pub fn less_step<L: Lanes>(mut r: L, columns: &[L; COLUMNS], step: &[f32; COLUMN
 #[inline(always)]
 pub fn weight<L: Lanes>(squared: L, weighting: &RobustWeighting) -> L {
     let (zero, one) = (L::splat(0.0), L::splat(1.0));
-    let scale2 = (weighting.scale * weighting.scale) as f32;
+    let variance = (weighting.residual_sigma * weighting.residual_sigma) as f32;
     if weighting.is_first_pass {
-        let u = squared.mul(L::splat(1.0 / (scale2 * TUNING.first_pass_half_weight_sigmas * TUNING.first_pass_half_weight_sigmas)));
+        let u = squared.mul(L::splat(1.0 / (variance * TUNING.first_pass_half_weight_sigmas * TUNING.first_pass_half_weight_sigmas)));
         return one.div(one.add(u));
     }
-    let u = one.sub(squared.mul(L::splat(1.0 / (scale2 * TUKEY * TUKEY)))).max(zero);
+    let u = one.sub(squared.mul(L::splat(1.0 / (variance * TUKEY * TUKEY)))).max(zero);
     u.mul(u)
 }
 

@@ -22,32 +22,32 @@ pub struct KnownPsfVariance {
 #[derive(Debug, Clone, Default)]
 pub struct UnknownExposure {
     /// Sum of the weights of all frames so far, each at most 1.
-    told: f64,
+    accumulated: f64,
 }
 
 impl UnknownExposure {
     /// Returns the state of an exposure that an earlier session learnt to this relative sigma.
     pub fn known_to(sigma: f64) -> Self {
         let of_frames = (sigma.powi(2) - TUNING.learnt_exposure_sigma.powi(2)).max(0.0).sqrt().max(TUNING.learnt_exposure_sigma);
-        Self { told: (TUNING.initial_exposure_sigma / of_frames - 1.0).max(0.0) }
+        Self { accumulated: (TUNING.initial_exposure_sigma / of_frames - 1.0).max(0.0) }
     }
 
     /// Whether frames have determined it, with a total weight of at least one frame.
-    pub fn is_told(&self) -> bool {
-        self.told >= 1.0
+    pub fn is_learnt(&self) -> bool {
+        self.accumulated >= 1.0
     }
 
     /// Returns the relative sigma of the exposure.
     pub fn sigma(&self) -> f64 {
-        TUNING.learnt_exposure_sigma.hypot(TUNING.initial_exposure_sigma / (1.0 + self.told))
+        TUNING.learnt_exposure_sigma.hypot(TUNING.initial_exposure_sigma / (1.0 + self.accumulated))
     }
 
     /// Corrects the exposure of `shutter` by a frame's clue. `blur_px`: length of the frame's blur,
     /// pixels of the frame.
     pub fn learn(&mut self, shutter: &mut Shutter, clue: Clue, blur_px: f64) {
         let weight = (blur_px / TUNING.full_weight_blur_px).min(1.0).powi(4);
-        self.told += weight;
-        let share = weight * TUNING.exposure_learning_rate.max(2.0 / (self.told + 1.0)).min(1.0);
+        self.accumulated += weight;
+        let share = weight * TUNING.exposure_learning_rate.max(2.0 / (self.accumulated + 1.0)).min(1.0);
         // Blur is linear in the square of the exposure.
         let change = (2.0 * share * clue.score / clue.information).clamp(-TUNING.max_exposure_decrease, TUNING.max_exposure_increase);
         shutter.exposure_s = (shutter.exposure_s * (1.0 + change).sqrt()).clamp(TUNING.min_exposure_s, TUNING.max_exposure_s);

@@ -19,11 +19,11 @@ impl ExposureWatch {
     /// Adds a frame's clue. `blur_px`: length of the frame's blur, pixels of the frame.
     pub fn take(&mut self, clue: Clue, blur_px: f64) {
         let weight = (blur_px / TUNING.full_weight_blur_px).min(1.0).powi(4);
-        let said = (clue.score / clue.information).clamp(-TUNING.max_exposure_clue, TUNING.max_exposure_clue);
-        if said.is_finite() {
+        let change = (clue.score / clue.information).clamp(-TUNING.max_exposure_clue, TUNING.max_exposure_clue);
+        if change.is_finite() {
             self.frames += weight;
-            self.sum += weight * said;
-            self.squares += weight * said * said;
+            self.sum += weight * change;
+            self.squares += weight * change * change;
         }
     }
 
@@ -57,8 +57,8 @@ mod tests {
         let mut random = Pcg64Mcg::seed_from_u64(5);
         let mut watch = ExposureWatch::default();
         for _ in 0..frames {
-            let said = 0.5 * (ratio * ratio - 1.0) + noise * random.random_range(-1.0..1.0);
-            watch.take(Clue { score: 10.0 * said, information: 10.0 }, blur_px);
+            let change = 0.5 * (ratio * ratio - 1.0) + noise * random.random_range(-1.0..1.0);
+            watch.take(Clue { score: 10.0 * change, information: 10.0 }, blur_px);
         }
         watch.contradiction()
     }

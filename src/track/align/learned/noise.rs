@@ -81,7 +81,7 @@ impl CameraNoise {
 
     /// Returns the total weight of the remembered pixels, each weighing the squared inverse of its
     /// variance. The larger, the better the noise is known.
-    pub fn told(&self) -> f64 {
+    pub fn total_weight(&self) -> f64 {
         self.sums.by_each_other[(0, 0)]
     }
 

@@ -27,11 +27,11 @@ impl SightPath {
     /// Computes the polynomials for a surface and a camera motion.
     pub fn new(rectangle: &Rectangle, motion: &Motion) -> Self {
         let to_surface = rectangle.rotation.transpose();
-        let turn = motion.rotation_polynomial().map(|r| to_surface * r);
+        let rotation = motion.rotation_polynomial().map(|r| to_surface * r);
         let [p0, p1, p2] = motion.centre_polynomial();
         let from = [to_surface * (p0 - rectangle.centre), to_surface * p1, to_surface * p2];
         Self {
-            rotation: std::array::from_fn(|k| std::array::from_fn(|power| turn[power][(k / 3, k % 3)] as f32)),
+            rotation: std::array::from_fn(|k| std::array::from_fn(|power| rotation[power][(k / 3, k % 3)] as f32)),
             centre: std::array::from_fn(|k| std::array::from_fn(|power| from[power][k] as f32)),
         }
     }

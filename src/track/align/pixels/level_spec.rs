@@ -9,7 +9,7 @@ use crate::camera::Shutter;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
 use crate::track::align::learned::noise::Noise;
-use crate::track::align::learned::slow_estimates::SlowEstimates;
+use crate::track::align::learned::online_calibration::OnlineCalibration;
 use crate::track::align::picture::surface::AlignSurface;
 use crate::track::frame::frame_levels::FINEST;
 use crate::track::frame::rays::CameraRays;
@@ -77,7 +77,7 @@ impl<'a> LevelSpec<'a> {
     /// Returns the task of a level at a motion, with what is known of the camera so far.
     pub fn new(
         surfaces: &'a [AlignSurface],
-        slow: &'a SlowEstimates,
+        slow: &'a OnlineCalibration,
         rays: &'a CameraRays,
         is_enlarged: bool,
         level: usize,

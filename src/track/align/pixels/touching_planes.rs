@@ -313,7 +313,7 @@ mod tests {
     fn passing() -> Motion {
         Motion {
             velocity: Vector3::new(0.3, -0.2, 0.1),
-            turn_rate: Vector3::new(0.2, -0.4, 0.3),
+            angular_velocity: Vector3::new(0.2, -0.4, 0.3),
             ..Motion::still(facing(0.5, -0.3, Vector3::new(0.3, 0.1, 3.0)).inverse())
         }
     }

@@ -45,9 +45,9 @@ struct GradientSums {
 /// How well a direction is supported: 1 where the observed gradients equal the expected ones, 0
 /// where the two are unrelated.
 #[derive(Debug, Clone, Copy)]
-pub struct BorneOut {
+pub struct DirectionSupport {
     /// Coefficient of the regression of observed on expected gradients.
-    pub share: f64,
+    pub coefficient: f64,
     /// Its standard deviation if the observed gradients were only noise.
     pub sigma: f64,
 }
@@ -64,20 +64,21 @@ impl GradientAgreement {
 
     /// Returns how well the worst and the best direction are supported. `None` where a direction
     /// has no expected gradient.
-    pub fn borne_out(&self) -> Option<[BorneOut; 2]> {
-        self.everywhere.borne_out()
+    pub fn direction_support(&self) -> Option<[DirectionSupport; 2]> {
+        self.everywhere.direction_support()
     }
 
-    /// Whether a pose may have slid along stripes. `share`: ratio of tiles that agree.
-    pub fn may_have_slid(&self, share: f64) -> bool {
-        let is_refuted = |[worst, best]: [BorneOut; 2]| {
-            worst.share + TUNING.direction_support_sigmas * worst.sigma < TUNING.min_direction_support * best.share
+    /// Whether a pose may have slid along stripes. `inlier_ratio`: ratio of tiles that agree.
+    pub fn may_have_slid(&self, inlier_ratio: f64) -> bool {
+        let is_refuted = |[worst, best]: [DirectionSupport; 2]| {
+            worst.coefficient + TUNING.direction_support_sigmas * worst.sigma < TUNING.min_direction_support * best.coefficient
         };
-        let is_borne_out = |[worst, best]: [BorneOut; 2]| {
-            worst.share - TUNING.direction_support_sigmas * worst.sigma > TUNING.min_direction_support * best.share
+        let is_supported = |[worst, best]: [DirectionSupport; 2]| {
+            worst.coefficient - TUNING.direction_support_sigmas * worst.sigma > TUNING.min_direction_support * best.coefficient
         };
-        let is_in_doubt = share > TUNING.max_hidden_direction_inlier_ratio && self.everywhere.borne_out().is_some_and(is_refuted);
-        is_in_doubt && !self.where_agreeing.borne_out().is_some_and(is_borne_out)
+        let is_in_doubt =
+            inlier_ratio > TUNING.max_hidden_direction_inlier_ratio && self.everywhere.direction_support().is_some_and(is_refuted);
+        is_in_doubt && !self.where_agreeing.direction_support().is_some_and(is_supported)
     }
 }
 
@@ -112,7 +113,7 @@ impl GradientSums {
     /// Returns how well the worst and the best direction are supported: the eigenvalues of the
     /// products of observed and expected gradients, whitened by the expected ones. `None` where a
     /// direction has no expected gradient.
-    fn borne_out(&self) -> Option<[BorneOut; 2]> {
+    fn direction_support(&self) -> Option<[DirectionSupport; 2]> {
         let root = self.expected.cholesky()?.l();
         let both = 0.5 * (self.both + self.both.transpose());
         let whitened = root.solve_lower_triangular(&root.solve_lower_triangular(&both)?.transpose())?;
@@ -121,7 +122,7 @@ impl GradientSums {
             // In this direction the sum of squares of the expected gradient is 1.
             let direction = root.tr_solve_lower_triangular(&eigenvectors.column(n))?;
             let sigma = (direction.dot(&(self.seen * direction)) / self.count).sqrt();
-            Some(BorneOut { share: eigenvalues[n], sigma })
+            Some(DirectionSupport { coefficient: eigenvalues[n], sigma })
         };
         let worst = eigenvalues.imin();
         Some([of(worst)?, of(1 - worst)?])
@@ -146,13 +147,13 @@ mod tests {
         let mut random = Pcg64Mcg::seed_from_u64(1);
         let mut draw = |size: f64| size * (random.random::<f64>() - 0.5);
         let (sin, cos) = degrees.to_radians().sin_cos();
-        let turned = |across: f64, along: f64| Vector2::new(cos * across - sin * along, sin * across + cos * along);
+        let rotated = |across: f64, along: f64| Vector2::new(cos * across - sin * along, sin * across + cos * along);
         let mut sums = GradientSums::default();
         for _ in 0..3000 {
             let (across, along) = (draw(50.0), draw(grain));
             let other = if has_slid { draw(grain) } else { along };
             let noise = Vector2::new(draw(1.0), draw(1.0));
-            sums.add(turned(across, other) + noise, turned(across, along));
+            sums.add(rotated(across, other) + noise, rotated(across, along));
         }
         sums
     }
@@ -167,10 +168,13 @@ mod tests {
 
     #[test]
     fn equal_gradients_are_supported_in_all_directions() {
-        let [worst, best] = striped(30.0, 3.0, false).borne_out().expect("both directions have detail");
-        assert!((worst.share - 1.0).abs() < 0.05 && (best.share - 1.0).abs() < 0.01, "{worst:?} {best:?}");
-        let [worst, best] = striped(30.0, 3.0, true).borne_out().expect("both directions have detail");
-        assert!(worst.share.abs() < 4.0 * worst.sigma && worst.sigma < 0.03 && (best.share - 1.0).abs() < 0.01, "{worst:?} {best:?}");
+        let [worst, best] = striped(30.0, 3.0, false).direction_support().expect("both directions have detail");
+        assert!((worst.coefficient - 1.0).abs() < 0.05 && (best.coefficient - 1.0).abs() < 0.01, "{worst:?} {best:?}");
+        let [worst, best] = striped(30.0, 3.0, true).direction_support().expect("both directions have detail");
+        assert!(
+            worst.coefficient.abs() < 4.0 * worst.sigma && worst.sigma < 0.03 && (best.coefficient - 1.0).abs() < 0.01,
+            "{worst:?} {best:?}"
+        );
     }
 
     #[test]

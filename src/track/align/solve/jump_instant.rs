@@ -48,7 +48,7 @@ type Profile = [f64; 2];
 
 /// A prior of the motion.
 #[derive(Debug, Clone, Copy)]
-pub struct Expectation {
+pub struct MotionPrior {
     /// Its information.
     pub information: MotionMatrix,
     /// Error from the solved motion to its mean.
@@ -112,16 +112,16 @@ impl RowBands {
     /// Returns the mixture over all priors, and for each over all instants and no jump. `dt_s`:
     /// seconds since the last frame; `distance_m`: to the nearest surface, for the usual velocity.
     /// `None` where a matrix is singular or a result is not finite.
-    pub fn mixture(&self, expectations: [Option<Expectation>; MAX_PRIORS], dt_s: f64, distance_m: f64) -> Option<Mixture> {
-        let is_alone = expectations.iter().flatten().count() < 2;
-        let part = |expected: Expectation| Some(self.with_jumps(&self.without_jump(&expected, is_alone)?, dt_s, distance_m));
-        mix(&expectations.map(|expected| expected.and_then(part)))
+    pub fn mixture(&self, priors: [Option<MotionPrior>; MAX_PRIORS], dt_s: f64, distance_m: f64) -> Option<Mixture> {
+        let is_alone = priors.iter().flatten().count() < 2;
+        let part = |prior: MotionPrior| Some(self.with_jumps(&self.without_jump(&prior, is_alone)?, dt_s, distance_m));
+        mix(&priors.map(|prior| prior.and_then(part)))
     }
 
     /// Mixes jumps of all sizes at all instants, and no jump.
     fn with_jumps(&self, without: &WithoutJump, dt_s: f64, distance_m: f64) -> Part {
-        let [speed, turn_rate, ..] = unseen(distance_m);
-        let usual = Vector6::new(speed, speed, speed, turn_rate, turn_rate, turn_rate);
+        let [speed, angular_velocity, ..] = unseen(distance_m);
+        let usual = Vector6::new(speed, speed, speed, angular_velocity, angular_velocity, angular_velocity);
         let priors = JUMP_SIZES.map(|size| usual.map(|sigma| (size * sigma).powi(-2)));
         let mut members = Members::none_jumped();
         for (instant_s, likelihood) in self.instants(dt_s) {
@@ -174,8 +174,8 @@ impl RowBands {
 
     /// Solves for the motion without a jump, from the prior and the bands. `is_alone`: there is no
     /// other prior, so its evidence is not needed.
-    fn without_jump(&self, expected: &Expectation, is_alone: bool) -> Option<WithoutJump> {
-        let Expectation { information: known, error, likelihood, covariance } = expected;
+    fn without_jump(&self, prior: &MotionPrior, is_alone: bool) -> Option<WithoutJump> {
+        let MotionPrior { information: known, error, likelihood, covariance } = prior;
         let (mut information, mut pull) = (*known, known * error);
         for (k, band) in self.filled() {
             let profiles = self.profiles(k);

@@ -20,8 +20,8 @@ fn known() -> MotionMatrix {
     MotionMatrix::from_diagonal(&MotionError::from_fn(|k, _| f64::powi(sigma(k), -2)))
 }
 
-fn alone(information: MotionMatrix, error: MotionError) -> [Option<Expectation>; MAX_PRIORS] {
-    [Some(Expectation { information, error, likelihood: 1.0, covariance: None }), None]
+fn alone(information: MotionMatrix, error: MotionError) -> [Option<MotionPrior>; MAX_PRIORS] {
+    [Some(MotionPrior { information, error, likelihood: 1.0, covariance: None }), None]
 }
 
 /// The bands of a camera that rests, and moves sideways from an instant on. No step has explained
@@ -112,15 +112,15 @@ fn prior_uniform_motion_separates_a_small_start_from_jerk() {
     let jerky = MotionMatrix::from_diagonal(&MotionError::from_fn(|k, _| f64::powi([1e-3, 0.1, 5.0][k / 6], -2)));
     let shown = bands(ROLLING, 0.0, 0.05);
     let by_jerk = shown.mixture(alone(jerky, MotionError::zeros()), FRAME_S, DISTANCE_M).expect("regular");
-    let expectations = [(jerky, 0.01), (known(), 0.99)]
-        .map(|(information, likelihood)| Some(Expectation { information, error: MotionError::zeros(), likelihood, covariance: None }));
-    let by_both = shown.mixture(expectations, FRAME_S, DISTANCE_M).expect("regular");
+    let priors = [(jerky, 0.01), (known(), 0.99)]
+        .map(|(information, likelihood)| Some(MotionPrior { information, error: MotionError::zeros(), likelihood, covariance: None }));
+    let by_both = shown.mixture(priors, FRAME_S, DISTANCE_M).expect("regular");
     let off = |found: &Mixture| found.pose[0].abs();
     assert!(off(&by_both) < 0.7 * off(&by_jerk), "{} {}", off(&by_both), off(&by_jerk));
     // Where the camera rests, jerk gets hardly any weight, and the pose is as certain as the
     // uniform motion makes it.
     let rests = bands(ROLLING, 0.0, 0.0);
-    let [wide, sure] = [alone(jerky, MotionError::zeros()), expectations]
+    let [wide, sure] = [alone(jerky, MotionError::zeros()), priors]
         .map(|e| rests.mixture(e, FRAME_S, DISTANCE_M).expect("regular").motion_covariance[(6, 6)]);
     assert!(sure < 0.5 * wide, "{sure} {wide}");
 }
@@ -139,13 +139,13 @@ fn invalid_motions_never_panic() {
 }
 
 /// The mixture computed member by member, each from the joint normal equations of motion and jump.
-fn member_by_member(bands: &RowBands, expectations: [Option<Expectation>; MAX_PRIORS], dt_s: f64) -> Mixture {
+fn member_by_member(bands: &RowBands, priors: [Option<MotionPrior>; MAX_PRIORS], dt_s: f64) -> Mixture {
     type Both = SMatrix<f64, 24, 24>;
-    let [speed, turn_rate, ..] = unseen(DISTANCE_M);
+    let [speed, angular_velocity, ..] = unseen(DISTANCE_M);
     // Logarithm of prior probability times evidence; pose and motion with their covariances.
     let mut members = Vec::new();
-    for expected in expectations.iter().flatten() {
-        let without = bands.without_jump(expected, false).expect("regular");
+    for prior in priors.iter().flatten() {
+        let without = bands.without_jump(prior, false).expect("regular");
         let information = without.solved.try_inverse().expect("regular");
         let pull = information * without.correction;
         let pose: Vector6<f64> = without.correction.fixed_rows::<6>(0).into();
@@ -153,7 +153,7 @@ fn member_by_member(bands: &RowBands, expectations: [Option<Expectation>; MAX_PR
         for (instant_s, likelihood) in bands.instants(dt_s) {
             let sums = bands.jump_sums(instant_s);
             for size in JUMP_SIZES {
-                let prior = Vector6::from_fn(|k, _| (size * if k < 3 { speed } else { turn_rate }).powi(-2));
+                let prior = Vector6::from_fn(|k, _| (size * if k < 3 { speed } else { angular_velocity }).powi(-2));
                 let mut both = Both::zeros();
                 both.fixed_view_mut::<18, 18>(0, 0).copy_from(&information);
                 both.fixed_view_mut::<18, 6>(0, 18).copy_from(&sums.shared);
@@ -204,15 +204,14 @@ fn member_by_member(bands: &RowBands, expectations: [Option<Expectation>; MAX_PR
 fn the_jump_estimate_is_the_mixture_of_its_members() {
     let jerky = MotionMatrix::from_diagonal(&MotionError::from_fn(|k, _| f64::powi([1e-3, 0.1, 5.0][k / 6], -2)));
     let error = MotionError::from_fn(|k, _| 1e-4 * f64::from(k as u8 % 5));
-    let expectation =
-        |(information, likelihood): (MotionMatrix, f64)| Some(Expectation { information, error, likelihood, covariance: None });
-    for expectations in [[(jerky, 0.01), (known(), 0.99)].map(expectation), [expectation((known(), 1.0)), None]] {
+    let prior = |(information, likelihood): (MotionMatrix, f64)| Some(MotionPrior { information, error, likelihood, covariance: None });
+    for priors in [[(jerky, 0.01), (known(), 0.99)].map(prior), [prior((known(), 1.0)), None]] {
         for (shutter, instant_s, speed) in
             [(ROLLING, 0.0, 0.0), (ROLLING, 0.0, 0.05), (ROLLING, -0.004, 0.3), (ROLLING, 0.003, -0.2), (GLOBAL, -0.002, 0.4)]
         {
             let shown = bands(shutter, instant_s, speed);
-            let found = shown.mixture(expectations, FRAME_S, DISTANCE_M).expect("regular");
-            let truth = member_by_member(&shown, expectations, FRAME_S);
+            let found = shown.mixture(priors, FRAME_S, DISTANCE_M).expect("regular");
+            let truth = member_by_member(&shown, priors, FRAME_S);
             let sigma = truth.motion_covariance.diagonal().map(f64::sqrt);
             // Each dropped member has at most the weight NEGLIGIBLE, and is off by some sigmas.
             let off = (found.motion - truth.motion).component_div(&sigma).amax();

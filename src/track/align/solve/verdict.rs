@@ -22,7 +22,7 @@ pub struct Alignment {
     /// and model error.
     pub covariance: Matrix6<f64>,
     /// Robust standard deviation of the residuals, in sigmas of the expected noise.
-    pub scale: f64,
+    pub residual_sigma: f64,
     /// Number of pixels that fit.
     pub inliers: f64,
     /// Root mean square of residual over gradient, pixels of the frame.
@@ -43,19 +43,19 @@ pub struct Alignment {
 
 impl Alignment {
     /// Returns the ratio of tiles with detail that agree.
-    pub fn share(&self) -> f64 {
+    pub fn inlier_ratio(&self) -> f64 {
         self.agreeing as f64 / self.tiles.max(1) as f64
     }
 
     /// Returns how well the picture supports the pose, for comparing poses: the ratio of agreeing
     /// tiles, lowered where residuals exceed the noise.
     pub fn strength(&self) -> f64 {
-        self.share() / self.scale.max(1.0)
+        self.inlier_ratio() / self.residual_sigma.max(1.0)
     }
 
     /// Whether the picture alone is conclusive.
     pub fn is_conclusive(&self) -> bool {
-        self.tiles >= TUNING.conclusive_tiles && self.share() >= TUNING.conclusive_inlier_ratio
+        self.tiles >= TUNING.conclusive_tiles && self.inlier_ratio() >= TUNING.conclusive_inlier_ratio
     }
 
     /// Whether the tiles support the pose although more than half of them show something else. Some
@@ -69,13 +69,13 @@ impl Alignment {
     /// others, and the pose is sharp. Agreeing tiles are not enough. A picture that is seen small
     /// has local minima near the right one, where tiles agree a pixel off (one was 47 degrees off),
     /// and leaves the pose uncertain. `distance_m`: to the nearest surface.
-    pub fn is_borne_out(&self, distance_m: f64) -> bool {
+    pub fn is_supported(&self, distance_m: f64) -> bool {
         let is_clear = self.is_conclusive() || are_sure(self.agreeing, self.tiles);
         is_clear && is_sharp(&self.covariance, distance_m)
     }
 
     /// Whether the pose is so far from the predicted one that earlier frames say nothing of it.
-    pub fn is_pushed(&self) -> bool {
+    pub fn is_far_from_prediction(&self) -> bool {
         self.squared_mahalanobis > TUNING.max_prediction_squared_mahalanobis
     }
 
@@ -84,29 +84,29 @@ impl Alignment {
     /// itself as a whole. When it goes behind something, a few tiles agree by chance (a fast flag,
     /// with 0.24 of its tiles, was half a degree off). For a newly found body, features support the
     /// place as well. `is_followed`: whether it was searched for where it was predicted;
-    /// `was_given`: whether a pose of it was ever reported.
-    pub fn may_be_given(&self, is_followed: bool, was_given: bool, distance_m: f64) -> bool {
-        let is_expected = is_followed && !self.is_pushed();
-        let may_be_covered = is_expected || !is_followed || self.is_conclusive();
+    /// `was_reported`: whether a pose of it was ever reported.
+    pub fn may_be_reported(&self, is_followed: bool, was_reported: bool, distance_m: f64) -> bool {
+        let is_predicted = is_followed && !self.is_far_from_prediction();
+        let may_be_covered = is_predicted || !is_followed || self.is_conclusive();
         // Such a pose, unless it is sharp, waits for a second frame to agree.
-        let is_found_again = !is_followed && was_given && self.is_covered_in_part() && self.scale < TUNING.max_occluded_sigma;
-        let is_credible = self.is_credible(is_expected) || is_found_again || (may_be_covered && self.is_borne_out(distance_m));
-        is_credible && !self.gradients.may_have_slid(self.share())
+        let is_found_again = !is_followed && was_reported && self.is_covered_in_part() && self.residual_sigma < TUNING.max_occluded_sigma;
+        let is_credible = self.is_credible(is_predicted) || is_found_again || (may_be_covered && self.is_supported(distance_m));
+        is_credible && !self.gradients.may_have_slid(self.inlier_ratio())
     }
 
     /// Whether enough tiles agree to take the others for occluded: less than half of them, but at
     /// least `min_occluded_inlier_ratio`.
     pub fn is_covered_in_part(&self) -> bool {
-        self.share() >= TUNING.min_occluded_inlier_ratio && self.may_be_pulled()
+        self.inlier_ratio() >= TUNING.min_occluded_inlier_ratio && self.may_be_pulled()
     }
 
     /// Whether the pose is clearly right, or less clearly but where it was predicted.
-    pub fn is_credible(&self, is_expected: bool) -> bool {
-        let continues = is_expected
-            && self.share() >= TUNING.min_continued_inlier_ratio
+    pub fn is_credible(&self, is_predicted: bool) -> bool {
+        let continues = is_predicted
+            && self.inlier_ratio() >= TUNING.min_continued_inlier_ratio
             && self.squared_mahalanobis < TUNING.max_prediction_squared_mahalanobis
-            && self.scale < TUNING.max_continued_sigma;
-        self.agreeing >= TUNING.min_agreeing_tiles && (self.share() >= TUNING.min_new_inlier_ratio || continues)
+            && self.residual_sigma < TUNING.max_continued_sigma;
+        self.agreeing >= TUNING.min_agreeing_tiles && (self.inlier_ratio() >= TUNING.min_new_inlier_ratio || continues)
     }
 }
 
@@ -116,7 +116,7 @@ pub fn are_sure(agreeing: usize, tiles: usize) -> bool {
 }
 
 /// Whether a pose is certain enough for one frame alone to report it. `covariance`: of shift and
-/// turn, with all contributions, m² and rad²; `distance_m`: to the nearest surface.
+/// rotation, with all contributions, m² and rad²; `distance_m`: to the nearest surface.
 pub fn is_sharp(covariance: &Matrix6<f64>, distance_m: f64) -> bool {
     let sigma = |first: usize| covariance.fixed_view::<3, 3>(first, first).trace().max(0.0).sqrt();
     sigma(0) < TUNING.max_single_frame_shift_sigma * distance_m && sigma(3) < TUNING.max_single_frame_rotation_sigma
@@ -157,13 +157,13 @@ mod tests {
 
     /// An alignment at 4 m in which `agreeing` of 100 tiles agree, with these standard deviations
     /// of each axis: metres, radians.
-    fn found(agreeing: usize, shift_m: f64, turn_rad: f64) -> Alignment {
-        let variances = [shift_m, shift_m, shift_m, turn_rad, turn_rad, turn_rad].map(|sigma| sigma * sigma);
+    fn found(agreeing: usize, shift_m: f64, rotation_rad: f64) -> Alignment {
+        let variances = [shift_m, shift_m, shift_m, rotation_rad, rotation_rad, rotation_rad].map(|sigma| sigma * sigma);
         Alignment {
-            estimate: MotionEstimate::unseen(Pose::identity(), 4.0, shift_m, turn_rad),
+            estimate: MotionEstimate::unseen(Pose::identity(), 4.0, shift_m, rotation_rad),
             pose: Pose::identity(),
             covariance: Matrix6::from_diagonal(&variances.into()),
-            scale: 1.0,
+            residual_sigma: 1.0,
             inliers: 5000.0,
             rms_px: 0.05,
             tiles: 100,
@@ -176,42 +176,44 @@ mod tests {
 
     #[test]
     fn a_sharp_pose_is_supported_despite_occlusion() {
-        assert!(found(30, 0.001, 0.0003).is_borne_out(4.0));
-        assert!(!found(10, 0.001, 0.0003).is_borne_out(4.0));
+        assert!(found(30, 0.001, 0.0003).is_supported(4.0));
+        assert!(!found(10, 0.001, 0.0003).is_supported(4.0));
     }
 
     #[test]
     fn agreeing_tiles_alone_do_not_support_an_uncertain_pose() {
         // A small tray had 30 agreeing tiles at a pose that was 47 degrees off; only its standard
         // deviation showed it.
-        for (shift_m, turn_rad) in [(0.001, 0.02), (0.05, 0.0003)] {
-            let open = found(30, shift_m, turn_rad);
-            assert!(!open.is_borne_out(4.0) && !open.is_credible(false));
-            assert!(!found(95, shift_m, turn_rad).is_borne_out(4.0));
+        for (shift_m, rotation_rad) in [(0.001, 0.02), (0.05, 0.0003)] {
+            let open = found(30, shift_m, rotation_rad);
+            assert!(!open.is_supported(4.0) && !open.is_credible(false));
+            assert!(!found(95, shift_m, rotation_rad).is_supported(4.0));
         }
         // The same deviation in metres is sharp from far away.
-        assert!(found(30, 0.01, 0.0003).is_borne_out(40.0) && !found(30, 0.01, 0.0003).is_borne_out(4.0));
+        assert!(found(30, 0.01, 0.0003).is_supported(40.0) && !found(30, 0.01, 0.0003).is_supported(4.0));
     }
 
     #[test]
     fn a_followed_pose_far_from_its_prediction_must_be_unoccluded() {
         let covered = found(26, 0.001, 0.0003);
-        let pushed = |agreeing| Alignment { squared_mahalanobis: 140.0, ..found(agreeing, 0.001, 0.0003) };
+        let far_from_prediction = |agreeing| Alignment { squared_mahalanobis: 140.0, ..found(agreeing, 0.001, 0.0003) };
         assert!(
-            covered.may_be_given(true, true, 4.0) && pushed(26).may_be_given(false, true, 4.0) && pushed(80).may_be_given(true, true, 4.0)
+            covered.may_be_reported(true, true, 4.0)
+                && far_from_prediction(26).may_be_reported(false, true, 4.0)
+                && far_from_prediction(80).may_be_reported(true, true, 4.0)
         );
-        assert!(!pushed(26).may_be_given(true, true, 4.0));
+        assert!(!far_from_prediction(26).may_be_reported(true, true, 4.0));
     }
 
     #[test]
     fn a_half_occluded_known_body_may_be_confirmed_by_two_frames() {
         let open = |agreeing| found(agreeing, 0.003, 0.0015);
-        assert!(!open(45).is_borne_out(4.0) && open(45).may_be_given(false, true, 4.0));
+        assert!(!open(45).is_supported(4.0) && open(45).may_be_reported(false, true, 4.0));
         // A body that was never reported may be another picture; one that fits badly may be
         // something else; of one seen by a third, too little is visible.
-        assert!(!open(45).may_be_given(false, false, 4.0) && !open(30).may_be_given(false, true, 4.0));
-        assert!(!Alignment { scale: 1.8, ..open(45) }.may_be_given(false, true, 4.0));
-        assert!(!Alignment { tiles: 45, ..open(20) }.may_be_given(false, true, 4.0), "a few tiles agree by chance");
+        assert!(!open(45).may_be_reported(false, false, 4.0) && !open(30).may_be_reported(false, true, 4.0));
+        assert!(!Alignment { residual_sigma: 1.8, ..open(45) }.may_be_reported(false, true, 4.0));
+        assert!(!Alignment { tiles: 45, ..open(20) }.may_be_reported(false, true, 4.0), "a few tiles agree by chance");
     }
 
     /// A tile of 55 pixels: detail of this standard deviation, in noise of two grey levels, or

@@ -60,7 +60,7 @@ impl TrackedBody {
         // acceleration estimated from two or three frames may be wrong, so constant velocity is
         // tried too.
         let opposite = has_opposite.then(|| estimate.motion.reversed());
-        let even = (self.aligner.is_global() && self.process_noise.is_untold()).then(|| estimate.motion.even());
+        let even = (self.aligner.is_global() && self.process_noise.is_unlearnt()).then(|| estimate.motion.even());
         let verified = self.align(frame, levels, camera_rays, &Start::predicted(&expected, dt_s)).or_else(|| {
             opposite.into_iter().chain(even).find_map(|motion| {
                 let other = MotionEstimate { motion, ..estimate }.after(dt_s, distance_m, &self.process_noise);
@@ -125,26 +125,26 @@ impl TrackedBody {
         let Start { expected, since_s, is_nearby_only } = *start;
         self.attempt.is_seen_in_part = false;
         let distance_m = self.aligner.distance_m(&expected.motion.pose);
-        let was_reported = self.track.was_given();
+        let was_reported = self.track.was_reported();
         let readout = self.readout_question(expected, camera_rays, since_s).or(self.standing_question());
         let request = AlignRequest { expected, since_s, was_reported, is_nearby_only, readout };
         let mut solution = self.aligner.align(levels, camera_rays, &request)?;
         let found = solution.alignment;
         // A pose found far from its prediction is treated as a new one.
-        let is_expected = since_s.is_some() && !found.is_pushed();
+        let is_expected = since_s.is_some() && !found.is_far_from_prediction();
         debug!(
-            share = found.share(),
+            share = found.inlier_ratio(),
             tiles = found.tiles,
-            borne_out = ?found.gradients.borne_out(),
-            scale = found.scale,
+            borne_out = ?found.gradients.direction_support(),
+            scale = found.residual_sigma,
             inliers = found.inliers,
             squared_mahalanobis = found.squared_mahalanobis,
             sigma_m = found.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt(),
             sigma_rad = found.covariance.fixed_view::<3, 3>(3, 3).trace().sqrt(),
             "aligned"
         );
-        if !found.may_be_given(since_s.is_some(), was_reported, distance_m) {
-            self.attempt.is_seen_in_part = found.scale < TUNING.max_fitting_sigma;
+        if !found.may_be_reported(since_s.is_some(), was_reported, distance_m) {
+            self.attempt.is_seen_in_part = found.residual_sigma < TUNING.max_fitting_sigma;
             return None;
         }
         self.attempt.clue = solution.shutter_clue;
@@ -194,7 +194,7 @@ impl TrackedBody {
         };
         let before = self.attempt.motion_before?;
         let expected_by_readout = before.error_after(&self.by_readout, dt_s);
-        if let Some(speed_px_s) = doubt.asks(|| self.aligner.speed_px_s(&expected.motion, camera_rays)) {
+        if let Some(speed_px_s) = doubt.query_speed_px_s(|| self.aligner.speed_px_s(&expected.motion, camera_rays)) {
             let is_open = doubt.is_open(speed_px_s);
             return Some(ReadoutQuestion { expected_by_readout, is_open, may_teach: true, min_speed_px_s: 0.0 });
         }
@@ -248,7 +248,7 @@ impl TrackedBody {
                 None,
             );
             let expected = MotionEstimate { motion: unseen.motion.with_twist(&found.estimate.motion.twist()), ..unseen };
-            let (was_reported, readout) = (self.track.was_given(), self.standing_question());
+            let (was_reported, readout) = (self.track.was_reported(), self.standing_question());
             let request = AlignRequest { expected: &expected, since_s: None, was_reported, is_nearby_only, readout };
             let Some(solution) = self.aligner.align(levels, camera_rays, &request) else { return false };
             let rival = solution.alignment;
@@ -281,12 +281,13 @@ impl TrackedBody {
             pose: found.pose,
             covariance: (covariance + covariance.transpose()) * 0.5,
             by_model: None,
-            share: found.share(),
+            share: found.inlier_ratio(),
             inliers: found.inliers as usize,
             solver_rms_px: found.rms_px,
             // Before a body was first reported, tiles that do not fit are downweighted only once it
             // is followed; until then they may pull the pose.
-            is_conclusive: found.is_borne_out(self.aligner.distance_m(&found.pose)) && (self.track.was_given() || !found.may_be_pulled()),
+            is_conclusive: found.is_supported(self.aligner.distance_m(&found.pose))
+                && (self.track.was_reported() || !found.may_be_pulled()),
         }
     }
 

@@ -12,9 +12,9 @@ fn truth() -> Pose<Camera, Body> {
 }
 
 /// Returns whether a body at rest is found if earlier frames seemed to show that its angular
-/// velocity changes by `turn_acceleration`. `is_told`: whether enough frames were seen to trust
+/// velocity changes by `angular_acceleration`. `is_told`: whether enough frames were seen to trust
 /// that.
-fn is_followed(turn_acceleration: f64, is_told: bool) -> bool {
+fn is_followed(angular_acceleration: f64, is_told: bool) -> bool {
     let surface = cloth(1);
     let shutter = Shutter { readout_s: 0.0, exposure_s: 0.0 };
     let mut body = TrackedBody::new(&BodySpec::new("prop", vec![surface.clone()]), vec![AlignSurface::new(&surface)], 0, shutter);
@@ -23,7 +23,7 @@ fn is_followed(turn_acceleration: f64, is_told: bool) -> bool {
     }
     let camera = lens(480, 360);
     let still = MotionEstimate::unseen(truth().inverse(), 3.4, 1e-3, 3e-4);
-    let motion = Motion { turn_acceleration: Vector3::new(0.0, turn_acceleration, 0.0), ..still.motion };
+    let motion = Motion { angular_acceleration: Vector3::new(0.0, angular_acceleration, 0.0), ..still.motion };
     body.motion = Some((MotionEstimate { motion, ..still }, Timestamp::from_seconds(1.0)));
     let frame = Frame::new(view(&surface, &truth(), &camera), Timestamp::from_seconds(1.0 + 1.0 / 30.0), 1);
     let mut levels = FrameLevels::default();

@@ -42,14 +42,14 @@ pub struct Evidence {
 }
 
 /// Shares of a second moment. `both` is 1 where the whole picture is the mean of the two ends of a
-/// frame interval; an exposure as long as the interval has a third. `by_turns` is 1 or -1 where
+/// frame interval; an exposure as long as the interval has a third. `alternating` is 1 or -1 where
 /// rows alternate between the two ends, and 0 for an exposure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shares {
     /// Share of the mean of both moments.
     pub both: f64,
     /// Share of alternating rows; positive where even rows show the later moment.
-    pub by_turns: f64,
+    pub alternating: f64,
 }
 
 /// Numbers and indices of the regression's columns: what one moment explains, the unknowns, and the
@@ -78,7 +78,7 @@ impl Evidence {
         let mut normal = self.normal;
         normal[(1, 1)] += 1e-6 * normal[(0, 0)] + f64::MIN_POSITIVE;
         let x = normal.cholesky()?.solve(&self.right);
-        Some(Shares { both: x[0], by_turns: x[1] })
+        Some(Shares { both: x[0], alternating: x[1] })
     }
 }
 
@@ -95,11 +95,11 @@ impl Cell {
     /// Returns the evidence for each of the [`MIDDLES`]; `None` where the cell has no detail, or
     /// shows something else.
     pub fn evidence(&self) -> Option<[OfCell; MIDDLES.len()]> {
-        let mut told = [OfCell { left: 1.0, ..OfCell::default() }; MIDDLES.len()];
-        for (told, middle) in told.iter_mut().zip(MIDDLES) {
-            *told = self.evidence_about(middle).unwrap_or(*told);
+        let mut cells = [OfCell { left: 1.0, ..OfCell::default() }; MIDDLES.len()];
+        for (cell, middle) in cells.iter_mut().zip(MIDDLES) {
+            *cell = self.evidence_about(middle).unwrap_or(*cell);
         }
-        told.iter().any(|told| told.left < TUNING.max_cell_residual_ratio).then_some(told)
+        cells.iter().any(|cell| cell.left < TUNING.max_cell_residual_ratio).then_some(cells)
     }
 
     /// Returns the moment that the frame shows the cell at, in frame intervals from its own: the
@@ -134,8 +134,8 @@ impl Cell {
         change.iter_mut().zip(own).for_each(|(change, own)| *change -= lit * own);
         let moved = product(&seen, &change) / (gain * product(&change, &change)).max(f32::MIN_POSITIVE);
         let explained = moved * product(&seen, &change) * gain;
-        let is_told = variance * left[best] - explained < TUNING.max_cell_residual_ratio as f32 * variance && moved.abs() <= 0.5;
-        is_told.then(|| MOMENTS[best] + f64::from(moved) * (MOMENTS[to] - MOMENTS[from]))
+        let has_moment = variance * left[best] - explained < TUNING.max_cell_residual_ratio as f32 * variance && moved.abs() <= 0.5;
+        has_moment.then(|| MOMENTS[best] + f64::from(moved) * (MOMENTS[to] - MOMENTS[from]))
     }
 
     fn evidence_about(&self, middle: usize) -> Option<OfCell> {
@@ -223,9 +223,9 @@ mod tests {
 
     /// Returns the shares about the middle that explains most.
     fn shares(seen: Greys, way_px: f32) -> (usize, Shares) {
-        let told = cell(seen, way_px).evidence().unwrap();
-        let best = (0..MIDDLES.len()).min_by(|a, b| told[*a].left.total_cmp(&told[*b].left)).unwrap();
-        (MIDDLES[best], told[best].evidence.shares().unwrap())
+        let cells = cell(seen, way_px).evidence().unwrap();
+        let best = (0..MIDDLES.len()).min_by(|a, b| cells[*a].left.total_cmp(&cells[*b].left)).unwrap();
+        (MIDDLES[best], cells[best].evidence.shares().unwrap())
     }
 
     fn of_rows(grey: impl Fn(usize, usize) -> f32) -> Greys {
@@ -236,8 +236,8 @@ mod tests {
     fn a_frame_of_one_moment_is_not_a_mixture_at_any_light() {
         for moved_px in [0.0, 0.3] {
             let seen = of_rows(|v, u| 20.0 + 0.6 * picture(moved_px)[v][u]);
-            let (_, Shares { both, by_turns }) = shares(seen, 3.0);
-            assert!(both.abs() < 0.1 && by_turns.abs() < 0.03, "{both} {by_turns}");
+            let (_, Shares { both, alternating }) = shares(seen, 3.0);
+            assert!(both.abs() < 0.1 && alternating.abs() < 0.03, "{both} {alternating}");
         }
     }
 
@@ -245,8 +245,8 @@ mod tests {
     fn a_full_frame_exposure_has_a_mixture_share_of_a_third() {
         let moments: Vec<Greys> = (0..20).map(|k| picture(3.0 * ((k as f32 + 0.5) / 20.0 - 0.5))).collect();
         let seen = of_rows(|v, u| moments.iter().map(|m| m[v][u]).sum::<f32>() / 20.0);
-        let (_, Shares { both, by_turns }) = shares(seen, 3.0);
-        assert!((both - 0.33).abs() < 0.1 && by_turns.abs() < 0.03, "{both} {by_turns}");
+        let (_, Shares { both, alternating }) = shares(seen, 3.0);
+        assert!((both - 0.33).abs() < 0.1 && alternating.abs() < 0.03, "{both} {alternating}");
     }
 
     #[test]
@@ -254,9 +254,9 @@ mod tests {
         for (shift_px, middle) in [(-1.5, 1), (0.0, 2), (1.5, 3)] {
             let [before, after] = [shift_px - 1.5, shift_px + 1.5].map(picture);
             let (found, blended) = shares(of_rows(|v, u| 0.5 * (before[v][u] + after[v][u])), 3.0);
-            assert!(blended.both > 0.8 && blended.by_turns.abs() < 0.03 && found == middle, "{blended:?} {found}");
+            assert!(blended.both > 0.8 && blended.alternating.abs() < 0.03 && found == middle, "{blended:?} {found}");
             let (found, woven) = shares(of_rows(|v, u| if v % 2 == 0 { after[v][u] } else { before[v][u] }), 3.0);
-            assert!(woven.both > 0.8 && woven.by_turns > 0.8 && found == middle, "{woven:?} {found}");
+            assert!(woven.both > 0.8 && woven.alternating > 0.8 && found == middle, "{woven:?} {found}");
         }
     }
 

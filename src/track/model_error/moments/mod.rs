@@ -98,10 +98,10 @@ pub struct MixtureWatch {
     mixture: Option<Mixture>,
     /// Frames tested, frames passed over since the last test, and tested frames in a row with the
     /// same mixture.
-    asked: u32,
+    tested: u32,
     passed: u32,
     agreeing: u32,
-    is_said: bool,
+    is_reported: bool,
     averaged: Vec<AveragedPicture>,
     /// log2 of each surface's texels per pixel of the copy.
     texels: Vec<f64>,
@@ -127,8 +127,8 @@ impl MixtureWatch {
 
     /// Returns the mixture to announce, once.
     pub fn news(&mut self) -> Option<Mixture> {
-        let mixture = self.mixture.filter(|_| self.agreeing >= TUNING.frames_to_announce && !self.is_said)?;
-        self.is_said = true;
+        let mixture = self.mixture.filter(|_| self.agreeing >= TUNING.frames_to_announce && !self.is_reported)?;
+        self.is_reported = true;
         Some(mixture)
     }
 
@@ -139,7 +139,7 @@ impl MixtureWatch {
 
     fn is_due(&mut self) -> bool {
         self.passed += 1;
-        self.asked < TUNING.first_tested_frames || self.mixture.is_some() || self.passed >= TUNING.test_interval_frames
+        self.tested < TUNING.first_tested_frames || self.mixture.is_some() || self.passed >= TUNING.test_interval_frames
     }
 
     fn ask(&mut self, found: &Found, way_px: f64, levels: &mut FrameLevels) {
@@ -166,13 +166,13 @@ impl MixtureWatch {
         }
         let shares = self.evidence.shares();
         let mixture = match shares {
-            Some(shares) if shares.by_turns.abs() > TUNING.min_woven_share => Some(Mixture::Woven),
+            Some(shares) if shares.alternating.abs() > TUNING.min_woven_share => Some(Mixture::Woven),
             _ if is_torn || self.torn > 0.5 => Some(Mixture::Torn),
             Some(shares) if shares.both > TUNING.min_blended_share => Some(Mixture::Blended),
             _ => None,
         };
         self.agreeing = if mixture.is_some() && mixture == self.mixture { self.agreeing + 1 } else { u32::from(mixture.is_some()) };
-        (self.mixture, self.asked, self.passed) = (mixture, self.asked.saturating_add(1), 0);
+        (self.mixture, self.tested, self.passed) = (mixture, self.tested.saturating_add(1), 0);
         tracing::debug!(way_px, ?shares, self.torn, ?mixture, "moments");
     }
 
@@ -216,10 +216,10 @@ impl MixtureWatch {
             let size_px = found.body.surfaces[number].rectangle.size_px;
             let share = [0, 1].map(|k| (anchor.artwork[k] + 0.5) / size_px[k]);
             let cell = self.cell(found, number, share, Some(anchor.observation.pixel), copy, poses);
-            let Some(told) = cell.and_then(|cell| cell.evidence()) else { continue };
-            for ((sum, left), told) in sums.iter_mut().zip(&mut left).zip(told) {
-                sum.add(&told.evidence);
-                *left += told.left;
+            let Some(evidence) = cell.and_then(|cell| cell.evidence()) else { continue };
+            for ((sum, left), of_middle) in sums.iter_mut().zip(&mut left).zip(evidence) {
+                sum.add(&of_middle.evidence);
+                *left += of_middle.left;
             }
             cells += 1;
         }
@@ -281,8 +281,8 @@ impl Found<'_> {
         let along = way.try_normalize(1e-6)?;
         let [x, y, z] = [seen.x, seen.y, seen.z];
         let by_point = by_ray * Matrix2x3::new(1.0, 0.0, -x / z, 0.0, 1.0, -y / z) / z;
-        let (by_shift, by_turn) = (by_point.transpose() * along, (by_point * -skew(&seen.coords)).transpose() * along);
-        let by_pose = SVector::from([by_shift.x, by_shift.y, by_shift.z, by_turn.x, by_turn.y, by_turn.z]);
+        let (by_shift, by_rotation) = (by_point.transpose() * along, (by_point * -skew(&seen.coords)).transpose() * along);
+        let by_pose = SVector::from([by_shift.x, by_shift.y, by_shift.z, by_rotation.x, by_rotation.y, by_rotation.z]);
         let (row, way) = (pixel.0.y / f64::from(self.camera.height()), way.norm());
         Some(Displaced { row, off: moment * way, way, by_pose })
     }

@@ -36,39 +36,39 @@ pub struct VelocityStep {
 
 impl LevelProblem {
     /// Returns a step towards the velocity that the pixels' blur shows, from that of `motion`.
-    /// Components of [v, ω] that are not `asked` stay. Invalidates the level's solution. `None`
+    /// Components of [v, ω] that are not `estimated` stay. Invalidates the level's solution. `None`
     /// where the system is singular.
     pub fn velocity_step(
         &mut self,
         spec: &LevelSpec,
         motion: &Motion,
-        asked: &[bool; POSE],
+        estimated: &[bool; POSE],
         known: &KnownVelocity,
     ) -> Option<VelocityStep> {
         self.predict_by_velocity(spec, motion);
         let Appearance { by_pose, by_velocity, .. } = &mut self.picture.appearance;
         std::mem::swap(by_pose, by_velocity);
-        by_pose.iter_mut().zip(asked).filter(|(_, is_asked)| !**is_asked).for_each(|(column, _)| column.fill(0.0));
+        by_pose.iter_mut().zip(estimated).filter(|(_, is_estimated)| !**is_estimated).for_each(|(column, _)| column.fill(0.0));
         let mut information = MotionMatrix::identity() * TUNING.regularising_information;
         information.fixed_view_mut::<6, 6>(0, 0).copy_from(&known.information);
         self.blur_step(spec, &information, known)
     }
 
     /// Returns the squared blur that a prediction without blur lacks: second moments (xx, yy, xy)
-    /// of the angular velocity across and down the frame, in units of `turn_rate` (rad/s) squared,
-    /// and their covariance. `None` where the system is singular.
+    /// of the angular velocity across and down the frame, in units of `angular_velocity` (rad/s)
+    /// squared, and their covariance. `None` where the system is singular.
     pub fn missing_blur(
         &mut self,
         spec: &LevelSpec,
         motion: &Motion,
-        turn_rate: f64,
+        angular_velocity: f64,
         known: &KnownVelocity,
     ) -> Option<(Vector3<f64>, Matrix3<f64>)> {
         let mut columns: [Vec<f32>; POSE] = Default::default();
         let diagonal = std::f64::consts::FRAC_1_SQRT_2;
         for (column, along) in columns.iter_mut().zip([Vector2::x(), Vector2::y(), Vector2::repeat(diagonal)]) {
-            let turned = Motion { turn_rate: motion.turn_rate + along_frame(&along) * turn_rate, ..*motion };
-            self.predict(spec, &turned);
+            let rotated = Motion { angular_velocity: motion.angular_velocity + along_frame(&along) * angular_velocity, ..*motion };
+            self.predict(spec, &rotated);
             column.clone_from(&self.picture.appearance.intensity);
         }
         self.predict(spec, motion);
@@ -97,13 +97,13 @@ impl LevelProblem {
         };
         let together = TileTime { delay_s: 0.0, mean_square_s2: 0.0 };
         self.gate_tiles(&spec.noise, false);
-        let scale = self.reweight(spec, &prior, Some(together), false, TUNING.blur_reweightings)?;
+        let residual_sigma = self.reweight(spec, &prior, Some(together), false, TUNING.blur_reweightings)?;
         let Self { picture, runs, system, .. } = self;
         let step: Vector6<f64> = system.step().motion().fixed_rows::<6>(0).into_owned();
         let (covariance, votes) = system.covariance();
         let by_noise: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
         let mut scatter = VoteScatter::default();
-        let weight = scale.powi(-2);
+        let weight = residual_sigma.powi(-2);
         for r in runs.iter().filter(|r| r.gate.is_open) {
             let nodes = picture.pixels.light().nodes_of(r.run.tile);
             scatter.add(&votes.of_tile(&r.equations.left_by(&r.step), nodes, &together, weight));

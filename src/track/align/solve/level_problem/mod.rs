@@ -36,7 +36,7 @@ use solution::LevelSolution;
 
 /// The prior of the motion and of the point spread.
 #[derive(Clone, Copy)]
-pub struct Expected<'a> {
+pub struct LevelPrior<'a> {
     /// The predicted motion.
     pub motion: &'a Motion,
     /// Its information.
@@ -121,7 +121,7 @@ pub struct Corrected {
     /// The corrected motion.
     pub motion: Motion,
     /// Robust standard deviation of the residuals, in sigmas of noise.
-    pub scale: f64,
+    pub residual_sigma: f64,
 }
 
 impl LevelProblem {
@@ -234,7 +234,7 @@ impl LevelProblem {
     pub fn solve(
         &mut self,
         spec: &LevelSpec,
-        expected: &Expected,
+        level_prior: &LevelPrior,
         light: &mut RememberedLight,
         is_first: bool,
         passes: usize,
@@ -242,21 +242,21 @@ impl LevelProblem {
         self.solved = None;
         let at = self.at?;
         let prior = Prior {
-            information: expected.information,
-            error: at.error_to(expected.motion),
-            psf_variance: expected.psf_variance,
-            psf_variance_sigma: expected.psf_variance_sigma,
+            information: level_prior.information,
+            error: at.error_to(level_prior.motion),
+            psf_variance: level_prior.psf_variance,
+            psf_variance_sigma: level_prior.psf_variance_sigma,
         };
         // From a start that is off, nothing correlates well yet. At the finest level it is hardly
         // off.
-        let may_be_covered = expected.is_sure && !is_first && spec.level == FINEST;
+        let may_be_covered = level_prior.is_sure && !is_first && spec.level == FINEST;
         self.gate_tiles(&spec.noise, may_be_covered);
-        let scale = self.reweight(spec, &prior, spec.same_time(), is_first, passes)?;
+        let residual_sigma = self.reweight(spec, &prior, spec.same_time(), is_first, passes)?;
         let step = self.system.step();
         self.picture.pixels.correct_light(step.gains(), step.psf_variance(), step.bias());
         light.take(self.picture.pixels.light());
         let motion = at.corrected(&step.motion());
-        self.solved = motion.is_finite().then_some(Corrected { motion, scale });
+        self.solved = motion.is_finite().then_some(Corrected { motion, residual_sigma });
         self.solved
     }
 
@@ -266,14 +266,14 @@ impl LevelProblem {
     fn reweight(&mut self, spec: &LevelSpec, prior: &Prior, same_time: Option<TileTime>, is_first: bool, passes: usize) -> Option<f64> {
         self.rounds += 1;
         self.residuals_all(&spec.noise);
-        let mut scale = self.scale();
+        let mut residual_sigma = self.residual_sigma();
         for pass in 0..passes {
             let stride = if pass + 1 < passes { self.rough_stride() } else { 1 };
-            let weighting = RobustWeighting { scale, is_first_pass: is_first && pass == 0, stride };
+            let weighting = RobustWeighting { residual_sigma, is_first_pass: is_first && pass == 0, stride };
             let Self { picture, runs, products, system, .. } = self;
             let light = picture.pixels.light();
             system.begin(light, prior, same_time);
-            let weight = scale.powi(-2) * stride as f64;
+            let weight = residual_sigma.powi(-2) * stride as f64;
             // A rough step is used only for weights, so it ignores the times of rows.
             let is_rolling = same_time.is_none() && pass + 1 == passes;
             for r in runs.iter_mut().filter(|r| r.gate.is_open) {
@@ -286,9 +286,9 @@ impl LevelProblem {
             for r in runs {
                 r.step = step.of_tile(light.nodes_of(r.run.tile), &same_time.unwrap_or_else(|| picture.time(spec, &r.run)));
             }
-            scale = self.scale();
+            residual_sigma = self.residual_sigma();
         }
-        Some(scale)
+        Some(residual_sigma)
     }
 
     /// Whether the solution shows a body of which more than half may be occluded.
@@ -299,7 +299,7 @@ impl LevelProblem {
     }
 
     /// Returns the ratio of runs that take part.
-    pub fn open_share(&self) -> f64 {
+    pub fn inlier_tile_ratio(&self) -> f64 {
         self.runs.iter().filter(|r| r.gate.is_open).count() as f64 / self.runs.len().max(1) as f64
     }
 
@@ -319,7 +319,7 @@ impl LevelProblem {
     }
 
     /// Returns the robust standard deviation of the residuals that the last step left, in sigmas.
-    fn scale(&mut self) -> f64 {
+    fn residual_sigma(&mut self) -> f64 {
         let stride = (self.pixels().len() / TUNING.min_scale_residuals).max(1);
         median(self.squares(stride)).map_or(1.0, |middle| (middle.sqrt() * 1.4826).max(0.7))
     }

@@ -39,7 +39,7 @@ impl LevelSolution<'_> {
     pub fn patches(self, spec: &LevelSpec, shifts: &mut Vec<Vector2<f64>>, patches: &mut Vec<Patch>) {
         // Not the reported motion: after a jump within the frame that is the motion of its last
         // rows.
-        let Self { found: Corrected { motion, scale: mut sigmas }, problem } = self;
+        let Self { found: Corrected { motion, residual_sigma: mut sigmas }, problem } = self;
         shifts.clear();
         shifts.extend(problem.runs.iter().map(|r| patch_shift(&r.evidence).map_or(Vector2::zeros(), |(shift, _)| shift)));
         // One linear step is right for small shifts. Where the calibration or the survey is off,
@@ -101,12 +101,12 @@ impl LevelProblem {
         }
         self.predict_each(spec, motion, predict);
         self.residuals_all(&spec.noise);
-        let scale = self.scale();
-        let weighting = RobustWeighting { scale, is_first_pass: false, stride: 1 };
+        let residual_sigma = self.residual_sigma();
+        let weighting = RobustWeighting { residual_sigma, is_first_pass: false, stride: 1 };
         for r in &mut self.runs {
             r.evidence = evidence(&self.picture.view(r), &[0.0; COLUMNS], &weighting);
         }
-        scale
+        residual_sigma
     }
 
     /// Returns where the middle of a run's detail lies on its surface, metres from the centre.

@@ -91,9 +91,9 @@ impl LevelSolution<'_> {
     /// Concludes from all tiles. Stores each one's evidence with it, and fills `bands` with the
     /// equations of the open ones. `None` where the covariance is singular.
     pub fn conclude(&mut self, spec: &LevelSpec, bands: &mut RowBands) -> Option<Conclusion> {
-        let Corrected { motion, scale } = self.found;
-        let weighting = RobustWeighting { scale, is_first_pass: false, stride: 1 };
-        let weight = scale.powi(-2);
+        let Corrected { motion, residual_sigma } = self.found;
+        let weighting = RobustWeighting { residual_sigma, is_first_pass: false, stride: 1 };
+        let weight = residual_sigma.powi(-2);
         let LevelProblem { picture, runs, system, .. } = &mut *self.problem;
         let (covariance, votes) = system.covariance();
         let mut scatter = VoteScatter::default();
@@ -129,7 +129,8 @@ impl LevelSolution<'_> {
     /// Returns the open runs' sums for learning the noise, with the residuals of the last step.
     pub fn noise_sums(&self) -> NoiseSums {
         let LevelProblem { picture, runs, .. } = &*self.problem;
-        let weighting = RobustWeighting { scale: self.found.scale, is_first_pass: false, stride: self.problem.rough_stride() };
+        let weighting =
+            RobustWeighting { residual_sigma: self.found.residual_sigma, is_first_pass: false, stride: self.problem.rough_stride() };
         let mut sums = NoiseSums::default();
         for r in runs.iter().filter(|r| r.gate.is_open) {
             sums.add(&picture.view(r), &r.step.columns, &weighting);
@@ -155,7 +156,7 @@ impl LevelSolution<'_> {
     /// would be different. So a change of the readout moves the rows and the prediction at once
     /// (Friedland 1969, "Treatment of bias in recursive filtering"), and only a part of it shows.
     pub fn readout_clue(&self, spec: &LevelSpec, pull: &MotionError, column: &mut SchurComplement) -> ReadoutClue {
-        let Corrected { motion, scale } = self.found;
+        let Corrected { motion, residual_sigma } = self.found;
         let LevelProblem { picture, runs, system, .. } = &*self.problem;
         // One second more of readout delays a row by as much as a sensor with a readout of one
         // second does.
@@ -166,16 +167,16 @@ impl LevelSolution<'_> {
             let row = picture.pixels.place[1][((r.run.start + r.run.end) / 2) as usize];
             let share = slow.delay_s(spec.frame_y(row as f64), spec.rays.camera().height());
             let velocity = motion.velocity + motion.acceleration * time.delay_s;
-            let turn_rate = motion.turn_rate + motion.turn_acceleration * time.delay_s;
+            let angular_velocity = motion.angular_velocity + motion.angular_acceleration * time.delay_s;
             // Later rows of the tile are delayed more, by the fraction of the readout between them.
             let per_second = if spec.shutter.readout_s > 0.0 { 1.0 / spec.shutter.readout_s } else { 0.0 };
             let mut by_readout = TileStep::default();
-            for (c, speed) in velocity.iter().chain(&turn_rate).enumerate() {
+            for (c, speed) in velocity.iter().chain(&angular_velocity).enumerate() {
                 by_readout.columns[c] = (speed * share) as f32;
                 by_readout.rate[c] = (speed * per_second) as f32;
             }
             let nodes = picture.pixels.light().nodes_of(r.run.tile);
-            let tile = SolvedTile { equations: &r.equations, step: &r.step, nodes, time, weight: scale.powi(-2) };
+            let tile = SolvedTile { equations: &r.equations, step: &r.step, nodes, time, weight: residual_sigma.powi(-2) };
             column.add(system, &tile, &by_readout);
         }
         let clue = column.finish(system);
@@ -193,10 +194,10 @@ impl LevelSolution<'_> {
             squares.clear();
             squares_after(&picture.view(r), &r.step.columns, 1, &mut squares);
             // The same pixels as those of `squares`.
-            let told = r.run.range().filter(|k| picture.residuals.information[*k] > 0.0);
-            out.extend(told.zip(&squares).map(|(k, square)| UsedPixel {
+            let informative = r.run.range().filter(|k| picture.residuals.information[*k] > 0.0);
+            out.extend(informative.zip(&squares).map(|(k, square)| UsedPixel {
                 centre_px: [0, 1].map(|axis| n * picture.pixels.place[axis][k] + 0.5 * (n - 1.0)),
-                sigmas: square.sqrt() / self.found.scale as f32,
+                sigmas: square.sqrt() / self.found.residual_sigma as f32,
                 takes_part: r.gate.is_open,
             }));
         }

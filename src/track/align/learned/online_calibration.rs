@@ -2,7 +2,7 @@
 //! shown, and how the body moves.
 //!
 //! A frame is solved with the estimates as they are, and collects what it would teach them
-//! ([`Lessons`]). They learn it only when the frame's pose is accepted: a frame that shows
+//! ([`Updates`]). They learn it only when the frame's pose is accepted: a frame that shows
 //! something else has no information about the camera or the light.
 
 use super::clue::Clue;
@@ -16,9 +16,9 @@ use crate::motion::UniformMotion;
 use crate::track::align::tuning::TUNING;
 use crate::track::frame::frame_levels::FINEST;
 
-/// The slow estimates of one body's alignment.
+/// What one body's alignment has learnt about the camera, the light and the motion.
 #[derive(Debug, Clone)]
-pub struct SlowEstimates {
+pub struct OnlineCalibration {
     /// The shutter, with the exposure as configured or learnt.
     pub shutter: Shutter,
     /// Follows an unknown exposure; `None` where it is configured.
@@ -42,12 +42,12 @@ pub struct SlowEstimates {
     /// Decaying maximum of the start error: how far the prediction was off, pixels of the frame.
     pub start_error_px: f64,
     /// Fraction of the tiles that took part in the last accepted frame.
-    pub open_share: f64,
+    pub inlier_tile_ratio: f64,
 }
 
 /// What a frame would teach the estimates.
 #[derive(Debug)]
-pub struct Lessons {
+pub struct Updates {
     /// Predicted and real change of the prediction by the steps of the last descent.
     pub changes: ChangeSums,
     /// Variance added by the point spread; `None` where the frame is blurred.
@@ -67,9 +67,9 @@ pub struct Lessons {
     pub has_tried: bool,
 }
 
-impl Lessons {
-    /// Returns the lessons of a frame before it is solved: none.
-    pub fn none(slow: &SlowEstimates) -> Self {
+impl Updates {
+    /// Returns the updates of a frame before it is solved: none.
+    pub fn none(calibration: &OnlineCalibration) -> Self {
         Self {
             changes: ChangeSums::default(),
             psf_variance: None,
@@ -77,13 +77,13 @@ impl Lessons {
             noise: None,
             start: None,
             line: None,
-            is_enlarged: slow.is_enlarged,
+            is_enlarged: calibration.is_enlarged,
             has_tried: false,
         }
     }
 }
 
-impl SlowEstimates {
+impl OnlineCalibration {
     /// Returns the estimates before any frame. An exposure of 0 in `shutter` is unknown, and learnt
     /// from blurred frames.
     pub fn new(shutter: Shutter) -> Self {
@@ -100,7 +100,7 @@ impl SlowEstimates {
             since_trial: TUNING.enlargement_trial_interval_frames - TUNING.first_enlargement_trial_frames,
             line: None,
             start_error_px: TUNING.initial_start_error_px,
-            open_share: 0.0,
+            inlier_tile_ratio: 0.0,
         }
     }
 
@@ -127,7 +127,7 @@ impl SlowEstimates {
     /// Returns the exposure and one sigma, seconds, where it is learnt and frames have determined
     /// it.
     pub fn learnt_exposure(&self) -> Option<(f64, f64)> {
-        let unknown = self.exposure.as_ref().filter(|unknown| unknown.is_told())?;
+        let unknown = self.exposure.as_ref().filter(|unknown| unknown.is_learnt())?;
         Some((self.shutter.exposure_s, unknown.sigma() * self.shutter.exposure_s))
     }
 
@@ -148,7 +148,7 @@ impl SlowEstimates {
             own.clone_from(others);
             self.shutter.exposure_s = other.shutter.exposure_s;
         }
-        if self.noise.told() < other.noise.told() {
+        if self.noise.total_weight() < other.noise.total_weight() {
             self.noise.clone_from(&other.noise);
         }
     }
@@ -159,27 +159,27 @@ impl SlowEstimates {
     }
 
     /// Learns from a frame whose pose was accepted. `light`: the light it was solved in.
-    pub fn learn(&mut self, lessons: &Lessons, light: &RememberedLight) {
+    pub fn learn(&mut self, updates: &Updates, light: &RememberedLight) {
         self.light.clone_from(light);
-        self.line = lessons.line;
-        self.is_enlarged = lessons.is_enlarged;
-        self.gradient_gain.learn(&lessons.changes);
-        if let Some(shown) = lessons.psf_variance {
+        self.line = updates.line;
+        self.is_enlarged = updates.is_enlarged;
+        self.gradient_gain.learn(&updates.changes);
+        if let Some(shown) = updates.psf_variance {
             self.psf_variance += TUNING.psf_variance_learning_rate * (shown - self.psf_variance);
         }
-        if let Some((clue, blur_px)) = lessons.exposure {
+        if let Some((clue, blur_px)) = updates.exposure {
             match &mut self.exposure {
                 Some(unknown) => unknown.learn(&mut self.shutter, clue, blur_px),
                 None => self.exposure_watch.take(clue, blur_px),
             }
         }
-        if let Some(sums) = &lessons.noise {
+        if let Some(sums) = &updates.noise {
             self.noise.learn(sums);
         }
-        if let Some((start_error_px, open_share)) = lessons.start {
+        if let Some((start_error_px, inlier_tile_ratio)) = updates.start {
             self.start_error_px = start_error_px.max(TUNING.start_error_decay * self.start_error_px);
-            self.open_share = open_share;
-            self.since_trial = if lessons.has_tried { 0 } else { self.since_trial + 1 };
+            self.inlier_tile_ratio = inlier_tile_ratio;
+            self.since_trial = if updates.has_tried { 0 } else { self.since_trial + 1 };
         }
     }
 }
