@@ -16,10 +16,10 @@
 //! - in `align`: `Aligner` owns what is learned; `Buffers` has the last light, and for how long the
 //!   camera has been still; `LevelProblem`, `Pixels`, `Appearance` and `TouchingPlanes` are kept
 //!   while it is
-//! - in `model_error`: evidence that grows over frames: `FieldSize`, `Jump`, `Habit`, `LensWatch`,
-//!   `ModelStudy`, `ModelWatch`, `Evidence` and `MixtureWatch`
+//! - in `model_error`: evidence that grows over frames: `FieldSize`, `Jump`, `FocalMean`,
+//!   `LensWatch`, `ModelStudy`, `ModelWatch`, `Evidence` and `MixtureWatch`
 //! - in `acquire`: `UnexplainedCells`, in `Unexplained`, knows when each cell was last searched
-//! - `BodySearch` knows which missing body has its turn, and `Matcher` owns everything
+//! - `BodySearch` knows which missing body has its turn, and `BodyTracker` owns everything
 //!
 //! The files in this folder define the order of a frame: `body_tracker` runs it, `body_search`
 //! finds missing bodies, `failure` says why a frame has no pose, `two_view` describes the frame by

@@ -13,7 +13,7 @@ use syn::visit::{self, Visit};
 use syn::{Fields, FnArg, ImplItem, Item, ItemMod, Type};
 
 /// What lives as long as the tracker tracks.
-const ROOT: &str = "Matcher";
+const ROOT: &str = "BodyTracker";
 /// The rooms of memory.
 const MEMORY: [&str; 2] = ["body/", "align/learned/"];
 
@@ -23,7 +23,7 @@ type Place = (&'static str, &'static str, &'static str);
 /// What remembers outside the rooms of memory, and what it remembers; `src/track/mod.rs` lists
 /// them.
 const REMEMBERS: [Place; 18] = [
-    ("Aligner", "align/aligner.rs", "owns the slow estimates of `align/learned`, and its buffers"),
+    ("Aligner", "align/aligner.rs", "owns the online calibration of `align/learned`, and its buffers"),
     ("Buffers", "align/frame_problem/mod.rs", "the last light, and for how many frames the camera has been still"),
     ("LevelProblem", "align/solve/level_problem/mod.rs", "the finest level keeps its pixels while the camera is still"),
     ("Appearance", "align/pixels/appearance.rs", "the prediction at those pixels"),
@@ -31,7 +31,7 @@ const REMEMBERS: [Place; 18] = [
     ("TouchingPlanes", "align/pixels/touching_planes.rs", "the planes at those pixels"),
     ("FieldSize", "model_error/field_error.rs", "mean size of the model's error over recent frames"),
     ("Jump", "model_error/focal_step.rs", "usual error of predictions"),
-    ("Habit", "model_error/lens_watch.rs", "usual estimate of the focal length"),
+    ("FocalMean", "model_error/lens_watch.rs", "usual estimate of the focal length"),
     ("LensWatch", "model_error/lens_watch.rs", "evidence of a lens that differs from its calibration"),
     ("ModelStudy", "model_error/model_study.rs", "evidence of many frames about lens, layout and shape"),
     ("ModelWatch", "model_error/model_watch.rs", "when that evidence is judged, and what was said"),
@@ -40,18 +40,19 @@ const REMEMBERS: [Place; 18] = [
     ("UnexplainedCells", "acquire/unexplained_cells.rs", "when each cell of the frame was last searched"),
     ("Unexplained", "acquire/unexplained.rs", "owns those cells, and its buffers"),
     ("BodySearch", "body_search.rs", "which missing body has its turn, and the buffers of the search"),
-    ("Matcher", "matcher.rs", "owns all bodies, watches and buffers"),
+    ("BodyTracker", "body_tracker/mod.rs", "owns all bodies, watches and buffers"),
 ];
 
 /// What outlives a frame and changes, but carries nothing from one frame to the next: it is filled
 /// anew before it is read, or was made at load.
-const SCRATCH: [Place; 25] = [
+const SCRATCH: [Place; 27] = [
     ("AveragedPicture", "scene/averaged_picture.rs", "a copy of a picture, made again for another resolution"),
     ("PreparedSurface", "scene/reference.rs", "made at load"),
     ("RowOfTexels", "scene/bilinear.rs", "texels of a row"),
     ("FrameLevels", "frame/frame_levels.rs", "the frame itself"),
     ("Level", "frame/frame_levels.rs", "the frame itself"),
     ("VerifyBuffers", "patches/verify.rs", "buffers"),
+    ("SilentSearch", "patches/verify.rs", "buffers of a study"),
     ("AlignSurface", "align/picture/surface.rs", "made at load; a survey may move it"),
     ("Texture", "align/picture/texture.rs", "made at load"),
     ("Selector", "align/pixels/selection.rs", "buffers of a selection"),
@@ -70,6 +71,7 @@ const SCRATCH: [Place; 25] = [
     ("FeatureSearch", "acquire/feature_search.rs", "features and matches of the frame, and views made at load"),
     ("SearchWindows", "acquire/search_windows.rs", "windows of the frame"),
     ("Moments", "acquire/unexplained.rs", "sums within a frame"),
+    ("HalfSize", "body_search.rs", "the frame at half size"),
     ("TwoViewBuffers", "two_view.rs", "buffers"),
 ];
 
@@ -199,7 +201,7 @@ fn what_outlives_a_frame_is_in_the_rooms_of_memory() {
 #[test]
 fn a_type_that_changes_and_outlives_a_frame_is_found_out() {
     let source = "
-        pub struct Matcher { kept: Vec<Kept>, fixed: Fixed }
+        pub struct BodyTracker { kept: Vec<Kept>, fixed: Fixed }
         struct Kept { inner: Option<Inner> }
         struct Inner(u8);
         struct Fixed;

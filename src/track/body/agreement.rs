@@ -31,8 +31,8 @@ impl AgreementBuffers {
         Self { sorted: Vec::with_capacity(frames), weights: Vec::with_capacity(frames) }
     }
 
-    /// Returns the robust mean (Huber weights) of what frames say; `values`: in order, at least one.
-    /// With fewer than two blocks, sigma is only a guess.
+    /// Returns the robust mean (Huber weights) of what frames say; `values`: in order, at least
+    /// one. With fewer than two blocks, sigma is only a guess.
     pub fn agreement(&mut self, values: &[FrameValue]) -> Agreement {
         let mut value = self.weighted_median(values.iter().map(|t| (t.x, t.y.recip().sqrt())));
         let mut weights = std::mem::take(&mut self.weights);

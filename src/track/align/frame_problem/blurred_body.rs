@@ -38,8 +38,8 @@ impl FrameProblem<'_> {
         self.settle_with_blur()
     }
 
-    /// Does the same for a partly occluded body, once it is known which tiles fit. `residual_sigma`: its
-    /// residuals, sigmas.
+    /// Does the same for a partly occluded body, once it is known which tiles fit.
+    /// `residual_sigma`: its residuals, sigmas.
     pub fn solve_covered_with_blur(&mut self, residual_sigma: f64) -> Option<bool> {
         let may_be_blurred = self.is_found_again() && self.slow.shutter.is_global() && residual_sigma > TUNING.min_occluded_blur_sigma;
         if !may_be_blurred || self.has_pixels(LEVELS - 1) {
@@ -89,8 +89,8 @@ impl FrameProblem<'_> {
     }
 }
 
-/// Whether residuals of the finest level (`residual_sigma`, sigmas) come from blur, judged by the fit of the
-/// level above.
+/// Whether residuals of the finest level (`residual_sigma`, sigmas) come from blur, judged by the
+/// fit of the level above.
 fn shows_blur(residual_sigma: f64, above: Option<&LevelFit>) -> bool {
     let Some(above) = above else { return false };
     let ratio = if above.inlier_tile_ratio > TUNING.min_coarse_inlier_ratio {
