@@ -13,6 +13,7 @@ pub(crate) fn what_to_type(text: &str, at: usize) -> Option<String> {
 }
 
 /// Returns the section name if the line is a header in single brackets.
+#[cfg(feature = "daemon")]
 pub(crate) fn single_section(text: &str, at: usize) -> Option<&str> {
     let start = text.get(..at)?.rfind('\n').map_or(0, |newline| newline + 1);
     let line = without_remark(text.get(start..)?.lines().next()?).trim();

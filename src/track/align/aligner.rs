@@ -55,6 +55,7 @@ impl Aligner {
 
     /// Updates the surfaces' places and shapes; their pictures stay. The noise learnt so far keeps
     /// little weight, as it includes the residuals of the former model.
+    #[cfg(feature = "cli")]
     pub fn take_places(&mut self, surfaces: &[crate::track::scene::surface::SurfaceSpec]) {
         for (own, spec) in self.surfaces.iter_mut().zip(surfaces) {
             own.take_place(spec);

@@ -130,7 +130,7 @@ fn a_body_is_found_though_it_is_blurred() {
         let mut frame = smeared(&stage, &truth(), blur_px, open_columns);
         for was_reported in [false, true] {
             let mut aligner = Aligner::new(&prepared(vec![stage.clone()]), Shutter { readout_s: 0.0, exposure_s: 0.006 });
-            let request = AlignRequest { was_reported: was_reported, ..AlignRequest::new(&expected) };
+            let request = AlignRequest { was_reported, ..AlignRequest::new(&expected) };
             let found = aligner.align(&mut frame, &rays, &request).expect("the picture agrees").alignment;
             let off_m = (found.pose.inverse().translation - truth().translation).norm();
             let what = format!("{blur_px} px, {open_columns} columns, given before: {was_reported}");
