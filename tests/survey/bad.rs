@@ -87,7 +87,7 @@ fn an_interrupted_survey_keeps_the_earlier_one_and_resumes() {
         .spawn()
         .expect("the program runs");
     let mut lines = BufReader::new(child.stderr.take().expect("it is piped")).lines().map_while(Result::ok);
-    assert!(lines.any(|line| line.contains("survey::adjustment")), "it adjusts");
+    assert!(lines.any(|line| line.contains("survey::walked::adjustment")), "it adjusts");
     kill(Pid::from_raw(child.id() as i32), Signal::SIGINT).expect("it runs");
     let rest: Vec<String> = lines.collect();
     assert_eq!(child.wait().expect("it ends").code(), Some(1));
