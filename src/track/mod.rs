@@ -13,9 +13,9 @@
 //! Elsewhere only these remember something from frame to frame; a test holds the list, and names
 //! all scratch space besides:
 //!
-//! - in `align`: `Aligner` owns what is learned; `Buffers` has the last light, and for how long the
-//!   camera has been still; `LevelProblem`, `Pixels`, `Appearance` and `TouchingPlanes` are kept
-//!   while it is
+//! - in `align`: `Aligner` owns what is learned; `Buffers` knows for how long the camera has been
+//!   still, and whether its pixels are kept; `LevelProblem`, `Pixels`, `Appearance` and
+//!   `TouchingPlanes` are kept while it is
 //! - in `model_error`: evidence that grows over frames: `FieldSize`, `Jump`, `FocalMean`,
 //!   `LensWatch`, `ModelStudy`, `ModelWatch`, `Evidence` and `MixtureWatch`
 //! - in `acquire`: `UnexplainedCells`, in `Unexplained`, knows when each cell was last searched

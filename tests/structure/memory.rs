@@ -24,7 +24,7 @@ type Place = (&'static str, &'static str, &'static str);
 /// them.
 const REMEMBERS: [Place; 18] = [
     ("Aligner", "align/aligner.rs", "owns the online calibration of `align/learned`, and its buffers"),
-    ("Buffers", "align/frame_problem/mod.rs", "the last light, and for how many frames the camera has been still"),
+    ("Buffers", "align/frame_problem/mod.rs", "for how many frames the camera has been still, and whether its pixels are kept"),
     ("LevelProblem", "align/solve/level_problem/mod.rs", "the finest level keeps its pixels while the camera is still"),
     ("Appearance", "align/pixels/appearance.rs", "the prediction at those pixels"),
     ("Pixels", "align/pixels/runs.rs", "those pixels"),

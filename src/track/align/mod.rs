@@ -9,7 +9,7 @@
 //! Each room uses only the rooms above it:
 //!
 //! - `picture`: the reference picture as alignment reads it
-//! - `learned`: light, noise and exposure, learnt over many frames
+//! - `learned`: the last frame's light; noise and exposure, learnt over many frames
 //! - `pixels`: which pixels are compared, and what they should show
 //! - `kernel`: the inner loops: residuals and their products, per tile
 //! - `solve`: one level: all tiles together

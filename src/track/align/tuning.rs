@@ -1,6 +1,6 @@
 //! The tuning constants of alignment, in the order of the files that use them.
 //!
-//! One line each: what it is, its unit, its value, and the effect of raising or lowering it.
+//! Up to three lines each: what it is, its unit, and the effect of raising or lowering it.
 //! docs/tuning.md says where each was measured.
 
 tuning! {
@@ -240,8 +240,8 @@ tuning! {
         /// Residual sigma beyond which a level is hopeless. Raised, hopeless starts cost several
         /// frames; lowered, half-occluded bodies are lost.
         hopeless_sigma: f64 = 6.0,
-        /// Ratio of inlier tiles below which a level is hopeless. Lowered, hopeless starts cost
-        /// several frames.
+        /// Ratio of inlier tiles below which barely half the body fits: only then may a level be
+        /// poor, occluded or hopeless. Lowered, hopeless starts cost several frames.
         hopeless_inlier_ratio: f64 = 0.6,
         /// First rounds of a level, in which long steps are allowed; counted anew when its blur
         /// turns out to be longer. Raised and lowered as `max_settled_step_px`.
@@ -264,8 +264,9 @@ tuning! {
         /// Maximum residual sigma of a clearly right pose. Lowered, more frames are solved twice;
         /// raised, local minima are taken for the pose.
         clear_fit_sigma: f64 = 2.0,
-        /// Minimum ratio of its inlier tiles to the last frame's. Raised, more frames are solved
-        /// twice; lowered, local minima are taken for the pose.
+        /// Minimum ratio of inlier tiles of a clearly right pose, as a fraction of the last
+        /// accepted frame's. Raised, more frames are solved twice; lowered, local minima are taken
+        /// for the pose.
         clear_fit_inlier_ratio: f64 = 0.8,
         /// The other enlargement is adopted if it leaves less than this fraction of the misfit.
         /// Raised to 1, it changes by chance; lowered, a wrong one is kept where pictures have
@@ -352,8 +353,8 @@ tuning! {
         /// Minimum agreeing tiles of a reported pose. Raised, pictures seen small are lost;
         /// lowered, a few tiles that agree by chance are enough.
         min_agreeing_tiles: usize = 8,
-        /// Minimum ratio of agreeing tiles for any pose. Raised, partly occluded stages are lost;
-        /// lowered, wrong poses pass.
+        /// Minimum ratio of agreeing tiles of a pose that neither a prediction nor a sharp
+        /// covariance supports. Raised, partly occluded stages are lost; lowered, wrong poses pass.
         min_new_inlier_ratio: f64 = 0.5,
         /// The same for a pose where the motion filter predicted it. Raised, partly occluded stages
         /// are lost; below 0.1, wrong poses pass.
@@ -371,10 +372,10 @@ tuning! {
         /// Maximum residuals of a pose at its predicted place, sigmas of the tiles that take part.
         /// Raised, wrong poses return; lowered, partly occluded stages are lost sooner.
         max_continued_sigma: f64 = 2.5,
-        /// Number of agreeing tiles above which one frame is conclusive. Raised, bodies are found a
-        /// frame later; lowered, a single wrong frame could be reported.
+        /// Minimum tiles with detail, agreeing or not, of a frame that is conclusive by itself.
+        /// Raised, bodies are found a frame later; lowered, a single wrong frame could be reported.
         conclusive_tiles: usize = 40,
-        /// The same for the ratio of agreeing tiles.
+        /// Minimum ratio of these that agree. Raised and lowered as `conclusive_tiles`.
         conclusive_inlier_ratio: f64 = 0.7,
         /// Agreeing tiles that suffice where something occludes the rest. Raised, stages behind
         /// people are found late; lowered, poses that fit only in a corner may be reported.
@@ -417,7 +418,8 @@ tuning! {
         /// Raised, tiles in haze or glare are excluded; lowered, people in front of the stage pull
         /// the pose.
         min_run_correlation: f32 = 0.9,
-        /// Correlation of runs that count for the bias of the first guess, and for occlusion.
+        /// Correlation above which a run surely shows the body: such runs count for the bias of the
+        /// first guess, and in the test for occlusion.
         /// Raised, too few runs are left; lowered, runs of something else take part.
         min_bias_run_correlation: f32 = 0.8,
         /// Maximum bias of that guess, grey levels. Raised, a line through runs with little

@@ -1,5 +1,5 @@
 //! What is remembered from frame to frame: of each body, and of the camera's clock and shutter.
-//! With `align::learned` the only memory of the tracker.
+//! With `align::learned` the main memory of the tracker; the page of `track` lists the rest.
 //!
 //! - `tracked_body`: a body with its last motion, its anchors and its model errors
 //! - `pose_anchors`: the anchors of a verified pose

@@ -2,9 +2,9 @@
 //!
 //! A painted cloth hangs in folds, a print is longer than its file says. A [`SurfaceShape`] says
 //! where each point of the picture really is, in the frame of its surface. Flat is the special
-//! case, and costs nothing. Other kinds of shape can be added: code that needs a shape only asks
-//! where a point is ([`SurfaceShape::at`]) and where a ray meets the surface
-//! ([`SurfaceShape::meet`]).
+//! case, and costs nothing. Most code only asks where a point is ([`SurfaceShape::at`]) and where a
+//! ray meets the surface ([`SurfaceShape::meet`]). For another kind of shape, CONTRIBUTING lists
+//! the files that match on the kind; not all of them fail to compile for a new one.
 
 use crate::track::scene::tuning::TUNING;
 use std::sync::Arc;

@@ -1,6 +1,6 @@
 //! The tuning constants of the scene, in the order of the files that use them.
 //!
-//! One line each: what it is, its unit, its value, and the effect of raising or lowering it.
+//! Up to three lines each: what it is, its unit, and the effect of raising or lowering it.
 //! docs/tuning.md says where each was measured.
 
 tuning! {

@@ -12,15 +12,19 @@
 //!    no longer compile until they are laid out anew.
 //! 2. [`normal`](crate::track::align::kernel::normal): add its effect to `residuals_lanes` and its
 //!    derivative to `columns`; `kernel_tests` compare the two by finite differences. A term that is
-//!    not linear in the picture also changes the other columns, and the derivative of seen by
-//!    predicted grey that `columns` returns as the gain.
+//!    not linear in the picture also changes the other columns, and `g` there: by how much the seen
+//!    grey changes per predicted grey. A new derivative per pixel is computed in
+//!    [`appearance`](crate::track::align::pixels::appearance).
 //! 3. Here: add a field to [`Light`], [`TileLight`] and [`RememberedLight`], and to all that copies
 //!    them: `of_tile`, `spread_over`, `correct`, `guess`, `take`, `clone_from`.
 //!    [`level_problem`](crate::track::align::solve::level_problem) calls `correct` and `guess`
 //!    through [`pixels`](crate::track::align::pixels::runs).
 //! 4. [`system`](crate::track::align::solve::system): add its prior to `begin`, its part to `Step`
-//!    and its `of_tile`, and its place to `spread_out` and to the list `others` of `add`. A
-//!    parameter with one value for the whole frame counts among `SHARED`.
+//!    and its `of_tile`, and its place to `spread_out` and to the list `others` of
+//!    `add_plain`. A parameter with one value for the whole frame counts among `SHARED`.
+//! 5. With a learnt mean: add it to `Prior` and `LevelPrior`, and to
+//!    [`online_calibration`](crate::track::align::learned::online_calibration).
+//! 6. `kernel_tests` first: `derivatives_by_the_light_agree_with_differences`.
 
 use crate::track::align::tuning::TUNING;
 use crate::track::frame::tile_grid::TileGrid;

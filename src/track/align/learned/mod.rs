@@ -1,8 +1,9 @@
 //! What alignment learns over many frames: light, noise, exposure, gradient gain. With `body` this
-//! is the only memory of the tracker. A frame changes it only through `OnlineCalibration::learn`,
-//! after its pose was accepted.
+//! is the main memory of the tracker; the page of `track` lists the rest. A frame changes it only
+//! through `OnlineCalibration::learn`, after its pose was accepted.
 //!
-//! - `light`, `noise`, `gradient_gain`: one slow estimate each
+//! - `light`: the photometric model; the last accepted frame's is where the next one starts
+//! - `noise`, `gradient_gain`: one slow estimate each
 //! - `exposure`, `exposure_watch`: the exposure, learnt or checked
 //! - `online_calibration`: all of them together
 //! - `clue`: a frame's estimate of an unknown it did not solve for

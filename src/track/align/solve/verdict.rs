@@ -27,7 +27,7 @@ pub struct Alignment {
     pub inliers: f64,
     /// Root mean square of residual over gradient, pixels of the frame.
     pub rms_px: f64,
-    /// Number of tiles with detail, and of those that agree.
+    /// Number of tiles with detail, counted once per surface, and of those that agree.
     pub tiles: usize,
     /// See `tiles`.
     pub agreeing: usize,
@@ -79,8 +79,9 @@ impl Alignment {
         self.squared_mahalanobis > TUNING.max_prediction_squared_mahalanobis
     }
 
-    /// Whether the pose may be reported: it is credible, or the frame alone supports it, and it has
-    /// not slid along stripes. A followed body that is found where it was not predicted must show
+    /// Whether the pose may be reported. One of three must hold: it is credible, this frame alone
+    /// supports it, or a known body was found again behind an occluder. And it must not have slid
+    /// along stripes. A followed body that is found where it was not predicted must show
     /// itself as a whole. When it goes behind something, a few tiles agree by chance (a fast flag,
     /// with 0.24 of its tiles, was half a degree off). For a newly found body, features support the
     /// place as well. `is_followed`: whether it was searched for where it was predicted;

@@ -39,7 +39,7 @@ pub struct Conclusion {
     pub inliers: f64,
     /// See `inliers`.
     pub squared_px: f64,
-    /// Number of tiles with detail, and of those that agree.
+    /// Number of runs (a surface's part of a tile) with detail, and of those that agree.
     pub tiles: usize,
     /// See `tiles`.
     pub agreeing: usize,
