@@ -7,7 +7,7 @@
 //! scratch space is filled anew, except for whoever adds to the list.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use syn::visit::{self, Visit};
 use syn::{Fields, FnArg, ImplItem, Item, ItemMod, Type};
@@ -147,13 +147,6 @@ impl<'a> Visit<'a> for Reader {
     }
 }
 
-fn files(folder: &Path, found: &mut Vec<PathBuf>) {
-    for entry in std::fs::read_dir(folder).expect("a folder of sources") {
-        let path = entry.expect("an entry").path();
-        if path.is_dir() { files(&path, found) } else { found.push(path) }
-    }
-}
-
 /// Returns the types that change and outlive a frame, as (name, file).
 fn lasting(reader: &Reader) -> BTreeSet<(String, String)> {
     let (mut reached, mut waiting) = (BTreeSet::new(), vec![ROOT.to_owned()]);
@@ -171,9 +164,8 @@ fn lasting(reader: &Reader) -> BTreeSet<(String, String)> {
 #[test]
 fn what_outlives_a_frame_is_in_the_rooms_of_memory() {
     let track = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/track");
-    let (mut reader, mut all) = (Reader::default(), Vec::new());
-    files(&track, &mut all);
-    for file in all {
+    let mut reader = Reader::default();
+    for file in super::files_below("src/track") {
         let name = file.strip_prefix(&track).expect("below src/track").display().to_string();
         if name.ends_with("_tests.rs") || name == "synthetic.rs" {
             continue;

@@ -140,17 +140,22 @@ fn only_protocols_two_views_and_diagnostics_are_public() {
     assert!(!text.contains("::*"), "lib.rs names what it gives on");
 }
 
-/// Returns the source files, relative to `src/`.
-fn sources() -> Vec<PathBuf> {
-    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    let (mut folders, mut files) = (vec![src.clone()], Vec::new());
+/// Returns the files below a folder of the project, at any depth.
+fn files_below(folder: &str) -> Vec<PathBuf> {
+    let (mut folders, mut files) = (vec![Path::new(env!("CARGO_MANIFEST_DIR")).join(folder)], Vec::new());
     while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder).expect("a folder of sources") {
+        for entry in std::fs::read_dir(&folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display())) {
             let path = entry.expect("an entry").path();
-            if path.is_dir() { folders.push(path) } else { files.push(path.strip_prefix(&src).expect("below src").to_owned()) }
+            if path.is_dir() { folders.push(path) } else { files.push(path) }
         }
     }
     files
+}
+
+/// Returns the source files, relative to `src/`.
+fn sources() -> Vec<PathBuf> {
+    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    files_below("src").iter().map(|file| file.strip_prefix(&src).expect("below src").to_owned()).collect()
 }
 
 #[test]

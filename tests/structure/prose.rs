@@ -1,6 +1,6 @@
 //! Prose is at most 100 columns wide: comments on lines of their own, and paragraphs of documents.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Maximum width of prose, columns. Code may be wider (`rustfmt.toml`).
 const MAX_COLUMNS: usize = 100;
@@ -35,18 +35,10 @@ fn too_wide(text: &str, is_document: bool) -> Vec<usize> {
     found
 }
 
-fn collect(folder: &Path, files: &mut Vec<PathBuf>) {
-    for entry in std::fs::read_dir(folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display())) {
-        let path = entry.expect("an entry").path();
-        if path.is_dir() { collect(&path, files) } else { files.push(path) }
-    }
-}
-
 #[test]
 fn prose_is_at_most_100_columns_wide() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut files: Vec<PathBuf> = DOCUMENTS.iter().map(|name| root.join(name)).collect();
-    FOLDERS.iter().for_each(|folder| collect(&root.join(folder), &mut files));
+    let files = DOCUMENTS.iter().map(|name| root.join(name)).chain(FOLDERS.into_iter().flat_map(super::files_below));
     let (mut read, mut wide) = (0, Vec::new());
     for file in files {
         let is_document = file.extension().is_some_and(|e| e == "md");

@@ -10,20 +10,6 @@ struct Constant {
     comment_lines: usize,
 }
 
-/// Returns the tuning files below a folder: `tuning.rs` of each room, and those in `tuning/`.
-fn tuning_files(folder: &Path) -> Vec<PathBuf> {
-    let mut found = Vec::new();
-    for entry in std::fs::read_dir(folder).expect("a folder of sources") {
-        let path = entry.expect("an entry").path();
-        if path.is_dir() {
-            found.extend(tuning_files(&path));
-        } else if path.ends_with("tuning.rs") || path.ends_with("tuning/frame_order.rs") {
-            found.push(path);
-        }
-    }
-    found
-}
-
 /// Reads the constants in the body of a `tuning!`: fields with a value.
 fn constants(text: &str) -> Vec<Constant> {
     let (mut found, mut comment_lines) = (Vec::new(), 0);
@@ -47,7 +33,8 @@ fn every_tuning_constant_has_one_meaning_a_comment_and_a_row_in_the_table() {
     let table = std::fs::read_to_string(root.join("docs/tuning.md")).expect("docs/tuning.md is there");
     let mut places: BTreeMap<String, PathBuf> = BTreeMap::new();
     let mut faults = Vec::new();
-    for file in tuning_files(&root.join("src/track")) {
+    let declares = |file: &PathBuf| file.ends_with("tuning.rs") || file.ends_with("tuning/frame_order.rs");
+    for file in super::files_below("src/track").into_iter().filter(declares) {
         let text = std::fs::read_to_string(&file).expect("a file of constants");
         for constant in constants(&text) {
             let Constant { name, comment_lines } = constant;
