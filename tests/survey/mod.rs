@@ -6,6 +6,7 @@ mod rendered;
 mod unkind;
 
 use std::path::Path;
+use std::process::Command;
 use std::sync::OnceLock;
 
 use image::GrayImage;
@@ -139,9 +140,14 @@ impl Walk {
         serde_json::from_str(&self.read(name)).expect("JSON")
     }
 
-    pub fn run(&self, arguments: &[&str]) -> Run {
+    pub fn command(&self, arguments: &[&str]) -> Command {
         let mut command = crate::program();
-        Run::from(command.args(arguments).current_dir(self.folder.path()).env_remove("RUST_LOG").output().expect("the program runs"))
+        command.args(arguments).current_dir(self.folder.path()).env_remove("RUST_LOG");
+        command
+    }
+
+    pub fn run(&self, arguments: &[&str]) -> Run {
+        Run::from(self.command(arguments).output().expect("the program runs"))
     }
 
     /// Returns all files in a folder, with their bytes.
