@@ -17,9 +17,9 @@ use super::acquire::candidate::{Candidate, SurfaceMatch, SurfaceView, add_candid
 use super::acquire::expected_candidate::{expected_candidate, prefer_expected_tilt, put_first};
 use super::acquire::feature_search::{FeatureSearch, Look};
 use super::acquire::unexplained::Unexplained;
-use super::align::{CameraRays, FrameLevels};
+use super::align::{CameraRays, FrameLevels, Start};
 use super::body::reason::Reason;
-use super::body::tracked_body::{Start, TrackedBody, is_near};
+use super::body::tracked_body::{TrackedBody, is_near};
 use super::frame::frame_look::FrameLook;
 use super::patches::registration::SearchPicture;
 use super::patches::row_motion::RowMotion;

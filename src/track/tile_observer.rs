@@ -9,7 +9,7 @@ use super::tuning::frame_order::TUNING;
 use image::GrayImage;
 use nalgebra::{Matrix2, Vector2, Vector3};
 
-use super::align::{AlignRequest, Aligner, CameraRays, FrameLevels, Patch};
+use super::align::{AlignRequest, Aligner, CameraRays, FrameLevels, Patch, Start};
 use super::patches::registration::{Registered, SearchPicture, Target, register, visible_targets};
 use super::scene::rectangle::Rectangle;
 use super::scene::reference::PreparedBody;
@@ -166,7 +166,7 @@ impl TileObserver {
             }
         }
         self.levels.update(image);
-        let solution = self.aligner.align(&mut self.levels, &self.rays, &AlignRequest::new(&expected))?;
+        let solution = self.aligner.align(&mut self.levels, &self.rays, &AlignRequest::new(Start::found(&expected), false))?;
         let found = solution.alignment;
         if !found.is_credible(true) {
             return None;

@@ -7,7 +7,6 @@ use super::tuning::frame_order::TUNING;
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::patches::fitted_anchor::FittedAnchor;
-use super::patches::verify::Verified;
 use super::scene::reference::PreparedBody;
 use super::scene::surface::ReferenceKind;
 use crate::camera::{CameraModel, Normalized, Pixel};
@@ -54,12 +53,13 @@ pub struct TwoViewBuffers {
     points: Vec<PointPair>,
 }
 
-/// Describes a verified frame by the anchors that fit. `observed`: the pose, and the root mean
-/// square of its anchors' displacements, pixels; `camera`: the frame's; `seed`: of the five-point
-/// samples.
+/// Describes a verified frame by the anchors that fit. `t_camera_body`: its pose; `rms_px`:
+/// root mean square of its anchors' displacements, pixels; `camera`: the frame's; `seed`: of the
+/// five-point samples.
 pub fn two_view(
     body: &PreparedBody,
-    observed: (&Verified, f64),
+    t_camera_body: &Pose<Camera, Body>,
+    rms_px: f64,
     anchors: &[FittedAnchor],
     camera: &CameraModel,
     seed: u64,
@@ -70,10 +70,8 @@ pub fn two_view(
     rays.clear();
     rays.extend(anchors.iter().map(|a| camera.unproject(Pixel(a.corrected_px))));
     pair_rays(body, anchors, rays, &t_body_reference, pairs);
-    let (verified, rms_px) = observed;
-    let t_camera_body = verified.t_camera_body();
-    let t_frame_reference = t_camera_body * t_body_reference;
-    let distance = (t_camera_body * body.surfaces[0].spec.pose).translation.norm();
+    let t_frame_reference = *t_camera_body * t_body_reference;
+    let distance = (*t_camera_body * body.surfaces[0].spec.pose).translation.norm();
     let focal = 0.5 * (camera.intrinsics().fx + camera.intrinsics().fy);
     let sigma = rms_px.max(0.05) / focal;
     let has_baseline = t_frame_reference.translation.norm() >= TUNING.min_baseline * distance;

@@ -1,4 +1,4 @@
-use nalgebra::{Matrix6, UnitQuaternion, Vector2};
+use nalgebra::{UnitQuaternion, Vector2};
 
 use super::super::synthetic::{cloth, facing, lens, prepared, seen_anchors};
 use super::*;
@@ -12,17 +12,14 @@ fn seen(
     camera: &CameraModel,
     across: u32,
     noise_px: f64,
-) -> (Verified, f64, Vec<FittedAnchor>) {
+) -> (Pose<Camera, Body>, f64, Vec<FittedAnchor>) {
     let wobble = |k: u32, _| Vector2::new((f64::from(k) * 12.9).sin(), (f64::from(k) * 78.2).sin()) * noise_px;
     let anchors = seen_anchors(body, pose, camera, across, wobble);
-    let (covariance, inliers, rms_px) = (Matrix6::identity(), anchors.len(), noise_px.max(0.05));
-    let pose = pose.inverse();
-    let verified = Verified { pose, covariance, by_model: None, inliers, share: 1.0, solver_rms_px: rms_px, is_conclusive: false };
-    (verified, rms_px, anchors)
+    (*pose, noise_px.max(0.05), anchors)
 }
 
-fn described(body: &PreparedBody, (verified, rms_px, anchors): &(Verified, f64, Vec<FittedAnchor>), camera: &CameraModel) -> TwoView {
-    two_view(body, (verified, *rms_px), anchors, camera, 1, &mut TwoViewBuffers::default())
+fn described(body: &PreparedBody, (pose, rms_px, anchors): &(Pose<Camera, Body>, f64, Vec<FittedAnchor>), camera: &CameraModel) -> TwoView {
+    two_view(body, pose, *rms_px, anchors, camera, 1, &mut TwoViewBuffers::default())
 }
 
 fn with_depth() -> PreparedBody {

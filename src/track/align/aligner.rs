@@ -13,7 +13,7 @@ use super::frame_problem::{Buffers, FrameProblem};
 use super::learned::online_calibration::{OnlineCalibration, Updates};
 use super::picture::surface::{AlignSurface, distance_m};
 use super::pixels::level_spec::LevelSpec;
-use super::request::AlignRequest;
+use super::request::{AlignRequest, Start};
 use super::solve::level_problem::patches::Patch;
 use super::solve::level_problem::solution::UsedPixel;
 use super::solve::shutter_clue::ShutterClue;
@@ -136,7 +136,7 @@ impl Aligner {
     /// view, nothing converges, or a covariance is singular.
     pub fn align<'a>(&'a mut self, levels: &mut FrameLevels, rays: &'a CameraRays, request: &AlignRequest) -> Option<Solution<'a>> {
         let Self { surfaces, buffers, slow } = &mut *self;
-        let AlignRequest { expected, since_s, was_reported, readout: question, .. } = *request;
+        let AlignRequest { start: Start { expected, since_s, .. }, was_reported, readout: question } = *request;
         let is_open = question.is_some_and(|question| question.is_open);
         // A velocity jump within the frame would absorb the effect of a wrong readout time, and the
         // readout would seem confirmed.

@@ -27,12 +27,14 @@ fn levels(seed: u32) -> FrameLevels {
 fn aligned(frame: &mut FrameLevels, start: &Pose<Camera, Body>) -> Option<Alignment> {
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 0.0 });
     let expected = MotionEstimate::unseen(start.inverse(), 3.4, 0.02, 0.006);
-    aligner.align(frame, &CameraRays::new(lens(480, 360), None), &AlignRequest::new(&expected)).map(|solution| solution.alignment)
+    aligner
+        .align(frame, &CameraRays::new(lens(480, 360), None), &AlignRequest::new(Start::found(&expected), false))
+        .map(|solution| solution.alignment)
 }
 
 /// Aligns a frame and accepts its pose.
 fn accepted(aligner: &mut Aligner, frame: &mut FrameLevels, rays: &CameraRays, expected: &MotionEstimate) -> Alignment {
-    let solution = aligner.align(frame, rays, &AlignRequest::new(expected)).expect("the picture agrees");
+    let solution = aligner.align(frame, rays, &AlignRequest::new(Start::found(expected), false)).expect("the picture agrees");
     let found = solution.alignment;
     solution.accept(&mut Vec::new());
     found
@@ -65,7 +67,12 @@ fn a_bent_cloth_is_aligned_as_well_as_a_flat_one() {
     let expected = MotionEstimate::unseen(start.inverse(), 3.4, 0.02, 0.006);
     let shifts_m = [bent, cloth(1)].map(|surface| {
         let mut aligner = Aligner::new(&prepared(vec![surface]), Shutter { readout_s: 0.0, exposure_s: 0.0 });
-        let found = aligner.align(&mut frame, &rays, &AlignRequest::new(&expected)).expect("the picture agrees").alignment.pose.inverse();
+        let found = aligner
+            .align(&mut frame, &rays, &AlignRequest::new(Start::found(&expected), false))
+            .expect("the picture agrees")
+            .alignment
+            .pose
+            .inverse();
         (found.translation - truth().translation).norm()
     });
     println!("{shifts_m:?}");
@@ -89,7 +96,7 @@ fn an_occluder_over_most_of_the_stage_does_not_bias_the_pose() {
         let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 1e-6 });
         let expected = MotionEstimate::unseen(start.inverse(), 3.4, 0.02, 0.006);
         let rays = CameraRays::new(lens(480, 360), None);
-        let request = AlignRequest { since_s, was_reported: true, ..AlignRequest::new(&expected) };
+        let request = AlignRequest::new(Start { since_s, ..Start::found(&expected) }, true);
         let solution = aligner.align(&mut frame, &rays, &request);
         let found = solution.expect("the picture agrees in a third").alignment;
         assert!(found.inlier_ratio() < 0.6, "{}", found.inlier_ratio());
@@ -130,7 +137,7 @@ fn a_body_is_found_though_it_is_blurred() {
         let mut frame = smeared(&stage, &truth(), blur_px, open_columns);
         for was_reported in [false, true] {
             let mut aligner = Aligner::new(&prepared(vec![stage.clone()]), Shutter { readout_s: 0.0, exposure_s: 0.006 });
-            let request = AlignRequest { was_reported, ..AlignRequest::new(&expected) };
+            let request = AlignRequest::new(Start::found(&expected), was_reported);
             let found = aligner.align(&mut frame, &rays, &request).expect("the picture agrees").alignment;
             let off_m = (found.pose.inverse().translation - truth().translation).norm();
             let what = format!("{blur_px} px, {open_columns} columns, given before: {was_reported}");
@@ -153,7 +160,7 @@ fn the_visible_part_of_an_occluded_body_reveals_its_blur() {
     for open_columns in [241, 244, 247] {
         let mut frame = smeared(&small, &truth, 3.0, open_columns);
         let mut aligner = Aligner::new(&prepared(vec![small.clone()]), Shutter { readout_s: 0.0, exposure_s: 0.006 });
-        let request = AlignRequest { was_reported: true, ..AlignRequest::new(&expected) };
+        let request = AlignRequest::new(Start::found(&expected), true);
         let found = aligner.align(&mut frame, &rays, &request).expect("the picture agrees").alignment;
         println!("{open_columns} columns: scale {:.2}, {} of {} tiles", found.residual_sigma, found.agreeing, found.tiles);
         assert!(
@@ -191,7 +198,10 @@ fn patches_lie_where_the_pose_puts_them() {
     let expected = MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003);
     let rays = CameraRays::new(lens(480, 360), None);
     let mut patches = Vec::new();
-    aligner.align(&mut levels(1), &rays, &AlignRequest::new(&expected)).expect("the picture agrees").accept(&mut patches);
+    aligner
+        .align(&mut levels(1), &rays, &AlignRequest::new(Start::found(&expected), false))
+        .expect("the picture agrees")
+        .accept(&mut patches);
     assert!(patches.len() > 40, "{}", patches.len());
     let mean = patches.iter().map(|p| p.shift_px.norm()).sum::<f64>() / patches.len() as f64;
     assert!(mean < 0.05, "{mean}");
@@ -209,7 +219,8 @@ fn patches_follow_the_solved_motion_not_the_final_one() {
     let [own, after_jump] = [Vector6::zeros(), Vector6::new(0.3, 0.0, 0.0, 0.0, 0.1, 0.0)].map(|jump| {
         let mut aligner = Aligner::new(&prepared(vec![bent.clone()]), Shutter { readout_s: 0.02, exposure_s: 1e-6 });
         let mut frame = levels(1);
-        let mut solution = aligner.align(&mut frame, &rays, &AlignRequest::new(&expected)).expect("the picture agrees");
+        let mut solution =
+            aligner.align(&mut frame, &rays, &AlignRequest::new(Start::found(&expected), false)).expect("the picture agrees");
         let motion = &mut solution.alignment.estimate.motion;
         *motion = motion.with_twist(&(motion.twist() + jump));
         let mut patches = Vec::new();
@@ -270,7 +281,7 @@ fn reselected_pixels_invalidate_the_last_solution() {
     let rays = CameraRays::new(lens(480, 360), None);
     let mut frame = levels(1);
     aligner
-        .align(&mut frame, &rays, &AlignRequest::new(&MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003)))
+        .align(&mut frame, &rays, &AlignRequest::new(Start::found(&MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003)), false))
         .expect("the picture agrees");
     let Aligner { surfaces, buffers, slow } = &mut aligner;
     let Buffers { fine, selector, light, .. } = buffers;
@@ -295,9 +306,13 @@ fn a_rejected_frame_updates_no_estimates() {
     let learnt = |aligner: &Aligner| format!("{:?}", aligner.slow);
     let before = learnt(&aligner);
     // Another picture, and the right one from starts that the slow estimates would learn from.
-    let _ = aligner.align(&mut levels(2), &rays, &AlignRequest::new(&expected(0.0)));
+    let _ = aligner.align(&mut levels(2), &rays, &AlignRequest::new(Start::found(&expected(0.0)), false));
     assert_eq!(learnt(&aligner), before);
-    let first = aligner.align(&mut levels(1), &rays, &AlignRequest::new(&expected(0.03))).expect("the picture agrees").alignment.pose;
+    let first = aligner
+        .align(&mut levels(1), &rays, &AlignRequest::new(Start::found(&expected(0.03)), false))
+        .expect("the picture agrees")
+        .alignment
+        .pose;
     assert_eq!(learnt(&aligner), before);
     // The unaccepted frames leave no trace in later ones.
     let again = accepted(&mut aligner, &mut levels(1), &rays, &expected(0.03)).pose;
@@ -318,7 +333,11 @@ fn an_ineffective_enlargement_trial_keeps_the_solution() {
         let start = perturbed(&truth(), &Vector6::new(0.03, 0.0, 0.0, 0.0, 0.0, 0.0)).inverse();
         let expected = MotionEstimate::unseen(start, 3.4, 0.02, 0.006);
         let rays = CameraRays::new(lens(480, 360), None);
-        let pose = aligner.align(&mut frame, &rays, &AlignRequest::new(&expected)).expect("the picture agrees").alignment.pose;
+        let pose = aligner
+            .align(&mut frame, &rays, &AlignRequest::new(Start::found(&expected), false))
+            .expect("the picture agrees")
+            .alignment
+            .pose;
         (pose, aligner.buffers.light)
     };
     assert_eq!(found(0), found(TUNING.enlargement_trial_interval_frames));
@@ -337,7 +356,7 @@ fn a_far_start_needs_the_coarser_levels() {
     let start = perturbed(&truth(), &(Vector6::x() * 0.14));
     let mut is_found = |is_alone: bool| {
         let expected = MotionEstimate::unseen(start.inverse(), 3.4, 0.1, 0.03);
-        let request = AlignRequest { is_nearby_only: is_alone, ..AlignRequest::new(&expected) };
+        let request = AlignRequest::new(Start { is_nearby_only: is_alone, ..Start::found(&expected) }, false);
         let found = aligner.align(&mut frame, &rays, &request);
         found.is_some_and(|solution| solution.alignment.pose.inverse().angle_to(&truth()) < 1e-3 && solution.alignment.is_credible(false))
     };

@@ -42,7 +42,7 @@ pub use kernels::AlignKernels;
 #[cfg(any(test, feature = "survey"))]
 pub use learned::clue::Clue;
 pub use picture::surface::AlignSurface;
-pub use request::AlignRequest;
+pub use request::{AlignRequest, Start};
 pub use solve::level_problem::patches::Patch;
 pub use solve::level_problem::solution::UsedPixel;
 #[cfg(test)]

@@ -58,9 +58,9 @@ pub struct BodyTracker {
     clock: ComputeClock,
     shutter: Shutter,
     readout: LearntReadout,
-    /// Whether the shutter is fixed by [`ask_shutter`](Self::ask_shutter): frames are asked about
+    /// Whether the shutter is fixed by [`StageStudy::ask_shutter`]: frames are asked about
     /// it but do not change it.
-    is_shutter_configured: bool,
+    is_shutter_fixed: bool,
     /// Whether it was already reported that frames contradict the configured exposure.
     is_exposure_contradicted: bool,
     interval: FrameInterval,
@@ -121,7 +121,7 @@ impl BodyTracker {
             clock,
             shutter,
             readout,
-            is_shutter_configured: false,
+            is_shutter_fixed: false,
             is_exposure_contradicted: false,
             interval: FrameInterval::default(),
             bodies,
@@ -159,7 +159,7 @@ impl BodyTracker {
         self.note_pixels();
         self.interval.update(frame.timestamp);
         let learnt = self.learnt();
-        let doubt = (!self.is_shutter_configured).then(|| self.readout.next_doubt());
+        let doubt = (!self.is_shutter_fixed).then(|| self.readout.next_doubt());
         for tracked in &mut self.bodies {
             tracked.begin_frame(doubt, self.interval.to_next_s());
         }
@@ -188,10 +188,18 @@ impl BodyTracker {
         self.has_reported = stage.state == State::Tracking;
         let start = self.clock.start();
         self.learn_readout();
-        let two_view = stage.verified.as_ref().zip(stage.rms_px).map(|observed| {
+        let two_view = stage.verified.as_ref().zip(stage.rms_px).map(|(verified, rms_px)| {
             let _span = debug_span!("two_view").entered();
             let TrackedBody { body, anchors, .. } = &self.bodies[0];
-            two_view(body, observed, anchors.fitting(), &self.camera, self.settings.seed, &mut self.two_view_buffers)
+            two_view(
+                body,
+                &verified.t_camera_body(),
+                rms_px,
+                anchors.fitting(),
+                &self.camera,
+                self.settings.seed,
+                &mut self.two_view_buffers,
+            )
         });
         align_ms += start.elapsed_ms();
         FrameObservation {
@@ -244,7 +252,7 @@ impl BodyTracker {
         let mut clues = given
             .filter(|body| !is_configured || body.model.covariance_by_misfit() == Matrix6::zeros())
             .filter_map(|body| body.attempt.clue);
-        let Some(clue) = clues.find(|clue| clue.may_teach).filter(|_| !self.is_shutter_configured) else { return };
+        let Some(clue) = clues.find(|clue| clue.may_teach).filter(|_| !self.is_shutter_fixed) else { return };
         let was_s = self.shutter.readout_s;
         self.readout.update(&clue, self.interval.to_next_s());
         let used = self.readout.used();

@@ -8,7 +8,7 @@ use crate::camera::Shutter;
 use crate::frame::Frame;
 use crate::geometry::{Body, Camera, Pose};
 use crate::track::acquire::candidate::{SurfaceMatch, SurfaceView};
-use crate::track::align::{AlignRequest, Alignment, ShutterClue};
+use crate::track::align::{AlignRequest, Alignment, ShutterClue, Start};
 use crate::track::model_error::misfit::ModelReport;
 
 /// A study of the stage with a tracker's pictures.
@@ -20,7 +20,7 @@ impl StageStudy<'_> {
     /// Fixes the shutter to this one; from now on every frame is asked what it says about it (see
     /// [`shutter_clue`](Self::shutter_clue)).
     pub fn ask_shutter(&mut self, shutter: Shutter) {
-        (self.tracker.shutter, self.tracker.is_shutter_configured) = (shutter, true);
+        (self.tracker.shutter, self.tracker.is_shutter_fixed) = (shutter, true);
         self.tracker.search.set_shutter(shutter, 0.0);
         self.tracker.bodies.iter_mut().for_each(|body| body.ask_shutter(shutter));
     }
@@ -52,7 +52,7 @@ impl StageStudy<'_> {
         levels.update(&frame.image);
         let stage = bodies.first_mut()?;
         let expected = stage.unseen(*start, [shift_m, turn_rad], None);
-        let request = AlignRequest { was_reported: stage.track.was_reported(), ..AlignRequest::new(&expected) };
+        let request = AlignRequest::new(Start::found(&expected), stage.track.was_reported());
         Some(stage.aligner.align(levels, camera_rays, &request)?.alignment)
     }
 

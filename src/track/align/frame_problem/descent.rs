@@ -127,7 +127,7 @@ mod tests {
     use nalgebra::{Vector3, Vector6};
 
     use super::super::super::learned::online_calibration::OnlineCalibration;
-    use super::super::super::request::AlignRequest;
+    use super::super::super::request::{AlignRequest, Start};
     use super::super::super::{AlignSurface, CameraRays};
     use super::super::Buffers;
     use super::*;
@@ -151,7 +151,7 @@ mod tests {
         let start = perturbed(&truth, &(Vector6::x() * off_m)).inverse();
         let expected = MotionEstimate::unseen(start, 3.4, 0.1, 0.03);
         let information = expected.covariance.cholesky().expect("positive").inverse();
-        let request = AlignRequest { since_s, was_reported: true, ..AlignRequest::new(&expected) };
+        let request = AlignRequest::new(Start { since_s, ..Start::found(&expected) }, true);
         let mut problem = FrameProblem::new(&surfaces, &slow, &mut buffers, &mut levels, &rays, &request, &information);
         ask(&mut problem);
     }
@@ -201,7 +201,7 @@ mod tests {
         let (slow, mut buffers) = (OnlineCalibration::new(shutter), Buffers::with_room_for(&surfaces));
         let expected = MotionEstimate::unseen(truth.pose, 3.4, 0.1, 0.03);
         let information = expected.covariance.cholesky().expect("positive").inverse();
-        let request = AlignRequest { was_reported: true, ..AlignRequest::new(&expected) };
+        let request = AlignRequest::new(Start::found(&expected), true);
         let mut problem = FrameProblem::new(&surfaces, &slow, &mut buffers, &mut levels, &rays, &request, &information);
         let found = problem.descend(FINEST + 1, None).found.expect("the picture agrees");
         let LevelFit { residual_sigma, inlier_tile_ratio } = problem.progress.above.expect("solved");

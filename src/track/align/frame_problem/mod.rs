@@ -24,7 +24,7 @@ use super::learned::online_calibration::{OnlineCalibration, Updates};
 use super::picture::surface::{AlignSurface, distance_m};
 use super::pixels::level_spec::LevelSpec;
 use super::pixels::selection::Selector;
-use super::request::AlignRequest;
+use super::request::{AlignRequest, Start};
 use super::solve::jump_instant::{MotionPrior, RowBands};
 use super::solve::level_problem::solution::Conclusion;
 use super::solve::level_problem::{Corrected, LevelPrior, LevelProblem};
@@ -82,7 +82,7 @@ pub struct FrameProblem<'a> {
     /// Whether a pose of it was reported before. Then whatever differs from the body is in front of
     /// it, wherever it is found.
     was_reported: bool,
-    /// See [`AlignRequest::is_nearby_only`].
+    /// See [`Start::is_nearby_only`].
     is_nearby_only: bool,
     /// The tiles' equations, gathered by the exposure times of their rows.
     bands: RowBands,
@@ -135,7 +135,7 @@ impl<'a> FrameProblem<'a> {
         information: &'a MotionMatrix,
     ) -> Self {
         buffers.light.clone_from(&slow.light);
-        let AlignRequest { expected, since_s, was_reported, is_nearby_only, .. } = *request;
+        let AlignRequest { start: Start { expected, since_s, is_nearby_only }, was_reported, .. } = *request;
         let (motion, psf_variance, is_followed) = (&expected.motion, slow.psf_variance, since_s.is_some());
         let known = LevelPrior { motion, information, psf_variance, psf_variance_sigma: TUNING.psf_variance_sigma, is_sure: is_followed };
         let (bands, updates) = (RowBands::new(slow.shutter), Updates::none(slow));

@@ -6,7 +6,7 @@ use nalgebra::{Vector2, Vector3, Vector6};
 use super::angular_velocity_by_twist;
 use crate::camera::Shutter;
 use crate::motion::{Motion, MotionEstimate, MotionMatrix};
-use crate::track::align::AlignRequest;
+use crate::track::align::{AlignRequest, Start};
 use crate::track::align::{Aligner, Alignment, CameraRays};
 use crate::track::frame::frame_levels::FrameLevels;
 use crate::track::synthetic::{cloth, facing, lens, moving_view, prepared};
@@ -41,7 +41,7 @@ fn found_from(frame: &GrayImage, expected: &MotionEstimate, shutter: &Shutter, e
     levels.update(frame);
     let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { exposure_s, ..*shutter });
     aligner
-        .align(&mut levels, &CameraRays::new(lens(SIZE[0], SIZE[1]), None), &AlignRequest::new(expected))
+        .align(&mut levels, &CameraRays::new(lens(SIZE[0], SIZE[1]), None), &AlignRequest::new(Start::found(expected), false))
         .expect("the picture agrees")
         .alignment
 }

@@ -11,36 +11,13 @@ use crate::geometry::resection::{MovingCamera, Observation};
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::{MotionError, MotionEstimate, ProcessNoise};
 use crate::track::acquire::tuning::TUNING as ACQUIRE_TUNING;
-use crate::track::align::{AlignRequest, Alignment, CameraRays, FrameLevels, Patch, ReadoutQuestion, is_sharp};
+use crate::track::align::{AlignRequest, Alignment, CameraRays, FrameLevels, Patch, ReadoutQuestion, Start, is_sharp};
 use crate::track::body::pixel_watch::Displaced;
 use crate::track::body::tuning::TUNING;
 use crate::track::patches::fitted_anchor::FittedAnchor;
 use crate::track::patches::planar_ambiguity::{ambiguity_margin, most_frequent_surface};
 use crate::track::patches::tuning::TUNING as PATCHES_TUNING;
 use crate::track::patches::verify::{Refusal, Verified, judged_noise};
-
-/// Where an alignment starts.
-#[derive(Debug, Clone, Copy)]
-pub struct Start<'a> {
-    /// The predicted motion.
-    pub expected: &'a MotionEstimate,
-    /// Seconds since the last frame, if it is predicted from an aligned body's motion.
-    pub since_s: Option<f64>,
-    /// See [`AlignRequest::is_nearby_only`].
-    pub is_nearby_only: bool,
-}
-
-impl<'a> Start<'a> {
-    /// Starts from a motion predicted from the last frame, `since_s` ago.
-    pub fn predicted(expected: &'a MotionEstimate, since_s: f64) -> Self {
-        Self { expected, since_s: Some(since_s), is_nearby_only: false }
-    }
-
-    /// Starts from a pose that was found in this frame.
-    pub fn found(expected: &'a MotionEstimate) -> Self {
-        Self { expected, since_s: None, is_nearby_only: false }
-    }
-}
 
 impl TrackedBody {
     /// Aligns the body from its predicted motion; `None` if it was not aligned recently, or the
@@ -127,7 +104,7 @@ impl TrackedBody {
         let distance_m = self.aligner.distance_m(&expected.motion.pose);
         let was_reported = self.track.was_reported();
         let readout = self.readout_question(expected, camera_rays, since_s).or(self.standing_question());
-        let request = AlignRequest { expected, since_s, was_reported, is_nearby_only, readout };
+        let request = AlignRequest { start: *start, was_reported, readout };
         let mut solution = self.aligner.align(levels, camera_rays, &request)?;
         let found = solution.alignment;
         // A pose found far from its prediction is treated as a new one.
@@ -249,7 +226,7 @@ impl TrackedBody {
             );
             let expected = MotionEstimate { motion: unseen.motion.with_twist(&found.estimate.motion.twist()), ..unseen };
             let (was_reported, readout) = (self.track.was_reported(), self.standing_question());
-            let request = AlignRequest { expected: &expected, since_s: None, was_reported, is_nearby_only, readout };
+            let request = AlignRequest { start: Start { is_nearby_only, ..Start::found(&expected) }, was_reported, readout };
             let Some(solution) = self.aligner.align(levels, camera_rays, &request) else { return false };
             let rival = solution.alignment;
             let is_other = (rival.pose.translation - found.pose.translation).norm() > 0.5 * aside.norm();

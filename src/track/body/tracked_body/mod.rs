@@ -19,7 +19,6 @@ mod expected;
 use nalgebra::{Matrix6, Vector6};
 use tracing::debug;
 
-pub use self::alignment::Start;
 use self::attempt::Attempt;
 use self::body_model::BodyModel;
 use super::learnt_readout::ReadoutDoubt;

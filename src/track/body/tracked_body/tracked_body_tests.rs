@@ -3,7 +3,7 @@ use nalgebra::Vector3;
 use super::*;
 use crate::frame::Frame;
 use crate::motion::Motion;
-use crate::track::align::{CameraRays, FrameLevels};
+use crate::track::align::{CameraRays, FrameLevels, Start};
 use crate::track::patches::verify::Refusal;
 use crate::track::synthetic::{cloth, facing, lens, view};
 
