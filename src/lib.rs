@@ -30,6 +30,7 @@
 //!   `calibration-files`)
 //! - `frame`: a grey picture with its stamp
 //! - `features`: pyramid, corners, binary descriptors
+//! - `light`: the curves between light and grey levels; averages of light
 //! - `matching`: which features correspond
 //! - `motion`: the motion model: following, coasting, prediction, resampling
 //! - `track`: surfaces and bodies; acquire, register, verify, align: turns a frame into an
@@ -85,6 +86,7 @@ mod compute_clock;
 mod features;
 mod frame;
 mod geometry;
+mod light;
 mod matching;
 mod motion;
 mod pose;

@@ -6,24 +6,14 @@
 //! does. [`LightModel::GreyAverages`] adds up the grey levels themselves. No camera does that, but
 //! it reproduces earlier figures.
 
-/// Grey level of full light, and the light value that yields it: both scales end here.
-const FULL: f32 = 255.0;
-/// Fraction of full light below which sRGB is linear (IEC 61966-2-1).
-const LINE_ENDS_AT: f32 = 0.003_130_8;
-/// Slope of the linear part.
-const LINE_SLOPE: f32 = 12.92;
-/// Inverse exponent of sRGB above the linear part: the grey is
-/// `(1 + OFFSET) light^(1 / EXPONENT) - OFFSET`.
-const EXPONENT: f32 = 2.4;
-/// See [`EXPONENT`].
-const OFFSET: f32 = 0.055;
+use crate::light::Transfer;
+use crate::light::transfer::FULL;
 
 /// The quantity in which light is added up.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum LightModel {
     /// Grey levels are averaged and multiplied directly.
-    #[default]
     GreyAverages,
     /// Light is added up, clipped at full light, and encoded along the camera's curve.
     Linear(ToneCurve),
@@ -37,13 +27,19 @@ pub struct ToneCurve {
     pub contrast: f32,
 }
 
+impl Default for LightModel {
+    fn default() -> Self {
+        Self::Linear(ToneCurve::default())
+    }
+}
+
 impl LightModel {
     /// Returns the light, up to 255, that a surface painted with a grey level reflects in full
     /// light.
     pub(super) fn light_of(self, grey: f32) -> f32 {
         match self {
             Self::GreyAverages => grey,
-            Self::Linear(_) => FULL * decoded(grey / FULL),
+            Self::Linear(_) => FULL * Transfer::Srgb.decoded(grey / FULL),
         }
     }
 
@@ -52,7 +48,7 @@ impl LightModel {
         match self {
             // The later rounding clips.
             Self::GreyAverages => light,
-            Self::Linear(curve) => FULL * curve.apply(encoded((light / FULL).clamp(0.0, 1.0))),
+            Self::Linear(curve) => FULL * curve.apply(Transfer::Srgb.encoded((light / FULL).clamp(0.0, 1.0))),
         }
     }
 }
@@ -62,16 +58,6 @@ impl ToneCurve {
     fn apply(self, x: f32) -> f32 {
         x + self.contrast * (x * x * (3.0 - 2.0 * x) - x)
     }
-}
-
-/// Converts sRGB to a fraction of full light.
-fn decoded(grey: f32) -> f32 {
-    if grey <= LINE_SLOPE * LINE_ENDS_AT { grey / LINE_SLOPE } else { ((grey + OFFSET) / (1.0 + OFFSET)).powf(EXPONENT) }
-}
-
-/// Converts a fraction of full light to sRGB.
-fn encoded(light: f32) -> f32 {
-    if light <= LINE_ENDS_AT { light * LINE_SLOPE } else { (1.0 + OFFSET) * light.powf(1.0 / EXPONENT) - OFFSET }
 }
 
 #[cfg(test)]

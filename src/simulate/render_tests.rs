@@ -23,9 +23,12 @@ fn checker(cell_px: u32) -> GrayImage {
     GrayImage::from_fn(1200, 800, |x, y| image::Luma([if (x / cell_px + y / cell_px).is_multiple_of(2) { 30 } else { 220 }]))
 }
 
+/// Averages grey levels, so that the area under a step of grey is the place of an edge.
 fn stage_of(artwork: GrayImage, camera: CameraModel, path: CameraPath) -> VirtualStage {
     let surface = artwork_surface("cloth", artwork, [3.0, 2.0], upright(Vector3::zeros(), 0.0));
-    VirtualStage::new(camera, path, BodySpec::new("stage", vec![surface]))
+    let mut stage = VirtualStage::new(camera, path, BodySpec::new("stage", vec![surface]));
+    stage.light_model = LightModel::GreyAverages;
+    stage
 }
 
 fn oblique() -> CameraPath {

@@ -13,6 +13,7 @@ use super::spot::Spot;
 use super::upright::upright;
 use crate::camera::{CameraModel, Shutter};
 use crate::geometry::{Body, Camera, Pose, Stage, SurfaceFrame};
+use crate::light::Transfer;
 use crate::track::{BodySpec, ReferenceKind, SurfaceDoubt, SurfaceShape, SurfaceSpec};
 use crate::tracker::TrackerSetup;
 
@@ -208,6 +209,7 @@ pub fn artwork_surface(name: &str, artwork: GrayImage, size_m: [f64; 2], pose: P
         kind: ReferenceKind::Artwork,
         shape: SurfaceShape::Flat,
         doubt: SurfaceDoubt::default(),
+        transfer: Transfer::default(),
     }
 }
 

@@ -20,7 +20,7 @@ use modules::{Modules, Name};
 use syn::{Item, Visibility};
 
 /// The rooms from the top. Each uses only those above it.
-const ROOMS: [&str; 36] = [
+const ROOMS: [&str; 37] = [
     // The core.
     "compute_clock",
     "simd",
@@ -28,6 +28,7 @@ const ROOMS: [&str; 36] = [
     "camera",
     "frame",
     "features",
+    "light",
     "matching",
     "motion",
     "track",
