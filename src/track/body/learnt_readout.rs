@@ -174,8 +174,9 @@ impl LearntReadout {
     pub fn update(&mut self, clue: &ShutterClue, interval_s: f64) {
         let (used_s, readout, shown) = (self.used.readout_s, clue.readout.clue, clue.readout.shown);
         let information = readout.information * shown.powi(2);
-        if information <= TUNING.max_vague_readout_sigma_s.powi(-2) || !readout.score.is_finite() || shown < TUNING.min_shown_readout_ratio
-        {
+        // NaN where a frame has no information at all.
+        let tells = information > TUNING.max_vague_readout_sigma_s.powi(-2) && information.is_finite();
+        if !tells || !readout.score.is_finite() || shown < TUNING.min_shown_readout_ratio {
             return;
         }
         if self.frame_readouts.len() == TUNING.max_readout_frames {
@@ -295,6 +296,19 @@ mod tests {
         let clue = Clue { score: 0.5 * (true_s + error_s - used_s) * information, information };
         let readout = ReadoutClue { clue, shown: 0.5, motion_by_readout: MotionError::zeros() };
         ShutterClue { readout, speed_px_s, exposure: None, is_open: true, may_teach: true }
+    }
+
+    /// Rows that show nothing of the readout leave 0 information, or none that is a number.
+    #[test]
+    fn a_frame_without_information_is_ignored() {
+        let mut learnt = LearntReadout::new(None, None);
+        for information in [0.0, -0.0, f64::INFINITY, f64::NAN] {
+            let clue = Clue { score: 1.0, information };
+            let readout = ReadoutClue { clue, shown: f64::INFINITY, motion_by_readout: MotionError::zeros() };
+            learnt.update(&ShutterClue { readout, speed_px_s: 300.0, exposure: None, is_open: true, may_teach: true }, INTERVAL_S);
+        }
+        (0..60).for_each(|_| learnt.update(&clue(0.015, learnt.used().readout_s, 0.0, 300.0), INTERVAL_S));
+        assert!((learnt.used().readout_s - 0.015).abs() < 1e-3, "{:?}", learnt.used());
     }
 
     /// Feeds frames of a shaken camera; the errors mimic noise.
