@@ -57,6 +57,8 @@ pub struct Camera {
     pub readout_s: Option<Spanned<Number>>,
     /// `global` or `rolling`.
     pub shutter: Option<Spanned<String>>,
+    /// How the camera encodes light: `srgb`, `bt709` or `linear`.
+    pub transfer: Option<Spanned<String>>,
     /// Picture that is black where the camera's picture is to be ignored.
     pub mask: Option<Spanned<String>>,
     /// Device path or name.
@@ -104,6 +106,8 @@ pub struct Surface {
     pub corners_px: Option<Spanned<Exactly<Exactly<Number, 2>, 4>>>,
     /// Uncertainty of each corner, one sigma, pixels.
     pub corner_sigma_px: Option<Spanned<Number>>,
+    /// How the picture encodes light: `srgb`, `bt709` or `linear`.
+    pub transfer: Option<Spanned<String>>,
     /// Calibration of the camera that took the photograph.
     pub photo_calibration: Option<Spanned<String>>,
     /// Shape file from `stagepose survey`.

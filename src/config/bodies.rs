@@ -12,11 +12,13 @@ use super::as_typed;
 use super::lens::LensSource;
 use super::origin::Origin;
 use super::rotation::Turned;
+use super::transfer::transfer;
 use super::values::Section;
 use super::{ConfigError, Problem, stage_origin};
 use crate::camera::{CameraModel, Pixel, plausible};
 use crate::capture::orientation_words;
 use crate::geometry::{Body, Pose, SurfaceFrame};
+use crate::light::Transfer;
 use crate::track::{BodySpec, SurfaceDoubt, SurfaceError, SurfaceShape, SurfaceSpec};
 
 /// The stage's name among the bodies, which no object may have.
@@ -46,6 +48,8 @@ pub(super) struct BodyReader<'a> {
     pub origin: &'a Origin<'a>,
     pub camera: CameraModel,
     pub lens: &'a LensSource,
+    /// How the camera encodes light, if configured.
+    pub transfer: Option<Transfer>,
     pub notes: &'a mut Vec<String>,
     /// Graver than notes: parts of the config that are left out, unusual numbers.
     pub warnings: &'a mut Vec<String>,
@@ -149,6 +153,9 @@ impl BodyReader<'_> {
             (None, None) => Err(self.origin.missing(here(), "image", "image = \"artwork.png\", or photo = \"photo.jpg\" with corners_px")),
         }?;
         read.spec.doubt = doubt(&section, surface, read.spec.doubt)?;
+        // A photograph is most likely one of the camera's own.
+        let usual = self.transfer.filter(|_| surface.photo.is_some()).unwrap_or_default();
+        read.spec.transfer = transfer(&section, surface.transfer.as_ref(), Some(usual))?.unwrap_or_default();
         Ok(read)
     }
 

@@ -34,6 +34,7 @@ mod stage_words_tests;
 pub mod surveyed;
 #[cfg(test)]
 mod tests;
+mod transfer;
 mod typed_values;
 mod values;
 

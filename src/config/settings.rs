@@ -22,11 +22,13 @@ use super::outputs::{OUTPUT, OutputReader, safety};
 use super::protocols::address;
 use super::shutter::shutter;
 use super::source::{ConfigSource, read_text};
+use super::transfer::transfer;
 use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::camera::{CameraModel, KnownShutter};
 use crate::capture::camera::PixelLayout;
 use crate::geometry::{Body, Pose, SurfaceFrame};
+use crate::light::Transfer;
 use crate::pose::FilterSettings;
 use crate::publish::{MountSettings, OutputSettings, SafetySettings};
 use crate::survey::measured::Constraint;
@@ -198,12 +200,13 @@ impl Settings {
         let camera = typed.camera.as_ref().map_or(&none, Spanned::get_ref);
         let calibration_line = camera.calibration.as_ref().map(Spanned::span).or(typed.camera.as_ref().map(Spanned::span));
         let calibration_line = calibration_line.map_or(1, |span| origin.line(&span));
-        let shutter = shutter(&section, camera)?;
+        let (shutter, transfer) = (shutter(&section, camera)?, transfer(&section, camera.transfer.as_ref(), None)?);
         let mask = camera.mask.as_ref().map(|m| mask(&section, m, lens.size(&model).map(|_| &model))).transpose()?;
         let mut bodies = BodyReader {
             origin: &origin,
             camera: model,
             lens: &lens,
+            transfer,
             notes: &mut notes,
             warnings: &mut warnings,
             first_as_typed: Pose::identity(),
@@ -237,7 +240,7 @@ impl Settings {
             objects,
             outputs: outputs.outputs(&typed.output)?,
             mount,
-            tracker: tracker(&origin, typed.tracker.as_ref())?,
+            tracker: tracker(&origin, typed.tracker.as_ref(), transfer)?,
             recorder: recorder(&origin, typed.recorder.as_ref())?,
             filter: filter(&origin, typed.filter.as_ref())?,
             safety,
@@ -399,8 +402,8 @@ fn device(section: &Section<'_>, typed: &as_typed::Camera) -> Result<DeviceSetti
     })
 }
 
-fn tracker(origin: &Origin<'_>, typed: Option<&as_typed::Tracker>) -> Result<TrackerSettings, ConfigError> {
-    let default = TrackerSettings::default();
+fn tracker(origin: &Origin<'_>, typed: Option<&as_typed::Tracker>, transfer: Option<Transfer>) -> Result<TrackerSettings, ConfigError> {
+    let default = TrackerSettings { transfer, ..TrackerSettings::default() };
     let Some(typed) = typed else { return Ok(default) };
     let section = Section { origin, name: "[tracker]" };
     let threads = section.count("threads", typed.threads.as_ref(), default.threads as u64, 1..=64, "1 to 64 threads")?;
@@ -415,6 +418,7 @@ fn tracker(origin: &Origin<'_>, typed: Option<&as_typed::Tracker>) -> Result<Tra
         confirm_frames: confirm as u32,
         seed: section.count("seed", typed.seed.as_ref(), default.seed, 0..=u64::MAX, "a whole number of 0 or more")?,
         adds_lens_doubt: default.adds_lens_doubt,
+        transfer,
         is_trial: default.is_trial,
     })
 }

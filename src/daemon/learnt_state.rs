@@ -126,7 +126,7 @@ mod tests {
         assert_eq!(learnt_of_clip(clip.path()), Ok(LearntCamera::default()));
         about(&format!("learnt = {:?}\n", String::from_utf8(learnt().to_bytes()).unwrap()));
         assert_eq!(learnt_of_clip(clip.path()), Ok(learnt()));
-        for damaged in ["learnt = 7\n", "learnt = \"stagepose learnt camera 2\"\n"] {
+        for damaged in ["learnt = 7\n", "learnt = \"stagepose learnt camera 3\"\n"] {
             about(damaged);
             assert!(learnt_of_clip(clip.path()).unwrap_err().contains("learnt anew"), "{damaged}");
         }

@@ -456,6 +456,7 @@ mod tests {
             kind: ReferenceKind::Artwork,
             shape: SurfaceShape::Flat,
             doubt: crate::track::SurfaceDoubt::default(),
+            transfer: crate::light::Transfer::default(),
         };
         let camera = CameraModel::pinhole(64, 48, 60.0, 60.0, 31.5, 23.5).unwrap();
         Tracker::new(TrackerSetup::new(camera, BodySpec::new(name, vec![surface]))).expect("a setup that fits")

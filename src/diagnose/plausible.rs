@@ -231,6 +231,7 @@ mod tests {
             kind: ReferenceKind::Artwork,
             shape: SurfaceShape::Flat,
             doubt: crate::track::SurfaceDoubt::default(),
+            transfer: crate::light::Transfer::default(),
         }
     }
 

@@ -87,7 +87,7 @@ impl HalfSize {
     }
 
     /// Copies the frame, unless that was done.
-    fn fill(&mut self, levels: &FrameLevels) {
+    fn fill(&mut self, levels: &mut FrameLevels) {
         if !std::mem::replace(&mut self.is_current, true) {
             levels.half_into(&mut self.picture);
         }
@@ -577,14 +577,14 @@ mod tests {
     fn the_half_size_is_that_of_the_current_frame() {
         let mut half = HalfSize::default();
         half.begin_frame();
-        half.fill(&levels(10));
+        half.fill(&mut levels(10));
         // Needed twice in a frame, it is copied once.
-        half.fill(&levels(20));
+        half.fill(&mut levels(20));
         assert_eq!(half.picture, GrayImage::from_pixel(32, 24, Luma([10])));
         // A frame that does not need it leaves an old picture, which the next one replaces.
         half.begin_frame();
         half.begin_frame();
-        half.fill(&levels(30));
+        half.fill(&mut levels(30));
         assert_eq!(half.picture, GrayImage::from_pixel(32, 24, Luma([30])));
     }
 }

@@ -1,5 +1,7 @@
 //! The tracker's settings, each with its meaning, default and cost.
 
+use crate::light::Transfer;
+
 /// How the tracker works; the defaults suit a stage camera.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -22,12 +24,23 @@ pub struct TrackerSettings {
     /// noise that many frames average away. Detection of a moved lens uses that uncertainty in any
     /// case. Default true; no cost.
     pub adds_lens_doubt: bool,
+    /// How the camera encodes light. Default `None`: unknown, taken to be sRGB.
+    pub transfer: Option<Transfer>,
     /// Whether frames are only tried: findings about the lens are then not logged. Default false.
     pub is_trial: bool,
 }
 
 impl Default for TrackerSettings {
     fn default() -> Self {
-        Self { threads: 1, features: 1500, coast_s: 0.2, confirm_frames: 2, seed: 1, adds_lens_doubt: true, is_trial: false }
+        Self {
+            threads: 1,
+            features: 1500,
+            coast_s: 0.2,
+            confirm_frames: 2,
+            seed: 1,
+            adds_lens_doubt: true,
+            transfer: None,
+            is_trial: false,
+        }
     }
 }

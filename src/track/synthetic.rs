@@ -1,5 +1,5 @@
 //! Synthetic pictures for the tests of `track`: smooth random texture, surfaces as a still or
-//! moving camera sees them, and matching anchors.
+//! moving camera sees them, and matching anchors. Light is averaged, not grey.
 
 use image::{GrayImage, Luma};
 use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
@@ -10,6 +10,8 @@ use super::scene::surface::{BodySpec, SurfaceSpec};
 use crate::camera::{CameraModel, Intrinsics, Normalized, Pixel, Shutter};
 use crate::geometry::resection::Observation;
 use crate::geometry::{Body, Camera, Pose};
+use crate::light::Transfer;
+use crate::light::transfer::FULL;
 use crate::motion::Motion;
 
 /// Returns smooth random texture: noise on lattices of three pitches, so that there is detail of
@@ -87,11 +89,11 @@ pub fn moving_view(surface: &SurfaceSpec, motion: &Motion, shutter: &Shutter, le
         let seen = view(surface, &motion.after(t).pose.inverse(), lens);
         for (row, (sums, seen)) in sums.chunks_mut(width as usize).zip(seen.chunks(width as usize)).enumerate() {
             if (t - shutter.delay_s(row as f64 + 0.5, height)).abs() < 0.5 * shutter.exposure_s {
-                sums.iter_mut().zip(seen).for_each(|(sum, grey)| *sum = [sum[0] + f64::from(*grey), sum[1] + 1.0]);
+                sums.iter_mut().zip(seen).for_each(|(sum, grey)| *sum = [sum[0] + light_of(f64::from(*grey)), sum[1] + 1.0]);
             }
         }
     }
-    GrayImage::from_raw(width, height, sums.iter().map(|[sum, n]| (sum / n).round() as u8).collect()).expect("one byte for each pixel")
+    GrayImage::from_raw(width, height, sums.iter().map(|[sum, n]| grey_of(sum / n)).collect()).expect("one byte for each pixel")
 }
 
 /// Returns where a camera sees a place of a surface's artwork, pixels, and the derivative of that
@@ -137,30 +139,46 @@ pub fn seen_anchors(
     anchors
 }
 
+/// Returns the light of an sRGB grey, 0 to 1.
+pub fn light_of(grey: f64) -> f64 {
+    f64::from(Transfer::Srgb.decoded(grey as f32 / FULL))
+}
+
+/// Returns the sRGB grey of an amount of light, 0 to 1.
+pub fn grey_of(light: f64) -> u8 {
+    (FULL * Transfer::Srgb.encoded(light as f32)).round() as u8
+}
+
 /// Renders what a still camera sees of a surface: 3 x 3 samples per pixel; grey 30 where there is
 /// nothing.
 pub fn view(surface: &SurfaceSpec, pose: &Pose<Camera, Body>, camera: &CameraModel) -> GrayImage {
     let to_surface = (*pose * surface.pose).inverse();
     let look = |u: f64, v: f64| -> f64 {
-        let Some(ray) = camera.unproject(Pixel(Vector2::new(u, v))) else { return 30.0 };
+        let Some(ray) = camera.unproject(Pixel(Vector2::new(u, v))) else { return light_of(NOTHING_GREY) };
         let direction = to_surface.rotation * ray.0.push(1.0);
         let eye = to_surface.translation;
-        surface.shape.meet(&eye, &direction).map_or(30.0, |hit| grey_at(&surface.artwork, surface.to_artwork(hit.into())))
+        surface
+            .shape
+            .meet(&eye, &direction)
+            .map_or_else(|| light_of(NOTHING_GREY), |hit| light_at(&surface.artwork, surface.to_artwork(hit.into())))
     };
     let steps = [-1.0 / 3.0, 0.0, 1.0 / 3.0];
     GrayImage::from_fn(camera.width(), camera.height(), |x, y| {
         let all = steps.iter().flat_map(|dy| steps.iter().map(move |dx| (f64::from(x) + dx, f64::from(y) + dy)));
-        Luma([(all.map(|(u, v)| look(u, v)).sum::<f64>() / 9.0).round() as u8])
+        Luma([grey_of(all.map(|(u, v)| look(u, v)).sum::<f64>() / 9.0)])
     })
 }
 
-/// Returns the bilinear grey value; 30 outside the picture.
-fn grey_at(picture: &GrayImage, p: Vector2<f64>) -> f64 {
+/// Grey where there is nothing.
+const NOTHING_GREY: f64 = 30.0;
+
+/// Returns the bilinear light; that of [`NOTHING_GREY`] outside the picture.
+fn light_at(picture: &GrayImage, p: Vector2<f64>) -> f64 {
     let (i, j) = (p.x.floor(), p.y.floor());
     if i < 0.0 || j < 0.0 || i + 1.0 >= f64::from(picture.width()) || j + 1.0 >= f64::from(picture.height()) {
-        return 30.0;
+        return light_of(NOTHING_GREY);
     }
     let (a, b) = (p.x - i, p.y - j);
-    let at = |dx: u32, dy: u32| f64::from(picture.get_pixel(i as u32 + dx, j as u32 + dy)[0]);
+    let at = |dx: u32, dy: u32| light_of(f64::from(picture.get_pixel(i as u32 + dx, j as u32 + dy)[0]));
     (at(0, 0) * (1.0 - a) + at(1, 0) * a) * (1.0 - b) + (at(0, 1) * (1.0 - a) + at(1, 1) * a) * b
 }

@@ -236,6 +236,7 @@ mod tests {
             kind: ReferenceKind::Artwork,
             shape: SurfaceShape::Flat,
             doubt: crate::track::SurfaceDoubt::default(),
+            transfer: crate::light::Transfer::default(),
         };
         let camera = CameraModel::pinhole(64, 48, 60.0, 61.0, 31.5, 23.5).unwrap();
         TrackerSetup::new(camera, BodySpec::new("stage", vec![surface]))

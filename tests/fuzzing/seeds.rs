@@ -35,7 +35,7 @@ pub const BOUGUET: &str = "% Focal length:\nfc = [ 657.462 ; 657.945 ];\ncc = [ 
     alpha_c_error = 0.0001;\nkc_error = [ 0.0027 ; 0.0107 ; 0.0001 ; 0.0001 ; 0.0 ];\nnx = 640;\nny = 480;\nn_ima = 20;\nomc_1 = [ 1.654 ; NaN ; -0.669 ];\n";
 /// The description of a recording.
 pub const ABOUT: &str = "program = \"stagepose 0.1.0\"\nbegun_utc = \"2026-01-02T10:00:00Z\"\nconfig = \"config/stage.toml\"\n\
-    learnt = \"stagepose learnt camera 1\\nreadout_s 0.0201 0.0002\\nexposure_s 0.012 0.001\\n\"\n[clock]\nmonotonic_ns = 33333333\n\
+    learnt = \"stagepose learnt camera 2\\nreadout_s 0.0201 0.0002\\nexposure_s 0.012 0.001\\ncurve 0.5 1.0 2.0 3.0 2.0 1.0 -1.0\\n\"\n[clock]\nmonotonic_ns = 33333333\n\
     utc_ns = 1767225600000000000\n[camera]\nname = \"cam\"\nwidth = 120\nheight = 90\nformat = \"MJPG\"\nfps = 30.0\nexposure_s = 0.01\n[camera.controls]\n\
     gain = 3\n";
 pub const STAMPS: &str = "#timestamp [ns],filename\n0,000000.png\n33333333,000001.png\n66666666,000002.png\n99999999,000003.png\n";
@@ -43,7 +43,7 @@ pub const STAMPS: &str = "#timestamp [ns],filename\n0,000000.png\n33333333,00000
 /// The same in milliseconds, for which the unit is ambiguous.
 pub const STAMPS_MS: &str = "#timestamp [ns],filename\n0,000000.png\n33,000001.png\n66,000002.png\n100,000003.png\n";
 /// What was learnt about a camera.
-pub const LEARNT: &str = "stagepose learnt camera 1\nreadout_s 0.0201 0.0002\nexposure_s 0.012 0.001\n";
+pub const LEARNT: &str = "stagepose learnt camera 2\nreadout_s 0.0201 0.0002\nexposure_s 0.012 0.001\ncurve 0.5 1.0 2.0 3.0 2.0 1.0 -1.0\n";
 /// Log of ffmpeg for a video with a rotation, and for its first picture.
 pub const FFMPEG_LOG: &str = "[info] ffmpeg version 5.1.9-0+deb12u1 Copyright (c) 2000-2026 the FFmpeg developers\n\
     [info] Input #0, mov,mp4,m4a,3gp,3g2,mj2, from 'file:a.mp4':\n\

@@ -34,7 +34,7 @@ fn a_conclusive_frame_reports_its_pose_at_once() {
 fn a_moving_rolling_shutter_camera_reports_its_pose_at_once() {
     // A frontal plane that approaches while its rows are read looks tilted; its blur reveals the
     // motion.
-    let keys = [(-0.5, [-0.9, -3.6, 0.0]), (0.5, [0.9, -2.6, 0.4])].map(|(t, p)| (t, Vector3::from(p)));
+    let keys = [(-0.5, [-0.9, -3.4, 0.0]), (0.5, [0.9, -2.6, 0.4])].map(|(t, p)| (t, Vector3::from(p)));
     let towards = CameraPath { position: Spline::new(&keys).unwrap(), ..CameraPath::fixed(Point3::origin(), Point3::new(0.1, 0.0, 0.0)) };
     for path in [past(), towards] {
         let mut scene = quiet(camera(960, 720), path, backdrop());

@@ -209,7 +209,7 @@ fn an_object_that_is_thrown_is_lost_honestly() {
     scene.objects.push(prop("sign", 42, 0.6, along(&[(0.0, [-0.2, -0.8, -0.8]), (1.0, [-0.2, -0.8, -0.8])], 0.0, 12.5)));
     let samples = track(&scene, 30);
     let thrown = assert_right(&scene, &samples, 0);
-    assert!((3..9).chain(18..30).all(|frame| thrown.contains(&frame)), "{thrown:?}");
+    assert!((3..9).chain(22..30).all(|frame| thrown.contains(&frame)), "{thrown:?}");
     assert_right(&scene, &samples, 1);
     assert!(samples.iter().skip(1).all(|sample| sample.state == State::Tracking));
 }

@@ -64,7 +64,7 @@ pub fn past() -> CameraPath {
 /// A virtual stage with a low-noise sensor.
 pub fn quiet(camera: CameraModel, path: CameraPath, stage: BodySpec) -> VirtualStage {
     let mut scene = VirtualStage::new(camera, path, stage);
-    scene.noise = SensorNoise { read: 0.7, shot: 0.005 };
+    scene.noise = SensorNoise { read: 0.2, shot: 0.005 };
     scene.background = 9.0;
     scene
 }

@@ -22,12 +22,13 @@ type Place = (&'static str, &'static str, &'static str);
 
 /// What remembers outside the rooms of memory, and what it remembers; `src/track/mod.rs` lists
 /// them.
-const REMEMBERS: [Place; 18] = [
+const REMEMBERS: [Place; 19] = [
     ("Aligner", "align/aligner.rs", "owns the online calibration of `align/learned`, and its buffers"),
     ("Buffers", "align/frame_problem/mod.rs", "for how many frames the camera has been still, and whether its pixels are kept"),
     ("LevelProblem", "align/solve/level_problem/mod.rs", "the finest level keeps its pixels while the camera is still"),
     ("Appearance", "align/pixels/appearance.rs", "the prediction at those pixels"),
     ("Pixels", "align/pixels/runs.rs", "those pixels"),
+    ("LightLevels", "frame/light_levels.rs", "the camera's curve, by which frames are decoded"),
     ("TouchingPlanes", "align/pixels/touching_planes.rs", "the planes at those pixels"),
     ("FieldSize", "model_error/field_error.rs", "mean size of the model's error over recent frames"),
     ("Jump", "model_error/focal_step.rs", "usual error of predictions"),
@@ -45,12 +46,13 @@ const REMEMBERS: [Place; 18] = [
 
 /// What outlives a frame and changes, but carries nothing from one frame to the next: it is filled
 /// anew before it is read, or was made at load.
-const SCRATCH: [Place; 27] = [
+const SCRATCH: [Place; 28] = [
     ("AveragedPicture", "scene/averaged_picture.rs", "a copy of a picture, made again for another resolution"),
     ("PreparedSurface", "scene/reference.rs", "made at load"),
     ("RowOfTexels", "scene/bilinear.rs", "texels of a row"),
     ("FrameLevels", "frame/frame_levels.rs", "the frame itself"),
     ("Level", "frame/frame_levels.rs", "the frame itself"),
+    ("Means", "frame/light_levels.rs", "the frame's light"),
     ("VerifyBuffers", "patches/verify.rs", "buffers"),
     ("SilentSearch", "patches/verify.rs", "buffers of a study"),
     ("AlignSurface", "align/picture/surface.rs", "made at load; a survey may move it"),

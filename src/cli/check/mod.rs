@@ -403,6 +403,7 @@ mod tests {
             kind: ReferenceKind::Artwork,
             shape: crate::track::SurfaceShape::Flat,
             doubt: crate::track::SurfaceDoubt::default(),
+            transfer: crate::light::Transfer::default(),
         };
         // A texel covers two pixels at 0.5 m; a tenth of the surface, 0.4 m, fills the picture at
         // 0.4 m.

@@ -220,6 +220,7 @@ mod tests {
             kind: ReferenceKind::Artwork,
             shape: SurfaceShape::Flat,
             doubt: crate::track::SurfaceDoubt::default(),
+            transfer: crate::light::Transfer::default(),
         };
         BodySpec { name: name.to_owned(), surfaces: vec![surface] }
     }

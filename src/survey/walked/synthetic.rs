@@ -33,6 +33,7 @@ pub fn stage() -> Vec<SurfaceSpec> {
         kind: ReferenceKind::Artwork,
         shape: SurfaceShape::Flat,
         doubt: crate::track::SurfaceDoubt::default(),
+        transfer: crate::light::Transfer::default(),
     };
     let stand = Pose::new(UnitQuaternion::from_euler_angles(0.1, -0.3, 0.02), Vector3::new(0.9, -0.4, 0.7));
     vec![surface("backdrop", [4.0, 3.0], Pose::identity()), surface("flat", [1.0, 1.2], stand)]

@@ -91,7 +91,7 @@ impl ExpectedView {
         if self.averaged.len() <= number {
             self.averaged.resize_with(number + 1, AveragedPicture::default);
         }
-        let image = self.averaged[number].over(&surface.octaves, texels);
+        let image = self.averaged[number].over(&surface.octaves, texels, surface.spec.transfer);
         let (raw, size) = (image.as_raw(), [image.width() as usize, image.height() as usize]);
         let texels_per_m = [0, 1].map(|k| size[k] as f32 / rectangle.size_m[k] as f32);
         let plane = Plane {

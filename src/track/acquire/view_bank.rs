@@ -18,6 +18,7 @@ use nalgebra::{Matrix2, Vector2};
 use tracing::debug;
 
 use crate::features::{Descriptor, ExtractorOptions, Feature, FeatureExtractor, Polarity, TiltedViews, Workers, append_tilted_features};
+use crate::light::Transfer;
 use crate::track::scene::reference::{Anchor, PreparedSurface, octave_count};
 
 /// Simulated tilted views: tilt and number of longitudes. More of one tilt: longitudes in between
@@ -109,7 +110,7 @@ impl<'a> BankBuilder<'a> {
     pub fn bank(&mut self, surface: &PreparedSurface) -> ViewBank {
         let Some(store) = self.store.clone() else { return self.described(surface) };
         let artwork = &surface.octaves[0].image;
-        let key = BankKey::of(artwork, self.counts);
+        let key = BankKey::of(artwork, surface.spec.transfer, self.counts);
         let kept = store.load(&key.name()).and_then(|bytes| ViewBank::from_bytes(&bytes, &key, artwork.dimensions()));
         debug!(surface = %surface.spec.name, is_kept = kept.is_some(), "bank of views");
         kept.unwrap_or_else(|| {
@@ -149,7 +150,7 @@ const ANCHOR_BYTES: usize = 2 * 4;
 
 /// The source code of everything that computes a bank, including its constants. A
 /// changed algorithm changes the keys by itself, without raising a version.
-const SOURCES: [&str; 13] = [
+const SOURCES: [&str; 14] = [
     include_str!("tuning.rs"),
     include_str!("view_bank.rs"),
     include_str!("../scene/reference.rs"),
@@ -163,15 +164,16 @@ const SOURCES: [&str; 13] = [
     include_str!("../../features/pyramid.rs"),
     include_str!("../../features/simulated_view.rs"),
     include_str!("../../features/tilted_view.rs"),
+    include_str!("../../light/square_root.rs"),
 ];
 
 impl BankKey {
-    fn of(artwork: &GrayImage, counts: [usize; 2]) -> Self {
+    fn of(artwork: &GrayImage, transfer: Transfer, counts: [usize; 2]) -> Self {
         let numbers: Vec<u8> = counts.iter().flat_map(|count| (*count as u64).to_le_bytes()).collect();
         let [width, height] = [artwork.width(), artwork.height()].map(u32::to_le_bytes);
         let version = env!("CARGO_PKG_VERSION").as_bytes();
         let sources = SOURCES.iter().map(|source| source.as_bytes());
-        Self(digest(sources.chain([version, &numbers, &width, &height, artwork.as_raw()])))
+        Self(digest(sources.chain([version, &numbers, &[u8::from(transfer.is_root())], &width, &height, artwork.as_raw()])))
     }
 
     fn name(&self) -> String {

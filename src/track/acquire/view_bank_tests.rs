@@ -4,6 +4,7 @@ use std::sync::Mutex;
 use proptest::prelude::*;
 
 use super::*;
+use crate::light::Transfer;
 use crate::track::scene::reference::PreparedBody;
 use crate::track::scene::surface::SurfaceSpec;
 use crate::track::synthetic::{cloth, prepared};
@@ -74,7 +75,7 @@ fn banks_of_other_pictures_and_sizes_are_cached_separately() {
     let [plain, wide] = [(8, 6), (6, 8)].map(|(width, height)| GrayImage::new(width, height));
     let mut spotted = plain.clone();
     spotted.put_pixel(7, 5, image::Luma([1]));
-    let keys = [&plain, &wide, &spotted].map(|picture| BankKey::of(picture, [700, 60]).name());
+    let keys = [&plain, &wide, &spotted].map(|picture| BankKey::of(picture, Transfer::Srgb, [700, 60]).name());
     assert!(keys[0] != keys[1] && keys[0] != keys[2], "{keys:?}");
 }
 

@@ -10,6 +10,8 @@
 //! caller accepts the pose with [`Solution::accept`].
 
 use super::frame_problem::{Buffers, FrameProblem};
+use super::learned::camera_curve::LearntCurve;
+use super::learned::noise::CameraNoise;
 use super::learned::online_calibration::{OnlineCalibration, Updates};
 use super::picture::surface::{AlignSurface, distance_m};
 use super::pixels::level_spec::LevelSpec;
@@ -20,6 +22,8 @@ use super::solve::shutter_clue::ShutterClue;
 use super::solve::verdict::Alignment;
 use crate::camera::Shutter;
 use crate::geometry::{Body, Camera, Pose};
+use crate::light::CameraCurve;
+use crate::light::camera_curve::Bend;
 use crate::motion::Motion;
 use crate::track::frame::frame_levels::{FINEST, FrameLevels};
 use crate::track::frame::rays::CameraRays;
@@ -68,7 +72,28 @@ impl Aligner {
 impl Aligner {
     /// Creates an aligner from surfaces that are already prepared.
     pub fn of_surfaces(surfaces: Vec<AlignSurface>, shutter: Shutter) -> Self {
-        Self { buffers: Buffers::with_room_for(&surfaces), surfaces, slow: OnlineCalibration::new(shutter) }
+        Self { buffers: Buffers::with_room_for(&surfaces), surfaces, slow: OnlineCalibration::new(shutter, &CameraCurve::default()) }
+    }
+
+    /// Assumes the noise that is usual of cameras with this curve, before any frame. `learns`:
+    /// whether frames may bend the curve.
+    pub fn assume_curve(&mut self, curve: &CameraCurve, learns: bool) {
+        self.slow.noise = CameraNoise::usual(FINEST, curve);
+        self.slow.curve = learns.then(LearntCurve::default);
+    }
+
+    /// Starts from the curve's corrections learnt in an earlier session. A configured curve is not
+    /// replaced.
+    pub fn take_learnt_bend(&mut self, bend: Bend) {
+        if let Some(curve) = &mut self.slow.curve {
+            *curve = LearntCurve::begun_with(bend);
+        }
+    }
+
+    /// Returns the learnt corrections of the camera's curve with the information that frames have
+    /// given; `None` where the curve is configured.
+    pub fn learnt_bend(&self) -> Option<(Bend, f64)> {
+        self.slow.curve.as_ref().map(|curve| (*curve.bend(), curve.information()))
     }
 
     /// Returns the maximum number of patches per frame: one per tile of each surface.

@@ -12,7 +12,7 @@ use crate::motion::{Motion, MotionEstimate, ProcessNoise};
 use crate::track::frame::frame_levels::FrameLevels;
 use crate::track::scene::shape::tests::folds;
 use crate::track::scene::surface::SurfaceSpec;
-use crate::track::synthetic::{cloth, facing, lens, prepared, texture, view};
+use crate::track::synthetic::{cloth, facing, grey_of, lens, light_of, prepared, texture, view};
 
 fn truth() -> Pose<Camera, Body> {
     facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4))
@@ -115,9 +115,9 @@ fn smeared(surface: &SurfaceSpec, truth: &Pose<Camera, Body>, blur_px: f64, open
     let way_m = blur_px * 3.4 / 480.0;
     let along = |k: i32| perturbed(truth, &Vector6::new(way_m * (f64::from(k) / 20.0 - 0.475), 0.0, 0.0, 0.0, 0.0, 0.0));
     let views: Vec<GrayImage> = (0..20).map(|k| view(surface, &along(k), &lens(480, 360))).collect();
-    let mean = |x: u32, y: u32| views.iter().map(|v| f64::from(v.get_pixel(x, y)[0])).sum::<f64>() / 20.0;
+    let mean = |x: u32, y: u32| views.iter().map(|v| light_of(f64::from(v.get_pixel(x, y)[0]))).sum::<f64>() / 20.0;
     let other = view(&cloth(2), truth, &lens(480, 360));
-    let seen = |x, y| if x < open_columns { image::Luma([mean(x, y).round() as u8]) } else { *other.get_pixel(x, y) };
+    let seen = |x, y| if x < open_columns { image::Luma([grey_of(mean(x, y))]) } else { *other.get_pixel(x, y) };
     let mut levels = FrameLevels::default();
     levels.update(&GrayImage::from_fn(480, 360, seen));
     levels

@@ -18,6 +18,7 @@ use super::pixels::runs::{Pixels, Run};
 use super::pixels::selection::Selector;
 use crate::camera::{CameraModel, Shutter};
 use crate::geometry::{Body, Camera, Pose};
+use crate::light::CameraCurve;
 use crate::motion::Motion;
 use crate::track::frame::frame_levels::{FINEST, FrameLevels};
 use crate::track::frame::rays::CameraRays;
@@ -53,7 +54,7 @@ impl AlignKernels {
             surfaces: [AlignSurface::new(surface)],
             rays: CameraRays::new(camera, None),
             motion: Motion::still(t_camera_body.inverse()),
-            slow: OnlineCalibration::new(Shutter { readout_s: 0.01, exposure_s: EXPOSURE_S }),
+            slow: OnlineCalibration::new(Shutter { readout_s: 0.01, exposure_s: EXPOSURE_S }, &CameraCurve::default()),
             levels,
             selector: Selector::default(),
             pixels: Pixels::default(),
@@ -77,7 +78,7 @@ impl AlignKernels {
     /// Lays out the chosen pixels in runs; returns the number of runs.
     pub fn lay_out(&mut self) -> usize {
         let spec = LevelSpec::new(&self.surfaces, &self.slow, &self.rays, true, FINEST, &self.motion);
-        self.pixels.arrange(self.selector.chosen(), &spec, self.levels.level(FINEST), &RememberedLight::default());
+        self.pixels.arrange(self.selector.chosen(), &spec, self.levels.light(FINEST), &RememberedLight::default());
         self.appearance.resize(self.pixels.len());
         self.residuals.resize(self.pixels.len());
         self.pixels.runs().len()

@@ -1,6 +1,6 @@
 //! Arithmetic on eight numbers at a time, in which the alignment kernels are written once: with
 //! AVX2 instructions, or in plain Rust. Also the layout of the texture tiles, which
-//! [`Lanes::gather_quads`] reads.
+//! [`Lanes::gather_squares`] reads.
 //!
 //! A kernel is a generic function over [`Lanes`]; which of the two types runs is decided at run
 //! time (`dispatch`). Both take the same steps in the same order, so that the plain one tests the
@@ -50,6 +50,8 @@ pub trait Lanes: Copy {
     fn max(self, other: Self) -> Self;
     /// Returns the largest whole number at or below each value.
     fn floor(self) -> Self;
+    /// Returns the square root.
+    fn sqrt(self) -> Self;
     /// Returns log2 of positive normal numbers, linear between powers of two (continuous, at most
     /// 0.09 too low).
     fn rough_log2(self) -> Self;
@@ -66,11 +68,11 @@ pub trait Lanes: Copy {
     /// Returns each lane's row of a table, transposed: the first result holds the first number of
     /// each row. Rows out of range are clamped to the table; an empty table returns zeros.
     fn gather_rows(table: &[[f32; LANES]], row: Self::Index) -> [Self; LANES];
-    /// Returns the bytes at each address, at the next one, and at both plus [`TILE_COLUMNS`]: a
-    /// texel, its right neighbour, the one below, and the one right below. Addresses out of range
+    /// Returns the squares of the bytes at each address, at the next one, and at both plus
+    /// [`TILE_COLUMNS`]: a texel, its right neighbour, the one below, and the one right below. Addresses out of range
     /// are clamped to the tiles; without tiles it returns zeros.
-    fn gather_quads(tiles: &[Tile], address: Self::Index) -> [Self; 4];
-    /// Prefetches what [`gather_quads`](Self::gather_quads) will read.
+    fn gather_squares(tiles: &[Tile], address: Self::Index) -> [Self; 4];
+    /// Prefetches what [`gather_squares`](Self::gather_squares) will read.
     fn prefetch_quads(tiles: &[Tile], address: Self::Index);
 }
 
@@ -133,6 +135,10 @@ impl Lanes for Plain {
         Self(self.0.map(f32::floor))
     }
     #[inline(always)]
+    fn sqrt(self) -> Self {
+        Self(self.0.map(f32::sqrt))
+    }
+    #[inline(always)]
     fn rough_log2(self) -> Self {
         Self(self.0.map(|v| v.to_bits() as i32 as f32 * MANTISSA_STEP - 127.0))
     }
@@ -163,13 +169,13 @@ impl Lanes for Plain {
         std::array::from_fn(|column| Self(rows.map(|row| row[column])))
     }
     #[inline(always)]
-    fn gather_quads(tiles: &[Tile], address: Self::Index) -> [Self; 4] {
+    fn gather_squares(tiles: &[Tile], address: Self::Index) -> [Self; 4] {
         let last = size_of_val(tiles).saturating_sub(QUAD_BYTES);
         let byte = |at: i32, offset: usize| {
             let at = usize::try_from(at).unwrap_or(0).min(last) + offset;
             tiles.get(at / size_of::<Tile>()).map_or(0.0, |tile| f32::from(tile.0[at % size_of::<Tile>()]))
         };
-        [0, 1, TILE_COLUMNS, TILE_COLUMNS + 1].map(|offset| Self(address.map(|at| byte(at, offset))))
+        [0, 1, TILE_COLUMNS, TILE_COLUMNS + 1].map(|offset| Self(address.map(|at| byte(at, offset).powi(2))))
     }
     #[inline(always)]
     fn prefetch_quads(_: &[Tile], _: Self::Index) {}
@@ -283,6 +289,10 @@ mod avx2 {
             avx2! { Self(_mm256_floor_ps(self.0)) }
         }
         #[inline(always)]
+        fn sqrt(self) -> Self {
+            avx2! { Self(_mm256_sqrt_ps(self.0)) }
+        }
+        #[inline(always)]
         fn rough_log2(self) -> Self {
             avx2! {
                 let bits = _mm256_cvtepi32_ps(_mm256_castps_si256(self.0));
@@ -329,7 +339,7 @@ mod avx2 {
             [a, b, c, d, e, f, g, h]
         }
         #[inline(always)]
-        fn gather_quads(tiles: &[Tile], address: Self::Index) -> [Self; 4] {
+        fn gather_squares(tiles: &[Tile], address: Self::Index) -> [Self; 4] {
             if tiles.is_empty() {
                 return [Self::splat(0.0); 4];
             }
@@ -357,9 +367,19 @@ mod avx2 {
                 let b = _mm256_castsi256_ps(_mm256_inserti128_si256::<1>(_mm256_castsi128_si256(quads[1]), quads[3]));
                 let upper = _mm256_castps_si256(_mm256_shuffle_ps::<0x88>(a, b));
                 let lower = _mm256_castps_si256(_mm256_shuffle_ps::<0xdd>(a, b));
-                let low = _mm256_set1_epi32(0xff);
+                // Of each row the first two bytes, as two numbers of 16 bits, which hold their
+                // squares.
+                let two = _mm256_set_epi8(
+                    -1, 13, -1, 12, -1, 9, -1, 8, -1, 5, -1, 4, -1, 1, -1, 0, -1, 13, -1, 12, -1, 9, -1, 8, -1, 5, -1, 4, -1, 1, -1, 0,
+                );
+                let squares = |row| {
+                    let roots = _mm256_shuffle_epi8(row, two);
+                    _mm256_mullo_epi16(roots, roots)
+                };
+                let (upper, lower) = (squares(upper), squares(lower));
+                let low = _mm256_set1_epi32(0xffff);
                 let left = |v| Self(_mm256_cvtepi32_ps(_mm256_and_si256(v, low)));
-                let right = |v| Self(_mm256_cvtepi32_ps(_mm256_and_si256(_mm256_srli_epi32::<8>(v), low)));
+                let right = |v| Self(_mm256_cvtepi32_ps(_mm256_srli_epi32::<16>(v)));
                 [left(upper), right(upper), left(lower), right(lower)]
             }
         }

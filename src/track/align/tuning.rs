@@ -147,14 +147,6 @@ tuning! {
         /// is smooth.
         speed_baseline_s: f64 = 0.005,
 
-        // pixels/runs.rs
-        /// Grey level above which a pixel is saturated. Raised, clipped pixels bias the pose;
-        /// lowered, white parts of a bright stage are not used.
-        saturated_grey: f32 = 252.0,
-        /// Grey level below which a pixel is clipped to black. Lowered, clipped pixels bias the
-        /// pose.
-        black_grey: f32 = 0.5,
-
         // pixels/selection.rs
         /// Margin inside the border of a surface where no pixel is chosen, pixels of the level.
         /// Raised, surfaces seen small have fewer pixels; lowered, the surroundings bias the pose.
@@ -565,6 +557,31 @@ tuning! {
         /// fold count as noise for many passes; at 0, the first frames of a pass are judged by a
         /// usual camera.
         memory_kept_after_model_change: f64 = 0.1,
+
+        // learned/camera_curve.rs
+        /// Initial sigma of the curve's corrections, in units of light. Raised, greys that frames
+        /// rarely show are bent by chance; lowered, a strong contrast is learnt later.
+        initial_curve_sigma: f64 = 30.0,
+        /// The same for corrections of an earlier session. Raised, they are soon forgotten.
+        kept_curve_sigma: f64 = 2.0,
+        /// Sigma of a correction about the mean of its neighbours, in units of light. Raised, noise
+        /// bends the curve; lowered, a sharp knee is smoothed out.
+        curve_roughness_sigma: f64 = 5.0,
+        /// Pixels that count as one: neighbours share errors of the prediction. Raised, the curve
+        /// is learnt later; lowered, the first frames bend it by chance.
+        pixels_per_curve_sample: f64 = 20.0,
+        /// Fraction of the memory that fades per asked frame. Raised, the curve is noisier;
+        /// lowered, a change of the camera's settings is learnt later.
+        curve_forgetting_rate: f64 = 0.02,
+        /// Maximum pixels of a frame that is asked. Raised, such frames cost more; lowered, the
+        /// curve is learnt later.
+        max_curve_pixels: usize = 2000,
+        /// Accepted frames that are all asked, at first. Raised, the curve is known a little
+        /// sooner, and the start costs more.
+        first_curve_frames: u32 = 10,
+        /// Accepted frames from one that is asked to the next. Raised, the curve is learnt later;
+        /// lowered, frames cost more.
+        curve_interval_frames: u32 = 4,
 
         // learned/online_calibration.rs
         /// Fraction of the difference to a sharp frame's point spread that is applied per frame.

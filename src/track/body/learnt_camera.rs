@@ -2,16 +2,19 @@
 //! next. The core exchanges bytes; the caller stores them.
 //!
 //! The first line states format and version; each further line is one statement. Later versions add
-//! statements; each version refuses all others.
+//! statements: each reads earlier versions, and refuses later ones.
 
 use std::fmt::Write as _;
 
 use thiserror::Error;
 
+use crate::light::camera_curve::{Bend, KNOTS};
+use crate::light::transfer::FULL;
+
 /// Start of the first line.
 const SNAPSHOT_HEAD: &str = "stagepose learnt camera";
 /// Version of the format; raise it when the format changes.
-const SNAPSHOT_VERSION: u32 = 1;
+const SNAPSHOT_VERSION: u32 = 2;
 /// Maximum shutter time that is accepted, seconds; as in the config.
 const MAX_SHUTTER_S: f64 = crate::camera::Shutter::MAX_S;
 
@@ -32,6 +35,9 @@ pub struct LearntCamera {
     pub readout: Option<LearntTime>,
     /// Exposure time of each row.
     pub exposure: Option<LearntTime>,
+    /// Corrections of the curve between light and grey at its knots, in units of light (white is
+    /// 255).
+    pub curve: Option<Bend>,
 }
 
 /// Why bytes are not a snapshot that this version can read.
@@ -44,7 +50,7 @@ pub enum LearntError {
     )]
     Foreign,
     /// A snapshot of another version.
-    #[error("what was learnt is of version {0}, this program reads version 1; leave it out, and the camera is learnt anew")]
+    #[error("what was learnt is of version {0}, this program reads versions up to 2; leave it out, and the camera is learnt anew")]
     Version(String),
     /// A damaged line, by its number.
     #[error("line {0} of what was learnt is damaged; leave it out, and the camera is learnt anew")]
@@ -66,6 +72,9 @@ impl LearntCamera {
                 let _ = writeln!(text, "{name} {seconds:?} {sigma_s:?}");
             }
         }
+        if let Some(bend) = self.curve {
+            let _ = writeln!(text, "curve {}", bend.map(|correction| format!("{correction:?}")).join(" "));
+        }
         text.into_bytes()
     }
 
@@ -77,12 +86,16 @@ impl LearntCamera {
         let text = std::str::from_utf8(bytes).map_err(|_| LearntError::Foreign)?;
         let mut lines = text.lines().enumerate();
         let version = lines.next().and_then(|(_, line)| line.strip_prefix(SNAPSHOT_HEAD)).ok_or(LearntError::Foreign)?.trim();
-        if version.parse() != Ok(SNAPSHOT_VERSION) {
+        if !version.parse().is_ok_and(|version: u32| (1..=SNAPSHOT_VERSION).contains(&version)) {
             return Err(LearntError::Version(version.chars().take(12).collect()));
         }
         let mut learnt = Self::default();
         for (number, line) in lines.filter(|(_, line)| !line.trim().is_empty()) {
             let damaged = LearntError::Line(number + 1);
+            if let Some(corrections) = line.strip_prefix("curve ") {
+                learnt.curve = Some(bend(corrections).ok_or(damaged)?);
+                continue;
+            }
             let words: Vec<&str> = line.split_whitespace().take(4).collect();
             let &[name, seconds, sigma_s] = words.as_slice() else { return Err(damaged) };
             let (Ok(seconds), Ok(sigma_s)) = (seconds.parse::<f64>(), sigma_s.parse::<f64>()) else { return Err(damaged) };
@@ -98,6 +111,13 @@ impl LearntCamera {
     }
 }
 
+/// Parses the corrections of a curve; `None` where they are damaged.
+fn bend(text: &str) -> Option<Bend> {
+    let corrections = text.split_whitespace().map(|word| word.parse().ok().filter(|correction: &f32| correction.abs() <= FULL));
+    let corrections: Vec<f32> = corrections.take(KNOTS + 1).collect::<Option<_>>()?;
+    corrections.try_into().ok()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -106,6 +126,7 @@ mod tests {
         LearntCamera {
             readout: Some(LearntTime { seconds: -0.0201, sigma_s: 2e-4 }),
             exposure: Some(LearntTime { seconds: 0.012, sigma_s: 1e-3 }),
+            curve: Some([0.5, 1.25, 3.0, 4.0, 2.0, -1.0, -2.5]),
         }
     }
 
@@ -119,17 +140,24 @@ mod tests {
     #[test]
     fn other_versions_and_files_are_refused_with_the_reason() {
         let text = String::from_utf8(learnt().to_bytes()).unwrap();
-        let later = LearntCamera::from_bytes(text.replace("camera 1", "camera 2").as_bytes()).unwrap_err();
-        assert_eq!(later, LearntError::Version("2".to_owned()));
-        assert!(later.to_string().contains("version 2") && later.to_string().contains("learnt anew"));
+        let later = LearntCamera::from_bytes(text.replace("camera 2", "camera 3").as_bytes()).unwrap_err();
+        assert_eq!(later, LearntError::Version("3".to_owned()));
+        assert!(later.to_string().contains("version 3") && later.to_string().contains("learnt anew"));
         for foreign in [&b""[..], b"\xff\xfe", b"[camera]\n", b"stagepose"] {
             assert_eq!(LearntCamera::from_bytes(foreign), Err(LearntError::Foreign));
         }
     }
 
     #[test]
+    fn an_earlier_version_is_read() {
+        let text = "stagepose learnt camera 1\nreadout_s 0.0201 0.0002\n";
+        let readout = Some(LearntTime { seconds: 0.0201, sigma_s: 2e-4 });
+        assert_eq!(LearntCamera::from_bytes(text.as_bytes()), Ok(LearntCamera { readout, ..LearntCamera::default() }));
+    }
+
+    #[test]
     fn damaged_lines_are_named() {
-        let head = "stagepose learnt camera 1\n";
+        let head = "stagepose learnt camera 2\n";
         for line in [
             "readout_s 0.01",
             "readout_s 0.01 0",
@@ -140,6 +168,10 @@ mod tests {
             "exposure_s 0 0.1",
             "exposure_s -0.1 0.1",
             "tone 1 2",
+            "curve 1 2 3 4 5 6",
+            "curve 1 2 3 4 5 6 7 8",
+            "curve 1 2 3 4 5 6 NaN",
+            "curve 1 2 3 4 5 6 1e9",
             "readout_s 0.01 0.001 7",
         ] {
             assert_eq!(LearntCamera::from_bytes(format!("{head}{line}\n").as_bytes()), Err(LearntError::Line(2)), "{line}");

@@ -50,6 +50,7 @@ use crate::camera::{CameraModel, KnownShutter, Shutter};
 use crate::compute_clock::ComputeClock;
 use crate::features::Workers;
 use crate::frame::{Frame, Timestamp};
+use crate::light::CameraCurve;
 
 /// Finds all bodies in every frame; needs no starting pose.
 pub struct BodyTracker {
@@ -109,12 +110,16 @@ impl BodyTracker {
             bodies.push(TrackedBody::new(spec, prepared.by_ref().take(spec.surfaces.len()).collect(), first, shutter));
         }
         bodies.iter_mut().take(1).for_each(|stage| stage.track = TrackStateMachine::of_camera());
+        let curve = CameraCurve::new(settings.transfer.unwrap_or_default());
+        bodies.iter_mut().for_each(|body| body.aligner.assume_curve(&curve, settings.transfer.is_none()));
+        let mut levels = FrameLevels::default();
+        levels.set_curve(&curve);
         let features = FeatureSearch::new(bodies.iter_mut().flat_map(|b| &mut b.body.surfaces), settings.features, store, &at_start);
         let mut search = BodySearch::new(camera, shutter, mask.clone(), features, &settings, clock);
         search.set_shutter(shutter, readout.used().sigma_s);
         Self {
             camera_rays: CameraRays::new(camera, mask),
-            levels: FrameLevels::default(),
+            levels,
             watcher: None,
             has_reported: false,
             camera,
@@ -165,6 +170,7 @@ impl BodyTracker {
         }
         let start = self.clock.start();
         self.levels.update(&frame.image);
+        self.bend_curve();
         self.verified.clear();
         for tracked in &mut self.bodies {
             let _span = debug_span!("follow", body = %tracked.body.name).entered();
@@ -227,7 +233,18 @@ impl BodyTracker {
         self.search.set_shutter(self.shutter, used.sigma_s);
         for body in &mut self.bodies {
             body.set_readout(used.readout_s, 0.0);
+            learnt.curve.iter().for_each(|bend| body.aligner.take_learnt_bend(*bend));
             learnt.exposure.iter().for_each(|exposure| body.aligner.take_learnt_exposure(exposure.seconds, exposure.sigma_s));
+        }
+        self.bend_curve();
+    }
+
+    /// Decodes frames by the curve of the body that has taught most about it.
+    fn bend_curve(&mut self) {
+        let best = self.bodies.iter().filter_map(|body| body.aligner.learnt_bend()).max_by(|a, b| a.1.total_cmp(&b.1));
+        if let Some((bend, _)) = best.filter(|(bend, _)| bend != self.levels.curve().bend()) {
+            let curve = self.levels.curve().with_bend(&bend);
+            self.levels.set_curve(&curve);
         }
     }
 
@@ -235,7 +252,8 @@ impl BodyTracker {
     pub fn learnt(&self) -> LearntCamera {
         let readout = self.readout.learnt().map(|known| known.as_time());
         let exposure = self.bodies.first().and_then(|stage| stage.aligner.learnt_exposure());
-        LearntCamera { readout, exposure: exposure.map(|(seconds, sigma_s)| LearntTime { seconds, sigma_s }) }
+        let curve = Some(*self.levels.curve().bend()).filter(|bend| bend.iter().any(|correction| *correction != 0.0));
+        LearntCamera { readout, exposure: exposure.map(|(seconds, sigma_s)| LearntTime { seconds, sigma_s }), curve }
     }
 
     /// Learns the readout time from this frame: from the stage, or from an object if the stage is

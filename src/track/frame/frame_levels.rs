@@ -1,23 +1,23 @@
-//! A frame at a half to a sixteenth of its size, as exact sums of its grey levels: rounding would
-//! add noise to what averaging gains.
+//! A frame at a half to a sixteenth of its size, computed where it is asked for: its light, which
+//! alignment compares, and exact sums of its grey levels (rounding would add noise to what
+//! averaging gains).
 
 use image::GrayImage;
-use nalgebra::Vector2;
 
+pub use super::level_numbers::{FINEST, LEVELS};
+use super::light_levels::{LightLevel, LightLevels};
+use crate::light::CameraCurve;
 use crate::simd::multiversion;
-
-/// Number of sizes from full to a sixteenth; level 0 is the frame itself and is not stored. Raised,
-/// the sums no longer fit 16 bits; lowered, fast motion is lost.
-pub const LEVELS: usize = 5;
-/// The level at which alignment ends: four pixels of the frame make one, with half the noise.
-/// Raised, detail is lost.
-pub const FINEST: usize = 1;
 
 /// The frame at levels 1 and up.
 #[derive(Debug, Default)]
 pub struct FrameLevels {
+    /// The frame itself.
+    grey: Vec<u8>,
+    size: [usize; 2],
+    light: LightLevels,
     levels: [Level; LEVELS - 1],
-    /// Number of levels filled so far: coarse ones are computed on demand.
+    /// Number of levels of grey filled so far.
     filled: usize,
 }
 
@@ -34,31 +34,36 @@ impl Level {
     pub fn sums(&self) -> &[u16] {
         &self.sums
     }
-
-    /// Returns the gradient at the pixel in this column and row, across and down, by central
-    /// differences, in sums per pixel; `None` on the border and beyond.
-    #[inline]
-    pub fn gradient(&self, [u, v]: [usize; 2]) -> Option<Vector2<f64>> {
-        let is_inside = u > 0 && u + 1 < self.width && v > 0 && v + 1 < self.height;
-        let index = v * self.width + u;
-        let sum = |index: usize| f64::from(self.sums[index]);
-        is_inside.then(|| Vector2::new(sum(index + 1) - sum(index - 1), sum(index + self.width) - sum(index - self.width)) * 0.5)
-    }
 }
 
 impl FrameLevels {
     /// Takes a new frame; buffers are kept.
     pub fn update(&mut self, image: &GrayImage) {
-        let (w, h) = (image.width() as usize, image.height() as usize);
-        let half = &mut self.levels[0];
-        resize(half, w / 2, h / 2);
-        halve_bytes(image.as_raw(), w, half);
-        self.filled = 1;
+        self.grey.clear();
+        self.grey.extend_from_slice(image.as_raw());
+        self.size = [image.width() as usize, image.height() as usize];
+        self.filled = 0;
+        self.light.clear();
+    }
+
+    /// Replaces the camera's curve between light and grey.
+    pub fn set_curve(&mut self, curve: &CameraCurve) {
+        self.light.set_curve(curve);
+    }
+
+    /// Returns the camera's curve.
+    pub fn curve(&self) -> &CameraCurve {
+        self.light.curve()
+    }
+
+    /// Returns the light at level `l`, from 1.
+    pub fn light(&mut self, l: usize) -> LightLevel<'_> {
+        self.light.level(l, &self.grey, self.size)
     }
 
     /// Writes the frame at half its size, rounded to whole grey levels.
-    pub fn half_into(&self, out: &mut GrayImage) {
-        let half = &self.levels[0];
+    pub fn half_into(&mut self, out: &mut GrayImage) {
+        let half = self.level(1);
         let mut raw = std::mem::take(out).into_raw();
         raw.clear();
         raw.extend(half.sums.iter().map(|sum| ((sum + 2) >> 2) as u8));
@@ -66,8 +71,14 @@ impl FrameLevels {
         *out = GrayImage::from_raw(half.width as u32, half.height as u32, raw).unwrap_or_default();
     }
 
-    /// Returns level `l`, from 1.
+    /// Returns the sums of grey at level `l`, from 1.
     pub fn level(&mut self, l: usize) -> &Level {
+        if self.filled == 0 {
+            let half = &mut self.levels[0];
+            resize(half, self.size[0] / 2, self.size[1] / 2);
+            halve_bytes(&self.grey, self.size[0], half);
+            self.filled = 1;
+        }
         while self.filled < l {
             let (before, after) = self.levels.split_at_mut(self.filled);
             let (fine, coarse) = (&before[self.filled - 1], &mut after[0]);
@@ -138,21 +149,6 @@ mod tests {
                     assert_eq!(u32::from(level.sums()[v as usize * level.width + u as usize]), sum);
                 }
             }
-        }
-    }
-
-    #[test]
-    fn gradients_are_central_differences_and_end_at_the_border() {
-        let image = GrayImage::from_fn(20, 12, |x, y| image::Luma([(x * 4 + y * 6) as u8]));
-        let mut levels = FrameLevels::default();
-        levels.update(&image);
-        let level = levels.level(FINEST);
-        // A pixel of the level is two of the frame, and sums four.
-        for place in [[1, 1], [8, 1], [1, 3], [8, 4]] {
-            assert_eq!(level.gradient(place), Some(Vector2::new(32.0, 48.0)), "{place:?}");
-        }
-        for place in [[0, 0], [5, 0], [9, 0], [0, 1], [9, 1], [0, 5], [9, 5], [3, 6], [10, 2], [0, 100]] {
-            assert_eq!(level.gradient(place), None, "{place:?}");
         }
     }
 

@@ -6,6 +6,14 @@
 tuning! {
     /// Tuning of frames.
     pub struct FrameTuning {
+        // light_levels.rs
+        /// Sum of the four greys of a pixel from which it is not clipped to black. Lowered, clipped
+        /// pixels bias the pose.
+        min_grey_sum: u32 = 3,
+        /// Sum of the four greys of a pixel from which it is saturated. Raised, clipped pixels bias
+        /// the pose; lowered, white parts of a bright stage are not used.
+        saturated_grey_sum: u32 = 1008,
+
         // frame_look.rs
         /// Sampling stride across and down, pixels of the half-size frame. Raised, a look costs
         /// less and misses thin detail.

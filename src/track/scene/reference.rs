@@ -10,8 +10,9 @@ use super::corner_ways::CornerWays;
 use super::rectangle::Rectangle;
 use super::repetition::periods;
 use super::surface::{BodySpec, SurfaceSpec};
-use crate::features::halved;
 use crate::features::{CornerBuffers, CornerOptions, detect_corners};
+use crate::light::Transfer;
+use crate::light::square_root::halved_in_light;
 
 /// A place on the artwork at which frames are registered.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -58,7 +59,7 @@ impl PreparedBody {
     /// Prepares every surface of a body, without the anchors.
     pub fn new(spec: &BodySpec) -> Self {
         let prepared = |s: &SurfaceSpec| {
-            let octaves = octaves(&s.artwork);
+            let octaves = octaves(&s.artwork, s.transfer);
             PreparedSurface {
                 spec: s.clone(),
                 rectangle: Rectangle::of(s),
@@ -92,8 +93,8 @@ impl PreparedSurface {
     }
 }
 
-fn octaves(artwork: &GrayImage) -> Vec<Octave> {
-    let images = std::iter::successors(Some(artwork.clone()), |image| Some(halved(image)));
+fn octaves(artwork: &GrayImage, transfer: Transfer) -> Vec<Octave> {
+    let images = std::iter::successors(Some(artwork.clone()), |image| Some(halved_in_light(image, transfer)));
     images.take(octave_count(artwork.dimensions())).map(|image| Octave { image, anchors: Vec::new() }).collect()
 }
 
@@ -136,7 +137,7 @@ mod tests {
     #[test]
     fn octaves_keep_positions() {
         let art = GrayImage::from_fn(401, 301, |x, y| image::Luma([if (x / 16 + y / 16) % 2 == 0 { 200 } else { 50 }]));
-        let octaves = octaves(&art);
+        let octaves = octaves(&art, Transfer::default());
         assert_eq!(octaves[1].image.dimensions(), (200, 150));
         assert_eq!(octaves.len(), octave_count(art.dimensions()));
         assert!(

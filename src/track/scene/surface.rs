@@ -15,6 +15,7 @@ use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::features::{CornerBuffers, CornerOptions, detect_corners};
 use crate::geometry::planar_pose::planar_poses;
 use crate::geometry::{Body, Homography, PointPair, Pose, ReferenceCamera, SurfaceFrame};
+use crate::light::Transfer;
 
 /// One textured rectangle of a body, ready for tracking.
 #[derive(Debug, Clone)]
@@ -35,6 +36,8 @@ pub struct SurfaceSpec {
     pub shape: SurfaceShape,
     /// How far it may be from its configured place.
     pub doubt: SurfaceDoubt,
+    /// How the artwork's grey levels encode light.
+    pub transfer: Transfer,
 }
 
 /// Uncertainty of a surface's configured place, one sigma of each number.
@@ -180,6 +183,7 @@ impl SurfaceSpec {
             kind: ReferenceKind::Artwork,
             shape: SurfaceShape::Flat,
             doubt: SurfaceDoubt::default(),
+            transfer: Transfer::default(),
         })
     }
 
@@ -232,7 +236,7 @@ impl SurfaceSpec {
         let kind = ReferenceKind::Photograph { h_photo_artwork: h_photo_artwork.0, camera: Box::new(camera), pose: seen_from.renamed() };
         let shorter_px = length(0, 1).min(length(1, 2)).min(length(2, 3)).min(length(3, 0));
         let doubt = SurfaceDoubt::of_corners(TUNING.corner_sigma_px, shorter_px);
-        Ok(Self { name, artwork, size_m, pose, kind, shape: SurfaceShape::Flat, doubt })
+        Ok(Self { name, artwork, size_m, pose, kind, shape: SurfaceShape::Flat, doubt, transfer: Transfer::default() })
     }
 
     /// Refuses a picture that no camera could find again.

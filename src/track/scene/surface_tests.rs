@@ -1,7 +1,7 @@
 use nalgebra::UnitQuaternion;
 
 use super::*;
-use crate::track::synthetic::{facing, lens, texture, view};
+use crate::track::synthetic::{facing, lens, light_of, texture, view};
 use nalgebra::Vector3;
 
 fn upright() -> Pose<Body, SurfaceFrame> {
@@ -94,8 +94,9 @@ fn a_photographed_checkerboard_is_rectified() {
             .collect();
         let (first, last) = if (i + k) % 2 == 0 { (40.0, 210.0) } else { (210.0, 40.0) };
         assert!((levels[0] - first).abs() < 12.0 && (levels[levels.len() - 1] - last).abs() < 12.0, "{i} {k}: {levels:?}");
-        // The area under the step is the position of the edge.
-        let before = levels.iter().map(|l| (l - last) / (first - last)).sum::<f64>();
+        // The area under the step of light is the position of the edge.
+        let [first, last] = [first, last].map(light_of);
+        let before = levels.iter().map(|l| (light_of(*l) - last) / (first - last)).sum::<f64>();
         let edge = middle.x.round() - 0.5 + before;
         let expected = 0.5 * (middle.x + next.x);
         assert!((edge - expected).abs() < 0.15, "square {i}, {k}: edge at {edge}, not {expected}");

@@ -327,7 +327,7 @@ mod tests {
     #[test]
     fn shutter_health_states_configured_learnt_or_unknown() {
         let time = |seconds| LearntTime { seconds, sigma_s: 2e-4 };
-        let learnt = LearntCamera { readout: Some(time(0.0201)), exposure: Some(time(0.008)) };
+        let learnt = LearntCamera { readout: Some(time(0.0201)), exposure: Some(time(0.008)), curve: None };
         let said = |configured: KnownShutter, learnt: LearntCamera| {
             let part = shutter(&configured, &learnt);
             (part.level, part.sentence)

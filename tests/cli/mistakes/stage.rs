@@ -47,7 +47,7 @@ fn pictures() -> &'static Pictures {
         let position = Spline::new(&keys.map(|(t, p)| (t, Vector3::from(p)))).unwrap();
         let path = CameraPath { position, target: Spline::fixed(Vector3::new(0.0, 0.0, 0.0)), roll_rad: 0.03, shake: None };
         let mut scene = VirtualStage::new(camera(), path, BodySpec::new("stage", vec![first, second]));
-        scene.noise = SensorNoise { read: 0.7, shot: 0.005 };
+        scene.noise = SensorNoise { read: 0.2, shot: 0.005 };
         scene.background = 40.0;
         let truth = scene.truth(0.0).inverse();
         let corners = [(-2.0, 1.5), (2.0, 1.5), (2.0, -1.5), (-2.0, -1.5)].map(|(x, z)| {

@@ -16,6 +16,7 @@ use crate::track::align::tuning::TUNING;
 use nalgebra::{Vector2, Vector6};
 
 use super::hypotheses::velocity_jump::{by_bend, by_start, is_unexpected, jumped};
+use super::learned::camera_curve::LearntCurve;
 use super::learned::clue::Clue;
 use super::learned::exposure::{KnownPsfVariance, exposure_clue};
 use super::learned::gradient_gain::ChangeSums;
@@ -411,7 +412,7 @@ impl<'a> FrameProblem<'a> {
         let mut solution = self.buffers.fine.solution()?;
         let blur_px = spec.blur_px * spec.frame_px();
         let Conclusion { estimate, covariance, inliers, squared_px, tiles, agreeing, blur } = solution.conclude(&spec, &mut self.bands)?;
-        let gradients = solution.gradient_agreement(self.levels.level(FINEST));
+        let gradients = solution.gradient_agreement(self.levels.light(FINEST));
         let found = Alignment {
             estimate,
             pose: motion.pose,
@@ -429,6 +430,8 @@ impl<'a> FrameProblem<'a> {
         if blur_px < TUNING.max_sharp_blur_px {
             self.updates.psf_variance = Some(psf_variance);
             self.updates.noise = found.is_conclusive().then(|| solution.noise_sums());
+            let is_asked = found.is_conclusive() && self.slow.curve.as_ref().is_some_and(LearntCurve::is_due);
+            self.updates.curve = is_asked.then(|| solution.curve_sums(self.levels.curve()));
         }
         let known = KnownPsfVariance { error: self.slow.psf_variance - psf_variance, sigma: TUNING.blurred_psf_variance_sigma };
         let exposure = exposure_clue(&blur, known, blur_px);

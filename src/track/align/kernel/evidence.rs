@@ -2,7 +2,7 @@
 //! its patch is displaced, and what its blur says about the exposure.
 
 use super::columns::{COLUMNS, PSF_VARIANCE};
-use super::normal::{RobustWeighting, RunView, columns, less_step, weight};
+use super::normal::{RobustWeighting, RunView, columns, less_step, root, root_variance_ratio, weight};
 use crate::track::align::lanes::{LANES, Lanes, dispatch, load_at, total};
 
 /// What a run shows at the solution, for the verdict and for correspondences. r is the residual
@@ -16,9 +16,10 @@ pub struct RunEvidence {
     /// Sum over the inliers of the squared residual divided by the squared gradient (at least 1),
     /// pixels².
     pub squared_px: f64,
-    /// Sums over the pixels of seen, predicted, seen², predicted², seen times predicted.
+    /// Sums over the pixels, of the [`root`]s of light: seen, predicted, seen², predicted², seen
+    /// times predicted.
     pub moments: [f64; 5],
-    /// Sum of the noise variance, grey levels².
+    /// Sum of the noise variance of the roots.
     pub noise: f64,
     /// Sums of w times across², across down, down², across r, down r, where across and down are the
     /// gradients of the predicted frame per pixel of the level.
@@ -56,18 +57,19 @@ pub fn evidence_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighting
         let (across, down) = (load_at::<L>(&appearance.across, k).mul(g), load_at::<L>(&appearance.down, k).mul(g));
         let steep = across.mul(across).add(down.mul(down)).max(L::splat(1.0));
         let (psf_variance, sharper) = (columns[PSF_VARIANCE], load_at::<L>(&appearance.sharper, k).mul(g));
-        let variance = counts.div(information.max(L::splat(1e-9)));
+        let variance = counts.div(information.max(L::splat(1e-9))).mul(root_variance_ratio(seen));
+        let (root_seen, root_predicted) = (root(seen), root(predicted));
         let (u, v) = (load_at::<L>(&pixels.place[0], k), load_at::<L>(&pixels.place[1], k));
         let (wa, wd, ws, wx) = (w.mul(across), w.mul(down), w.mul(psf_variance), w.mul(sharper));
         let terms = [
             counts,
             inlier,
             r.mul(r).mul(inlier).div(steep),
-            seen,
-            predicted,
-            seen.mul(seen),
-            predicted.mul(predicted),
-            seen.mul(predicted),
+            root_seen,
+            root_predicted,
+            root_seen.mul(root_seen),
+            root_predicted.mul(root_predicted),
+            root_seen.mul(root_predicted),
             variance,
             wa.mul(across),
             wa.mul(down),

@@ -4,12 +4,14 @@
 //! - `columns`, `rows`: the unknowns of a tile, and how they change from row to row
 //! - `normal`: residuals, their derivatives and robust weights
 //! - `tile_equations`, `tile_products`: the normal equations of a tile
-//! - `evidence`, `noise_sums`: what the residuals say about the pose and the noise
+//! - `evidence`, `noise_sums`, `curve_sums`: what the residuals say about the pose, the noise and
+//!   the camera's curve
 //!
 //! Uses `align::pixels`, `align::learned` and `align::lanes`.
 
 #[allow(clippy::needless_range_loop)]
 pub mod columns;
+pub mod curve_sums;
 #[allow(clippy::needless_range_loop)]
 pub mod evidence;
 #[allow(clippy::needless_range_loop)]

@@ -6,6 +6,7 @@
 
 use super::columns::{BIAS, COLUMNS, GAINS, PSF_VARIANCE};
 use crate::geometry::robust_kernel;
+use crate::light::transfer::FULL;
 use crate::track::align::lanes::{LANES, Lanes, dispatch, load_at, resize_with_room, store_at, total};
 use crate::track::align::learned::light::TileLight;
 use crate::track::align::learned::noise::Noise;
@@ -151,25 +152,50 @@ pub fn weight<L: Lanes>(squared: L, weighting: &RobustWeighting) -> L {
     u.mul(u)
 }
 
+/// Returns the square root of light, 0 to 255. Pixels are correlated by it: in light, highlights
+/// outweigh all else, while its root is about as noisy in the dark as in the bright (Anscombe
+/// 1948).
+#[inline(always)]
+pub fn root<L: Lanes>(light: L) -> L {
+    light.max(L::splat(0.0)).mul(L::splat(FULL)).sqrt()
+}
+
+/// Returns the variance of the root of light, per variance of the light.
+#[inline(always)]
+pub fn root_variance_ratio<L: Lanes>(light: L) -> L {
+    L::splat(0.25 * FULL).div(light.max(L::splat(MIN_ROOTED_LIGHT)))
+}
+
+/// Does the same for one light.
+pub fn root_variance_ratio_of(light: f64) -> f64 {
+    f64::from(0.25 * FULL) / light.max(MIN_ROOTED_LIGHT.into())
+}
+
+/// Minimum light for the variance of its root: below, the root is steeper than noise allows.
+/// Raised, dark tiles seem less noisy than they are.
+const MIN_ROOTED_LIGHT: f32 = 1.0;
+
 dispatch! {
-    /// Sums over the counting pixels of a run: their number, predicted, seen, predicted², seen²,
-    /// predicted times seen.
-    moments, moments_lanes, (pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 6]
+    /// Sums over the counting pixels of a run: their number, predicted, seen, predicted², predicted
+    /// times seen; then, of the [`root`]s of both: predicted, seen, predicted², seen², predicted
+    /// times seen.
+    moments, moments_lanes, (pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 10]
 }
 
 #[inline(always)]
-fn moments_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 6] {
-    let mut sums = [L::splat(0.0); 6];
+fn moments_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance) -> [f64; 10] {
+    let mut sums = [L::splat(0.0); 10];
     for k in run.range().step_by(LANES) {
         let c = load_at::<L>(&pixels.counts, k);
         let (p, s) = (load_at::<L>(&appearance.intensity, k).mul(c), load_at::<L>(&pixels.seen, k).mul(c));
-        let terms = [c, p, s, p.mul(p), s.mul(s), p.mul(s)];
-        for n in 0..6 {
+        let (rp, rs) = (root(p), root(s));
+        let terms = [c, p, s, p.mul(p), p.mul(s), rp, rs, rp.mul(rp), rs.mul(rs), rp.mul(rs)];
+        for n in 0..10 {
             sums[n] = sums[n].add(terms[n]);
         }
     }
-    let mut totals = [0.0; 6];
-    for n in 0..6 {
+    let mut totals = [0.0; 10];
+    for n in 0..10 {
         totals[n] = f64::from(total(sums[n]));
     }
     totals

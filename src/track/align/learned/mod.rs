@@ -3,13 +3,15 @@
 //! through `OnlineCalibration::learn`, after its pose was accepted.
 //!
 //! - `light`: the photometric model; the last accepted frame's is where the next one starts
+//! - `camera_curve`: the light that the camera's grey levels stand for
 //! - `noise`, `gradient_gain`: one slow estimate each
 //! - `exposure`, `exposure_watch`: the exposure, learnt or checked
 //! - `online_calibration`: all of them together
 //! - `clue`: a frame's estimate of an unknown it did not solve for
 //!
-//! Uses `frame` and `align::lanes`.
+//! Uses the core's light, `frame` and `align::lanes`.
 
+pub mod camera_curve;
 pub mod clue;
 pub mod exposure;
 pub mod exposure_watch;

@@ -9,6 +9,8 @@
 use crate::track::align::tuning::TUNING;
 use nalgebra::{Matrix3, Vector3};
 
+use crate::light::CameraCurve;
+
 /// The parts of a pixel's noise, at one level of the frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Noise {
@@ -30,6 +32,10 @@ pub struct NoiseSums {
     pub(in crate::track::align) by_squared: Vector3<f64>,
 }
 
+/// The grey at which the usual noise is exact. Raised, dark pixels count as noisier at first;
+/// lowered, bright ones count as less noisy than they are.
+const USUAL_GREY: u8 = 160;
+
 impl Default for NoiseSums {
     fn default() -> Self {
         Self { by_each_other: Matrix3::zeros(), by_squared: Vector3::zeros() }
@@ -41,6 +47,9 @@ impl Default for NoiseSums {
 pub struct CameraNoise {
     /// The finest level.
     level: usize,
+    /// Variance before any frame, and its minimum.
+    usual: Vector3<f64>,
+    least: Vector3<f64>,
     sums: NoiseSums,
     /// Variance at black, per grey level, and per squared gradient.
     variance: Vector3<f64>,
@@ -48,18 +57,14 @@ pub struct CameraNoise {
 
 impl CameraNoise {
     /// Returns the noise of a usual camera. `level`: the finest one, whose frames it will learn
-    /// from.
-    pub fn usual(level: usize) -> Self {
+    /// from. `curve`: the camera's, along which noise of its grey levels becomes noise of light.
+    pub fn usual(level: usize, curve: &CameraCurve) -> Self {
         let n = f64::from(1u32 << (2 * level));
-        Self {
-            level,
-            sums: NoiseSums::default(),
-            variance: Vector3::new(
-                TUNING.initial_dark_variance / n,
-                TUNING.initial_shot_variance / n,
-                TUNING.initial_model_error_px.powi(2),
-            ),
-        }
+        let [dark, per_light] = in_light(curve, |grey| TUNING.initial_dark_variance + TUNING.initial_shot_variance * grey);
+        let [least_dark, least_per_light] = in_light(curve, |_| TUNING.min_dark_variance);
+        let usual = Vector3::new(dark / n, per_light / n, TUNING.initial_model_error_px.powi(2));
+        let least = Vector3::new(least_dark / n, least_per_light / n, TUNING.min_model_error_px.powi(2));
+        Self { level, usual, least, sums: NoiseSums::default(), variance: usual }
     }
 
     /// Returns the noise of a pixel of a level, for a moving camera.
@@ -95,8 +100,7 @@ impl CameraNoise {
     pub fn learn(&mut self, frame: &NoiseSums) {
         self.sums.by_each_other = self.sums.by_each_other * (1.0 - TUNING.noise_forgetting_rate) + frame.by_each_other;
         self.sums.by_squared = self.sums.by_squared * (1.0 - TUNING.noise_forgetting_rate) + frame.by_squared;
-        let usual = Self::usual(self.level).variance;
-        let [least_dark, least_model] = [TUNING.min_dark_variance / f64::from(1u32 << (2 * self.level)), TUNING.min_model_error_px.powi(2)];
+        let usual = self.usual;
         // The prior weighs as much as that number of pixels of the usual grey and gradient would,
         // in each part alone.
         let weight =
@@ -107,7 +111,7 @@ impl CameraNoise {
             a[(k, k)] += weight[k];
             b[k] += weight[k] * usual[k];
         }
-        if let Some(variance) = at_least(&a, &b, &Vector3::new(least_dark, 0.0, least_model)) {
+        if let Some(variance) = at_least(&a, &b, &self.least) {
             self.variance = variance;
             tracing::trace!(dark = variance.x, per_intensity = variance.y, model_px = variance.z.sqrt(), "noise");
         }
@@ -119,6 +123,14 @@ impl CameraNoise {
         let parts = usual.component_mul(&Vector3::new(1.0, 100.0, 900.0));
         (parts / parts.sum()).map(|share| share * share)
     }
+}
+
+/// Converts a variance of grey levels to one of light: at black, and its growth per light. It is
+/// exact at black and at [`USUAL_GREY`].
+fn in_light(curve: &CameraCurve, variance: impl Fn(f64) -> f64) -> [f64; 2] {
+    let at = |grey: u8| variance(f64::from(grey)) * f64::from(curve.slope(grey)).powi(2);
+    let dark = at(0);
+    [dark, (at(USUAL_GREY) - dark).max(0.0) / f64::from(curve.light()[usize::from(USUAL_GREY)])]
 }
 
 /// Returns the least-squares solution with no entry below its minimum: an entry below is fixed
@@ -153,6 +165,7 @@ mod tests {
     use rand_pcg::Pcg64Mcg;
 
     use super::*;
+    use crate::light::Transfer;
     use crate::track::align::kernel::noise_sums::TRUNCATED_VARIANCE;
 
     /// Sums over pixels of random grey and gradient with a known variance.
@@ -178,7 +191,7 @@ mod tests {
         let mut random = Pcg64Mcg::seed_from_u64(7);
         for truth in [[0.3, 0.004, 1e-5], [2.0, 0.02, 2e-4], [0.6, 0.0, 5e-4], [5.0, 0.05, 1e-5]] {
             let truth = Vector3::from(truth);
-            let mut learnt = CameraNoise::usual(1);
+            let mut learnt = CameraNoise::usual(1, &CameraCurve::new(Transfer::Linear));
             for _ in 0..40 {
                 learnt.learn(&sums(&truth, &learnt, &mut random));
             }
@@ -198,7 +211,7 @@ mod tests {
         // Returns the ratio of the learnt to the true variance after three rounds with a better
         // model.
         let mut too_large = |doubts: bool| {
-            let mut learnt = CameraNoise::usual(1);
+            let mut learnt = CameraNoise::usual(1, &CameraCurve::new(Transfer::Linear));
             for _ in 0..30 {
                 learnt.learn(&sums(&wrong, &learnt, &mut random));
             }
@@ -217,7 +230,7 @@ mod tests {
 
     #[test]
     fn unobservable_noise_terms_keep_their_defaults() {
-        let usual = CameraNoise::usual(1);
+        let usual = CameraNoise::usual(1, &CameraCurve::new(Transfer::Linear));
         let mut learnt = usual.clone();
         learnt.learn(&NoiseSums::default());
         assert!((learnt.variance - usual.variance).norm() < 1e-9);
@@ -233,7 +246,7 @@ mod tests {
 
     #[test]
     fn coarser_levels_are_less_noisy() {
-        let noise = CameraNoise::usual(1);
+        let noise = CameraNoise::usual(1, &CameraCurve::new(Transfer::Linear));
         assert!((noise.at(1).dark - 4.0 * noise.at(2).dark).abs() < 1e-6);
         assert!(noise.at(2).model_px >= noise.at(1).model_px);
     }

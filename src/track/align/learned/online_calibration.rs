@@ -5,6 +5,7 @@
 //! ([`Updates`]). They learn it only when the frame's pose is accepted: a frame that shows
 //! something else has no information about the camera or the light.
 
+use super::camera_curve::{CurveSums, LearntCurve};
 use super::clue::Clue;
 use super::exposure::UnknownExposure;
 use super::exposure_watch::ExposureWatch;
@@ -12,6 +13,7 @@ use super::gradient_gain::{ChangeSums, GradientGain};
 use super::light::RememberedLight;
 use super::noise::{CameraNoise, NoiseSums};
 use crate::camera::Shutter;
+use crate::light::CameraCurve;
 use crate::motion::UniformMotion;
 use crate::track::align::tuning::TUNING;
 use crate::track::frame::frame_levels::FINEST;
@@ -27,6 +29,8 @@ pub struct OnlineCalibration {
     exposure_watch: ExposureWatch,
     /// The camera's noise.
     pub noise: CameraNoise,
+    /// The camera's curve; `None` where it is configured.
+    pub curve: Option<LearntCurve>,
     /// The fraction of the sampled gradients that is real.
     pub gradient_gain: GradientGain,
     /// Variance added by the point spread, in the kernel's unit.
@@ -56,6 +60,8 @@ pub struct Updates {
     pub exposure: Option<(Clue, f64)>,
     /// Sums of the squared residuals, where the frame is sharp and its pose conclusive.
     pub noise: Option<NoiseSums>,
+    /// Sums of the residuals by grey, where a frame is asked for them.
+    pub curve: Option<CurveSums>,
     /// The start error, pixels of the frame, and the fraction of the tiles that took part; `None`
     /// where nothing moved.
     pub start: Option<(f64, f64)>,
@@ -75,6 +81,7 @@ impl Updates {
             psf_variance: None,
             exposure: None,
             noise: None,
+            curve: None,
             start: None,
             line: None,
             is_enlarged: calibration.is_enlarged,
@@ -86,13 +93,14 @@ impl Updates {
 impl OnlineCalibration {
     /// Returns the estimates before any frame. An exposure of 0 in `shutter` is unknown, and learnt
     /// from blurred frames.
-    pub fn new(shutter: Shutter) -> Self {
+    pub fn new(shutter: Shutter, curve: &CameraCurve) -> Self {
         let is_known = shutter.exposure_s > 0.0;
         Self {
             shutter: Shutter { exposure_s: if is_known { shutter.exposure_s } else { TUNING.initial_exposure_s }, ..shutter },
             exposure: (!is_known).then(UnknownExposure::default),
             exposure_watch: ExposureWatch::default(),
-            noise: CameraNoise::usual(FINEST),
+            noise: CameraNoise::usual(FINEST, curve),
+            curve: None,
             gradient_gain: GradientGain::default(),
             psf_variance: 0.0,
             light: RememberedLight::default(),
@@ -175,6 +183,9 @@ impl OnlineCalibration {
         }
         if let Some(sums) = &updates.noise {
             self.noise.learn(sums);
+        }
+        if let Some(curve) = &mut self.curve {
+            curve.learn(updates.curve.as_ref());
         }
         if let Some((start_error_px, inlier_tile_ratio)) = updates.start {
             self.start_error_px = start_error_px.max(TUNING.start_error_decay * self.start_error_px);

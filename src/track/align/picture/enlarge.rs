@@ -1,4 +1,8 @@
-//! Enlarges a picture to twice its size with Lanczos' windowed sinc of three lobes.
+//! Enlarges a picture, whose pixels are square roots of light, to twice its size with Lanczos'
+//! windowed sinc of three lobes.
+//!
+//! Roots are blended, not light: printers, projectors and displays enlarge encoded pictures, and
+//! the ringing beside a highlight stays small in the dark.
 //!
 //! At a factor of two the kernel has exactly two phases of six weights, which mirror each other.
 //! Rows are blended first, then pixels within a row. The enlarged picture is produced row by row,
@@ -8,6 +12,7 @@ use std::f32::consts::PI;
 
 use image::GrayImage;
 
+use crate::light::square_root::byte;
 use crate::simd::multiversion;
 
 /// Lobes of the kernel on each side, and weights along one axis. Raised, edges ring further and
@@ -65,7 +70,7 @@ multiversion! {
 fn blend_plain(rows: [&[u8]; TAPS], weights: &[f32; TAPS], out: &mut [f32]) {
     out.fill(0.0);
     for (row, weight) in rows.iter().zip(weights) {
-        out.iter_mut().zip(*row).for_each(|(sum, grey)| *sum += weight * f32::from(*grey));
+        out.iter_mut().zip(*row).for_each(|(sum, root)| *sum += weight * f32::from(*root));
     }
 }
 
@@ -78,22 +83,20 @@ multiversion! {
 
 #[inline(always)]
 fn interleave_plain(row: &[f32], earlier: &[f32; TAPS], later: &[f32; TAPS], out: &mut [u8]) {
-    // Above 2^23 the lowest bits of a float count whole numbers, so the low byte is the integer.
-    // This converts eight values at once, where `as` would check one after the other.
-    let grey = |sum: f32| ((sum + 0.5).clamp(0.0, 255.0).floor() + 8_388_608.0).to_bits() as u8;
+    let root = |sum: f32| byte(sum);
     for (k, out) in out.chunks_mut(2 * TEXELS_AT_A_TIME).enumerate() {
         // Values computed beyond the end of the row are not written.
         let Some(row) = row[k * TEXELS_AT_A_TIME..].first_chunk::<{ TEXELS_AT_A_TIME + TAPS }>() else { return };
-        let mut greys = [[0u8; TEXELS_AT_A_TIME]; 2];
+        let mut roots = [[0u8; TEXELS_AT_A_TIME]; 2];
         for u in 0..TEXELS_AT_A_TIME {
             let mut sums = [0.0f32; 2];
             for t in 0..TAPS {
                 sums[0] += earlier[t] * row[u + t];
                 sums[1] += later[t] * row[u + t + 1];
             }
-            (greys[0][u], greys[1][u]) = (grey(sums[0]), grey(sums[1]));
+            (roots[0][u], roots[1][u]) = (root(sums[0]), root(sums[1]));
         }
-        let [earlier, later] = &greys;
+        let [earlier, later] = &roots;
         for ((pair, a), b) in out.as_chunks_mut::<2>().0.iter_mut().zip(earlier).zip(later) {
             *pair = [*a, *b];
         }

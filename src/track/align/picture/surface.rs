@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 use super::plane_table::PlaneTable;
 use super::texture::Texture;
 use crate::geometry::{Body, Camera, Pose};
+use crate::light::square_root::roots_of;
 use crate::track::scene::rectangle::Rectangle;
 use crate::track::scene::shape::ShapePoint;
 use crate::track::scene::surface::SurfaceSpec;
@@ -24,7 +25,11 @@ pub struct AlignSurface {
 impl AlignSurface {
     /// Prepares a surface: enlarges, halves and ranks its picture, and tabulates its shape.
     pub fn new(spec: &SurfaceSpec) -> Self {
-        Self { texture: Texture::new(&spec.artwork), rectangle: Rectangle::of(spec), planes: PlaneTable::of(&spec.shape, spec.size_m) }
+        Self {
+            texture: Texture::new(&roots_of(&spec.artwork, spec.transfer)),
+            rectangle: Rectangle::of(spec),
+            planes: PlaneTable::of(&spec.shape, spec.size_m),
+        }
     }
 
     /// Returns where a point of the picture (x, y from its middle, metres) lies on the surface, to

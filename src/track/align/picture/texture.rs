@@ -1,4 +1,5 @@
-//! A surface's picture as alignment reads it.
+//! A surface's picture as alignment reads it: its light, as square roots (see
+//! [`square_root`](crate::light::square_root)).
 //!
 //! There are several levels: a copy at twice the size, the picture itself, and a chain of halved
 //! copies. All are stored in tiles that each fill a cache line. For each level from the picture
@@ -13,7 +14,7 @@ use crate::track::align::tuning::TUNING;
 use image::GrayImage;
 
 use super::enlarge::Enlarged;
-use crate::features::halved;
+use crate::light::square_root::halved;
 use crate::simd::multiversion;
 use crate::track::align::lanes::{LANES, TILE_COLUMNS, TILE_ROWS, Tile};
 
@@ -22,15 +23,15 @@ pub const TILE_STEP: [usize; 2] = [TILE_COLUMNS - 1, TILE_ROWS - 1];
 /// Side of a block of candidates, texels. Raised, the chosen pixels are spread less evenly;
 /// lowered, more blocks are projected per frame.
 pub const BLOCK: usize = 16;
-/// Minimum gradient of a candidate, grey levels per texel. Raised, soft pictures have too few
+/// Minimum gradient of a candidate, square roots per texel. Raised, soft pictures have too few
 /// pixels; lowered, lists hold texels that are never taken.
 const MIN_GRADIENT: f32 = 1.5;
 
 /// All levels of a picture.
 #[derive(Debug, Clone)]
 pub struct Texture {
-    /// Grey of all levels, row of tiles by row of tiles. A tile starts [`TILE_STEP`] texels after
-    /// its neighbour.
+    /// Square root of the light of all levels, row of tiles by row of tiles. A tile starts
+    /// [`TILE_STEP`] texels after its neighbour.
     pub tiles: Vec<Tile>,
     /// Byte address of each level's first texel; unused entries repeat the last level.
     pub base: [i32; LANES],
@@ -75,7 +76,7 @@ impl Candidates {
 }
 
 impl Texture {
-    /// Prepares a picture of at least 16 x 16 pixels.
+    /// Prepares a picture of at least 16 x 16 pixels: square roots of its light.
     pub fn new(picture: &GrayImage) -> Self {
         let mut texture = Self {
             tiles: Vec::new(),

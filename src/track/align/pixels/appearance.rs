@@ -13,6 +13,7 @@
 use super::level_spec::LevelSpec;
 use super::runs::Pixels;
 use super::touching_planes::MapLanes;
+use crate::light::transfer::FULL;
 use crate::motion::Motion;
 use crate::track::align::lanes::{LANES, Lanes, TILE_COLUMNS, Tile, dispatch, load_at, resize_with_room, store_at};
 use crate::track::align::picture::sight::{Sight, SightPath};
@@ -216,11 +217,11 @@ fn address<L: Lanes>(level: &LevelLanes<L>, u: L, v: L) -> (L::Index, [L; 2]) {
     (L::address(row.to_index(), level.stride, in_row.to_index(), level.base), [u.sub(i), v.sub(j)])
 }
 
-/// Returns the grey at picture pixel (u, v), interpolated linearly.
+/// Returns 255 times the light at picture pixel (u, v), interpolated linearly.
 #[inline(always)]
 fn sample<L: Lanes>(tiles: &[Tile], level: &LevelLanes<L>, u: L, v: L) -> L {
     let (address, [a, b]) = address(level, u, v);
-    let [q00, q10, q01, q11] = L::gather_quads(tiles, address);
+    let [q00, q10, q01, q11] = L::gather_squares(tiles, address);
     let upper = q10.sub(q00).mul_add(a, q00);
     let lower = q11.sub(q01).mul_add(a, q01);
     lower.sub(upper).mul_add(b, upper)
@@ -506,10 +507,11 @@ fn predict_pixels<L: Lanes, const IS_BENT: bool, const BY_VELOCITY: bool>(what: 
             let last = hit(view, &sight_at(view, after, map.as_ref()), x, y).texel;
             blurred_samples(tiles, &level, &BlurPath::through(first, middle.texel, last), &by_pixel, spec.places)
         };
-        store_at(&mut out.intensity, k, sampled.intensity);
-        store_at(&mut out.psf_variance, k, sampled.psf_variance);
-        store_at(&mut out.sharper, k, sampled.sharper);
-        let gradient_gain = L::splat(view.gradient_gain);
+        let unit = L::splat(1.0 / FULL);
+        store_at(&mut out.intensity, k, sampled.intensity.mul(unit));
+        store_at(&mut out.psf_variance, k, sampled.psf_variance.mul(unit));
+        store_at(&mut out.sharper, k, sampled.sharper.mul(unit));
+        let gradient_gain = L::splat(view.gradient_gain).mul(unit);
         let (across, down) = (sampled.across.mul(gradient_gain), sampled.down.mul(gradient_gain));
         store_at(&mut out.across, k, across);
         store_at(&mut out.down, k, down);

@@ -10,8 +10,7 @@ use super::touching_planes::{Rays, TouchingPlanes};
 use crate::motion::Motion;
 use crate::track::align::lanes::{LANES, resize_with_room};
 use crate::track::align::learned::light::{Light, RememberedLight, TileLight};
-use crate::track::align::tuning::TUNING;
-use crate::track::frame::frame_levels::Level;
+use crate::track::frame::light_levels::LightLevel;
 use crate::track::frame::tile_grid::{Chosen, TileGrid};
 
 /// A run of pixels of one surface in one tile: whole lanes. The last lanes may repeat a pixel; a
@@ -52,7 +51,7 @@ pub struct Pixels {
     pub y_down: Vec<f32>,
     /// Seconds from the frame's stamp to the middle of the row's exposure.
     pub delay_s: Vec<f32>,
-    /// Grey that the camera saw, 0 to 255.
+    /// Light that the camera saw, 0 to 255.
     pub seen: Vec<f32>,
     /// 1 where that counts; 0 where it is saturated, clipped to black, or padding.
     pub counts: Vec<f32>,
@@ -62,6 +61,8 @@ pub struct Pixels {
     pub place: [Vec<f32>; 2],
     /// Row times width plus column.
     pub index: Vec<u32>,
+    /// Where their light is read: see [`LightLevel::place`].
+    read_at: Vec<u32>,
     /// Runs in order.
     runs: Vec<Run>,
     /// Ranges of the surfaces, whole lanes: (surface, start, end).
@@ -81,7 +82,7 @@ pub struct Pixels {
 
 impl Pixels {
     /// Lays out a choice of pixels, with the remembered light on its grid.
-    pub fn arrange(&mut self, chosen: &[Chosen], spec: &LevelSpec, level: &Level, light: &RememberedLight) {
+    pub fn arrange(&mut self, chosen: &[Chosen], spec: &LevelSpec, level: LightLevel, light: &RememberedLight) {
         let (table, height) = (spec.rays.table(spec.level), spec.rays.camera().height());
         let grid = TileGrid::covering(chosen);
         grid.places(0, &mut self.columns);
@@ -93,17 +94,18 @@ impl Pixels {
             resize_with_room(list, n, 0.0);
         }
         resize_with_room(&mut self.index, n, 0);
+        resize_with_room(&mut self.read_at, n, 0);
         let [left, top] = grid.origin();
         // List by list, in the order of the places: in short loops many loads from the table
         // overlap.
-        for (index, k) in self.index.iter_mut().zip(&self.order) {
+        for ((index, read_at), k) in self.index.iter_mut().zip(&mut self.read_at).zip(&self.order) {
             let [u, v] = chosen[*k as usize].place.map(usize::from);
-            *index = (v * table.width + u) as u32;
+            (*index, *read_at) = ((v * table.width + u) as u32, level.place([u, v]));
         }
         for ((x, y), index) in self.x.iter_mut().zip(&mut self.y).zip(&self.index) {
             [*x, *y] = table.rays[*index as usize];
         }
-        self.see(spec.level, level);
+        self.see(level);
         for (n, k) in self.order.iter().enumerate() {
             let [u, v] = chosen[*k as usize].place.map(usize::from);
             let slope = table.slope(u, v);
@@ -121,13 +123,13 @@ impl Pixels {
         planes.find(&Rays { x, y, delay_s, groups }, spec, motion);
     }
 
-    /// Takes the grey that a frame shows at the pixels.
-    pub fn see(&mut self, l: usize, level: &Level) {
-        let to_grey = 1.0 / f32::from(1u16 << (2 * l));
-        for ((seen, counts), index) in self.seen.iter_mut().zip(&mut self.counts).zip(&self.index) {
-            *seen = f32::from(level.sums()[*index as usize]) * to_grey;
-            *counts = tells_something(*seen);
-        }
+    /// Takes the light that a frame shows at the pixels.
+    pub fn see(&mut self, level: LightLevel) {
+        let Self { seen, counts, read_at, .. } = self;
+        level.read(read_at, |k, pixel| {
+            seen[k] = pixel.light;
+            counts[k] = if pixel.is_in_range { 1.0 } else { 0.0 };
+        });
         for k in &self.repeats {
             self.counts[*k as usize] = 0.0;
         }
@@ -223,9 +225,4 @@ impl Pixels {
         let Self { x, y, x_across, x_down, y_across, y_down, delay_s, seen, counts, .. } = self;
         [x, y, x_across, x_down, y_across, y_down, delay_s, seen, counts, a, b, u, v]
     }
-}
-
-/// Returns 1 for a grey that is neither saturated nor clipped to black, else 0.
-fn tells_something(intensity: f32) -> f32 {
-    if intensity > TUNING.black_grey && intensity < TUNING.saturated_grey { 1.0 } else { 0.0 }
 }

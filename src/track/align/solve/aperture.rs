@@ -18,7 +18,7 @@ use nalgebra::{Matrix2, SymmetricEigen, Vector2};
 
 use crate::track::align::pixels::appearance::Appearance;
 use crate::track::align::pixels::runs::{Pixels, Run};
-use crate::track::frame::frame_levels::Level;
+use crate::track::frame::light_levels::LightLevel;
 
 /// How the observed gradients agree with the expected ones.
 #[derive(Debug, Clone, Copy, Default)]
@@ -54,7 +54,7 @@ pub struct DirectionSupport {
 
 impl GradientAgreement {
     /// Adds the pixels of a run of a solved level; `agrees`: whether its tile does.
-    pub fn add(&mut self, run: &Run, agrees: bool, pixels: &Pixels, appearance: &Appearance, level: &Level) {
+    pub fn add(&mut self, run: &Run, agrees: bool, pixels: &Pixels, appearance: &Appearance, level: LightLevel) {
         let sums = GradientSums::of(run.range(), pixels, appearance, level);
         self.everywhere.join(&sums);
         if agrees {
@@ -84,7 +84,7 @@ impl GradientAgreement {
 
 impl GradientSums {
     /// Sums over every third of these pixels of a solved level.
-    fn of(range: Range<usize>, pixels: &Pixels, appearance: &Appearance, level: &Level) -> Self {
+    fn of(range: Range<usize>, pixels: &Pixels, appearance: &Appearance, level: LightLevel) -> Self {
         let mut sums = Self::default();
         let first = range.start.next_multiple_of(TUNING.aperture_stride);
         for k in (first..range.end).step_by(TUNING.aperture_stride).filter(|k| pixels.counts[*k] > 0.0) {

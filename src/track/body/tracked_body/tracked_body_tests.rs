@@ -63,7 +63,7 @@ fn is_found(covered_share: f64) -> [bool; 2] {
 #[test]
 fn an_occluded_fit_is_distinguished_from_a_misfit() {
     assert_eq!(is_found(0.0), [true, false]);
-    assert_eq!(is_found(0.7), [false, true]);
+    assert_eq!(is_found(0.68), [false, true]);
     assert_eq!(is_found(1.0), [false, false]);
 }
 

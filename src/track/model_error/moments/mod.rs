@@ -203,7 +203,7 @@ impl MixtureWatch {
         poses: &Poses,
     ) -> Option<Cell> {
         let surface = &found.body.surfaces[number];
-        let picture = self.averaged[number].over(&surface.octaves, self.texels[number]);
+        let picture = self.averaged[number].over(&surface.octaves, self.texels[number], surface.spec.transfer);
         draw_cell(surface, share, shown, picture, poses, found.camera, copy)
     }
 

@@ -107,6 +107,9 @@ pub struct LevelProblem {
     pub rounds: u64,
 }
 
+/// Minimum mean light that a tile's gain is guessed from. Raised, dark tiles are guessed too dark.
+const MIN_PREDICTED_LIGHT: f32 = 0.1;
+
 /// Whether tiles with these correlations show a body of which more than half may be occluded:
 /// enough tiles fit, and most others show something else.
 fn is_covered(correlations: &[f32]) -> bool {
@@ -142,7 +145,7 @@ impl LevelProblem {
             return false;
         }
         let Picture { pixels, appearance, residuals } = &mut self.picture;
-        pixels.arrange(chosen, spec, frame.level(spec.level), light);
+        pixels.arrange(chosen, spec, frame.light(spec.level), light);
         pixels.touch(spec, motion);
         appearance.resize(pixels.len());
         residuals.resize(pixels.len());
@@ -224,7 +227,7 @@ impl LevelProblem {
     /// Keeps the pixels and their prediction for a new frame, and reads its intensities.
     pub fn renew(&mut self, spec: &LevelSpec, frame: &mut FrameLevels) {
         self.solved = None;
-        self.picture.pixels.see(spec.level, frame.level(spec.level));
+        self.picture.pixels.see(frame.light(spec.level));
     }
 
     /// Solves the linearised problem, iteratively reweighted, and corrects the light, which is
@@ -354,7 +357,7 @@ impl LevelProblem {
         sorted.extend(open().map(|r| &r.gate).filter(|g| g.correlation > TUNING.min_bias_run_correlation).map(|g| g.bias));
         let bias = median(sorted).filter(|_| sorted.len() >= 6).map(|bias| bias.clamp(-TUNING.max_initial_bias, TUNING.max_initial_bias));
         let bias = bias.unwrap_or(picture.pixels.light().bias());
-        let gain = |g: &TileCorrelation| ((f64::from(g.seen) - bias) / f64::from(g.predicted.max(1.0))).clamp(0.02, 20.0);
+        let gain = |g: &TileCorrelation| ((f64::from(g.seen) - bias) / f64::from(g.predicted.max(MIN_PREDICTED_LIGHT))).clamp(0.02, 20.0);
         sorted.clear();
         sorted.extend(open().map(|r| gain(&r.gate) as f32));
         let Some(usual) = median(sorted) else { return };

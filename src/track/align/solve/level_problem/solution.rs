@@ -7,17 +7,19 @@ use nalgebra::{Matrix6, Vector6};
 use super::{Corrected, LevelProblem, LevelSpec};
 use crate::camera::Shutter;
 use crate::geometry::resection::larger_covariance;
+use crate::light::CameraCurve;
 use crate::motion::{MotionError, MotionEstimate};
 use crate::track::align::kernel::evidence::evidence;
 use crate::track::align::kernel::normal::{RobustWeighting, squares_after};
 use crate::track::align::kernel::tile_equations::TileStep;
+use crate::track::align::learned::camera_curve::CurveSums;
 use crate::track::align::learned::noise::NoiseSums;
 use crate::track::align::solve::aperture::GradientAgreement;
 use crate::track::align::solve::jump_instant::RowBands;
 use crate::track::align::solve::shutter_clue::ReadoutClue;
 use crate::track::align::solve::system::schur_complement::{SchurComplement, SolvedTile};
 use crate::track::align::solve::verdict::agreement;
-use crate::track::frame::frame_levels::Level;
+use crate::track::frame::light_levels::LightLevel;
 
 /// A solved level.
 pub struct LevelSolution<'a> {
@@ -138,9 +140,22 @@ impl LevelSolution<'_> {
         sums
     }
 
+    /// Returns the open runs' sums for learning the camera's curve, one run in several, with the
+    /// residuals of the last step. `curve`: the one by which the frame was decoded.
+    pub fn curve_sums(&self, curve: &CameraCurve) -> CurveSums {
+        let LevelProblem { picture, runs, .. } = &*self.problem;
+        let weighting = RobustWeighting { residual_sigma: self.found.residual_sigma, is_first_pass: false, stride: 1 };
+        let mut sums = CurveSums::default();
+        let stride = (picture.pixels.len() / TUNING.max_curve_pixels).max(1);
+        for r in runs.iter().filter(|r| r.gate.is_open).step_by(stride) {
+            sums.add(&picture.view(r), &r.step.columns, &weighting, curve);
+        }
+        sums
+    }
+
     /// Returns how observed and expected gradients agree at the selected pixels. Requires
     /// [`conclude`](Self::conclude), which determines the tiles that agree. `level`: the frame's.
-    pub fn gradient_agreement(&self, level: &Level) -> GradientAgreement {
+    pub fn gradient_agreement(&self, level: LightLevel) -> GradientAgreement {
         let LevelProblem { picture, runs, .. } = &*self.problem;
         let mut gradients = GradientAgreement::default();
         for r in runs {
