@@ -50,6 +50,12 @@ BARS = {
     "d-blackout": Bar(good=0.91, good_of="visible", peer="orb"),
     "d-handheld": Bar(good=0.95, wrong="plain", peer="sift", times_peer=1.3),
     "d-steep":    Bar(good=0.40),
+    # light adds up as light does: along sRGB, clipped, along a curve with contrast, in motion
+    "d-linear":          Bar(good=0.98, permille=0.02, nees=(0.3, 2.0)),
+    "d-linear-clip":     Bar(good=0.98, permille=0.02, nees=(0.3, 2.0)),
+    "d-linear-tone":     Bar(good=0.98, permille=0.03, nees=(0.3, 2.0)),
+    "d-linear-steep":    Bar(good=0.98, permille=0.03),
+    "d-linear-handheld": Bar(good=0.98, permille=0.05),
 }
 AGAINST = "before"  # name of the --against build in the table
 RUNS_AGAINST = 3  # runs of each build; the fastest counts, because other load only slows it
@@ -145,13 +151,15 @@ class Clip:
         (folder / "camera.toml").write_text("".join(f"{key} = {value}\n" for key, value in camera.items()))
         readout_s = float(self.scene.get("readout_s", 0.0))
         shutter = f"readout_s = {readout_s}" if readout_s else 'shutter = "global"'
-        text = f'[camera]\ncalibration = "camera.toml"\n{shutter}\n'
+        # The other scenes average grey levels, as if camera and pictures encoded nothing.
+        transfer = "" if "linear" in self.scene else 'transfer = "linear"\n'
+        text = f'[camera]\ncalibration = "camera.toml"\n{shutter}\n{transfer}'
         for body in dict.fromkeys(surface["body"] for surface in stage.surfaces()):
             section = "stage" if body == "stage" else "object"
             text += "" if body == "stage" else f'\n[[object]]\nname = "{body}"\n'
             for surface in (s for s in stage.surfaces() if s["body"] == body):
                 image = os.path.relpath(stage.folder / surface["image"], folder)
-                text += f'\n[[{section}.surface]]\nimage = "{image}"\nsize_m = {surface["size_m"]}\n'
+                text += f'\n[[{section}.surface]]\nimage = "{image}"\nsize_m = {surface["size_m"]}\n{transfer}'
                 if body == "stage":
                     text += f'position_m = {surface["position_m"]}\norientation_xyzw = {surface["orientation_xyzw"]}\n'
                 else:
