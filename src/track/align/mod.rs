@@ -1,7 +1,7 @@
 //! Alignment: the pose at which the reference pictures, as the camera should see them, agree with
 //! the frame pixel by pixel.
 //!
-//! Pixels are chosen where the reference is steep. Their grey is predicted with its derivatives,
+//! Pixels are chosen where the reference is steep. Their light is predicted with its derivatives,
 //! and pose, motion, light and point spread are solved for together, from small copies of the frame
 //! up to its half size. Each frame is compared with the reference; earlier frames only give the
 //! start and the predicted motion.

@@ -414,7 +414,7 @@ tuning! {
         /// first guess, and in the test for occlusion.
         /// Raised, too few runs are left; lowered, runs of something else take part.
         min_bias_run_correlation: f32 = 0.8,
-        /// Maximum bias of that guess, grey levels. Raised, a line through runs with little
+        /// Maximum bias of that guess, in units of light. Raised, a line through runs with little
         /// contrast can leave almost no gain; lowered, haze is guessed too thin.
         max_initial_bias: f64 = 60.0,
         /// Minimum residuals from which their robust spread is taken, if there are as many. Raised,
@@ -451,8 +451,8 @@ tuning! {
         /// Usual relative difference of gain between neighbouring nodes, one sigma. Raised, gains
         /// absorb what is not light; lowered, spots and shadows are smeared out and pull the pose.
         gain_roughness: f64 = 0.15,
-        /// Sigma of the bias, grey levels. Raised, frames of nearly one grey trade bias for gain;
-        /// lowered, haze pulls the gain.
+        /// Sigma of the bias, in units of light. Raised, frames of nearly one light trade bias for
+        /// gain; lowered, haze pulls the gain.
         bias_sigma: f64 = 60.0,
 
         // learned/exposure.rs
@@ -518,7 +518,7 @@ tuning! {
         /// gain follows single frames; lowered, steps have a wrong length for longer after the view
         /// changes.
         gradient_gain_learning_rate: f64 = 0.2,
-        /// Minimum mean squared change of a step that is learnt from, grey levels². Raised, slow
+        /// Minimum mean squared change of a step that is learnt from, squared light. Raised, slow
         /// cameras never learn the gain; lowered, rounding to whole levels biases it.
         min_step_change: f64 = 0.01,
 

@@ -6,7 +6,7 @@ use super::normal::{RobustWeighting, RunView, columns, less_step, root, root_var
 use crate::track::align::lanes::{LANES, Lanes, dispatch, load_at, total};
 
 /// What a run shows at the solution, for the verdict and for correspondences. r is the residual
-/// (seen minus predicted grey) and w its robust weight times its information.
+/// (seen minus predicted light) and w its robust weight times its information.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RunEvidence {
     /// Number of pixels that are neither saturated, clipped to black, nor padding.

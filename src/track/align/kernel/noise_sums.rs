@@ -1,5 +1,5 @@
 //! What the pixels of a frame say about the camera's noise: their squared residuals, as a function
-//! of grey and gradient. [`NoiseSums`] are the sums of that linear fit.
+//! of light and gradient. [`NoiseSums`] are the sums of that linear fit.
 
 use crate::track::align::tuning::TUNING;
 use nalgebra::{Matrix3, Vector3};
@@ -24,7 +24,7 @@ impl NoiseSums {
 
 dispatch! {
     /// Sums over a run after `step`, weighted by the squared inverse of the variance: products of
-    /// 1, grey and squared gradient with each other (six), and with the squared residual (three).
+    /// 1, light and squared gradient with each other (six), and with the squared residual (three).
     noise_sums, noise_sums_lanes,
     (view: &RunView, step: &[f32; COLUMNS], weighting: &RobustWeighting) -> [f32; 9]
 }

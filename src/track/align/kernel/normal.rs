@@ -1,6 +1,6 @@
 //! The residuals of a tile's pixels, their derivatives and their robust weights.
 //!
-//! The derivatives are the columns of one alignment step: how the predicted grey changes with the
+//! The derivatives are the columns of one alignment step: how the predicted light changes with the
 //! pose at the tile's rows, the gains at the tile's corners, the bias and the point spread.
 //! `tile_products` sums their products.
 
@@ -34,7 +34,7 @@ pub struct RobustWeighting {
 /// Residuals and their information at the linearisation, per pixel.
 #[derive(Debug, Default)]
 pub struct Residuals {
-    /// Seen minus predicted grey, grey levels.
+    /// Seen minus predicted light, in units of which white is 255.
     pub intensity: Vec<f32>,
     /// Inverse of the variance by noise and model error; 0 where a pixel does not count.
     pub information: Vec<f32>,
@@ -110,7 +110,7 @@ fn residuals_lanes<L: Lanes>(pixels: &Pixels, run: &Run, appearance: &Appearance
     }
 }
 
-/// Returns the columns of [`LANES`] pixels (the derivatives of the predicted grey), and the gain
+/// Returns the columns of [`LANES`] pixels (the derivatives of the predicted light), and the gain
 /// there.
 #[inline(always)]
 pub fn columns<L: Lanes>(pixels: &Pixels, appearance: &Appearance, light: &TileLight, k: usize) -> ([L; COLUMNS], L) {

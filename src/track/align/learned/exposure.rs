@@ -69,7 +69,7 @@ pub fn exposure_clue(blur: &[f64; 5], psf_variance: KnownPsfVariance, blur_px: f
     if determinant <= 1e-3 * s[0] * s[2] {
         return None;
     }
-    // A relative change c of the exposure changes the grey by -2 c times "sharper", because blur
+    // A relative change c of the exposure changes the light by -2 c times "sharper", because blur
     // grows with the square of the exposure.
     Some(Clue { score: -2.0 * (s[0] * s[4] - s[1] * s[3]) / s[0], information: 4.0 * determinant / s[0] })
 }

@@ -39,7 +39,7 @@ impl GradientGain {
 }
 
 /// Sums over pixels: their number, the squared predicted change, and predicted times real change.
-/// The latter two are in grey levels².
+/// The latter two are in squared units of light.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ChangeSums {
     /// Number of pixels that count: not saturated, not clipped to black, no padding.
@@ -59,7 +59,7 @@ impl ChangeSums {
     }
 }
 
-/// The grey of pixels before a step, and the change that the gradients predict for it.
+/// The light of pixels before a step, and the change that the gradients predict for it.
 #[derive(Debug, Default)]
 pub struct PredictedChange {
     intensity: Vec<f32>,

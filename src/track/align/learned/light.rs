@@ -1,6 +1,6 @@
-//! The photometric model: how light and camera turn the reference's grey into the frame's. It has a
-//! gain that varies smoothly over the frame, a bias, and a point spread wider or narrower than that
-//! of the reference.
+//! The photometric model: how lamps and camera turn the reference's light into the frame's. It has
+//! a gain that varies smoothly over the frame, a bias, and a point spread wider or narrower than
+//! that of the reference.
 //!
 //! A [`Light`] and the grid of its gains are one value and change together, so that every tile of
 //! the grid has its four nodes. What outlives a grid is a [`RememberedLight`], which no tile can
@@ -13,7 +13,7 @@
 //! 2. [`normal`](crate::track::align::kernel::normal): add its effect to `residuals_lanes` and its
 //!    derivative to `columns`; `kernel_tests` compare the two by finite differences. A term that is
 //!    not linear in the picture also changes the other columns, and `g` there: by how much the seen
-//!    grey changes per predicted grey. A new derivative per pixel is computed in
+//!    light changes per predicted light. A new derivative per pixel is computed in
 //!    [`appearance`](crate::track::align::pixels::appearance).
 //! 3. Here: add a field to [`Light`], [`TileLight`] and [`RememberedLight`], and to all that copies
 //!    them: `of_tile`, `spread_over`, `correct`, `guess`, `take`, `clone_from`.
@@ -38,17 +38,18 @@ pub struct TileLight {
     /// Variance added by the point spread, in the kernel's unit (a twelfth of a square pixel of the
     /// level).
     pub psf_variance: f32,
-    /// Bias, grey levels.
+    /// Bias, in units of light.
     pub bias: f32,
 }
 
-/// The light over the frame: seen = gain(x) (grey + psf_variance * d grey / d psf_variance) + bias.
+/// The light over the frame: seen = gain(x) (light + psf_variance * d light / d psf_variance) +
+/// bias.
 #[derive(Debug, Default)]
 pub struct Light {
     grid: TileGrid,
     /// Gain at the nodes of the grid, numbered column by column.
     gains: Vec<f64>,
-    /// Bias, grey levels.
+    /// Bias, in units of light.
     bias: f64,
     /// Variance added by the point spread, in the kernel's unit.
     psf_variance: f64,
@@ -67,7 +68,7 @@ impl Light {
         &self.gains
     }
 
-    /// Returns the bias, grey levels.
+    /// Returns the bias, in units of light.
     pub fn bias(&self) -> f64 {
         self.bias
     }

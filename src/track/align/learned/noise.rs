@@ -1,9 +1,9 @@
 //! Learns how noisy a camera is from the residuals of its frames.
 //!
 //! The variance of a pixel has three parts: a constant one (read noise, rounding, compression), one
-//! proportional to the grey (shot noise), and the error of the prediction, proportional to the
+//! proportional to the light (shot noise), and the error of the prediction, proportional to the
 //! squared gradient. The squared residuals of the finest level separate them: they are fitted as a
-//! linear function of grey and squared gradient, over many frames (weighted least squares, as for
+//! linear function of light and squared gradient, over many frames (weighted least squares, as for
 //! the photon transfer curve: Janesick 2007).
 
 use crate::track::align::tuning::TUNING;
@@ -14,15 +14,15 @@ use crate::light::CameraCurve;
 /// The parts of a pixel's noise, at one level of the frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Noise {
-    /// Variance at black of one pixel of the level, grey levels².
+    /// Variance at black of one pixel of the level, squared units of light.
     pub dark: f32,
-    /// Growth of the variance per grey level.
+    /// Growth of the variance per unit of light.
     pub per_intensity: f32,
     /// Error of the prediction, pixels of the level.
     pub model_px: f32,
 }
 
-/// Sums over pixels for the fit: products of the regressors (1, grey, squared gradient) with each
+/// Sums over pixels for the fit: products of the regressors (1, light, squared gradient) with each
 /// other, and with the squared residual.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NoiseSums {
@@ -51,7 +51,7 @@ pub struct CameraNoise {
     usual: Vector3<f64>,
     least: Vector3<f64>,
     sums: NoiseSums,
-    /// Variance at black, per grey level, and per squared gradient.
+    /// Variance at black, per unit of light, and per squared gradient.
     variance: Vector3<f64>,
 }
 
@@ -101,7 +101,7 @@ impl CameraNoise {
         self.sums.by_each_other = self.sums.by_each_other * (1.0 - TUNING.noise_forgetting_rate) + frame.by_each_other;
         self.sums.by_squared = self.sums.by_squared * (1.0 - TUNING.noise_forgetting_rate) + frame.by_squared;
         let usual = self.usual;
-        // The prior weighs as much as that number of pixels of the usual grey and gradient would,
+        // The prior weighs as much as that number of pixels of the usual light and gradient would,
         // in each part alone.
         let weight =
             TUNING.initial_noise_weight_pixels * Vector3::from(usual.map(|v| (v * v).recip())).component_mul(&self.share_of(&usual));
@@ -117,8 +117,8 @@ impl CameraNoise {
         }
     }
 
-    /// Returns the squared ratio of each part of the usual variance to their sum, at grey 100 and a
-    /// gradient of 30 grey levels per pixel.
+    /// Returns the squared ratio of each part of the usual variance to their sum, at light 100 and
+    /// a gradient of 30 per pixel.
     fn share_of(&self, usual: &Vector3<f64>) -> Vector3<f64> {
         let parts = usual.component_mul(&Vector3::new(1.0, 100.0, 900.0));
         (parts / parts.sum()).map(|share| share * share)
@@ -168,7 +168,7 @@ mod tests {
     use crate::light::Transfer;
     use crate::track::align::kernel::noise_sums::TRUNCATED_VARIANCE;
 
-    /// Sums over pixels of random grey and gradient with a known variance.
+    /// Sums over pixels of random light and gradient with a known variance.
     fn sums(truth: &Vector3<f64>, weights: &CameraNoise, random: &mut Pcg64Mcg) -> NoiseSums {
         let mut sums = NoiseSums::default();
         for _ in 0..3000 {
@@ -234,7 +234,7 @@ mod tests {
         let mut learnt = usual.clone();
         learnt.learn(&NoiseSums::default());
         assert!((learnt.variance - usual.variance).norm() < 1e-9);
-        // Pixels of one grey and gradient determine only their total variance; no part vanishes.
+        // Pixels of one light and gradient determine only their total variance; no part vanishes.
         let regressors = Vector3::new(1.0, 128.0, 400.0);
         let w = usual.variance.dot(&regressors).powi(-2) * 3000.0;
         for _ in 0..20 {

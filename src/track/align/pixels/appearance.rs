@@ -3,7 +3,7 @@
 //!
 //! A pixel's ray meets its surface at a texel, and the pixel's square covers a small quadrilateral
 //! of texels there. Five by five samples (three by three above the finest level), from the copy of
-//! the picture whose texels are a seventh of a pixel wide, yield the mean grey over that square,
+//! the picture whose texels are a seventh of a pixel wide, yield the mean light over that square,
 //! its gradient, and, by the curvature of the best-fitting parabola, its change with a wider point
 //! spread. (Fewer samples or larger texels leave errors of a grey level and more, which bias the
 //! pose of a still camera by more than its noise; measured in docs/alignment.md.) While the shutter
@@ -26,25 +26,25 @@ use crate::track::scene::rectangle::Rectangle;
 /// of the point spread are multiples of it.
 const PSF_VARIANCE_UNIT: f32 = 1.0 / 12.0;
 
-/// The prediction at each pixel, in the order of [`Pixels`]. Grey is in grey levels of the
-/// reference, before the gain of the light.
+/// The prediction at each pixel, in the order of [`Pixels`]. Light is that of the
+/// reference, up to 255, before the gain.
 #[derive(Debug, Default)]
 pub struct Appearance {
-    /// Grey of the reference.
+    /// Light of the reference.
     pub intensity: Vec<f32>,
-    /// Derivative of grey by the variance of the point spread, per unit of a twelfth of a square
+    /// Derivative of light by the variance of the point spread, per unit of a twelfth of a square
     /// pixel.
     pub psf_variance: Vec<f32>,
-    /// Grey without motion blur minus grey with it.
+    /// Light without motion blur minus light with it.
     pub sharper: Vec<f32>,
-    /// Derivative of grey by the camera's position (3, body axes, per metre) and rotation (3,
+    /// Derivative of light by the camera's position (3, body axes, per metre) and rotation (3,
     /// camera axes, per radian).
     pub by_pose: [Vec<f32>; 6],
-    /// Derivative of grey across, per pixel of the level.
+    /// Derivative of light across, per pixel of the level.
     pub across: Vec<f32>,
-    /// Derivative of grey down, per pixel of the level.
+    /// Derivative of light down, per pixel of the level.
     pub down: Vec<f32>,
-    /// Derivative of grey by the camera's velocity and angular velocity about the instant of the
+    /// Derivative of light by the camera's velocity and angular velocity about the instant of the
     /// pixel's row (axes as in `by_pose`, per m/s and rad/s): only the effect through motion blur.
     /// Only [`predict_by_velocity`] fills it.
     pub by_velocity: [Vec<f32>; 6],
@@ -259,7 +259,7 @@ struct Sampled<L> {
     intensity: L,
     psf_variance: L,
     sharper: L,
-    /// Derivative of grey by pixels of the level.
+    /// Derivative of light by pixels of the level.
     across: L,
     down: L,
     /// Means of the gradient times the instant of its place, in halves of the exposure. Not

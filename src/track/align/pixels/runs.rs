@@ -1,5 +1,5 @@
 //! The chosen pixels of a level, laid out for the kernels. They are sorted by surface and tile into
-//! runs, each filled up to whole lanes, with their rays, the grey that the camera saw, and the
+//! runs, each filled up to whole lanes, with their rays, the light that the camera saw, and the
 //! light.
 //!
 //! Runs, tiles and light belong together and are only created together, by [`Pixels::arrange`]. So

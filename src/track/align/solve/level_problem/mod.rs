@@ -348,7 +348,7 @@ impl LevelProblem {
     }
 
     /// Guesses the light from the open runs: the median of their biases, then each tile's mean
-    /// grey. Means are insensitive to a start that is off.
+    /// light. Means are insensitive to a start that is off.
     pub fn guess_light(&mut self, spec: &LevelSpec, psf_variance: f64) {
         self.gate_tiles(&spec.noise, false);
         let Self { picture, runs, sorted, .. } = self;

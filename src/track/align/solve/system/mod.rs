@@ -109,7 +109,7 @@ impl Step<'_> {
         self.all[self.nodes]
     }
 
-    /// Returns the correction of the bias, grey levels.
+    /// Returns the correction of the bias, in units of light.
     pub fn bias(&self) -> f64 {
         self.all[self.nodes + 1]
     }
