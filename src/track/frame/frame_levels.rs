@@ -41,9 +41,21 @@ impl FrameLevels {
     pub fn update(&mut self, image: &GrayImage) {
         self.grey.clear();
         self.grey.extend_from_slice(image.as_raw());
-        self.size = [image.width() as usize, image.height() as usize];
-        self.filled = 0;
+        let size = [image.width() as usize, image.height() as usize];
+        if size != self.size {
+            self.make_room(size);
+        }
+        (self.size, self.filled) = (size, 0);
         self.light.clear();
+    }
+
+    /// Makes room for all levels, so that none allocates when it is first asked for.
+    fn make_room(&mut self, size: [usize; 2]) {
+        for (level, l) in self.levels.iter_mut().zip(1..) {
+            level.sums.clear();
+            level.sums.reserve((size[0] >> l) * (size[1] >> l));
+        }
+        self.light.make_room(size);
     }
 
     /// Replaces the camera's curve between light and grey.

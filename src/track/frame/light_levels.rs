@@ -61,6 +61,14 @@ pub struct Seen {
 }
 
 impl LightLevels {
+    /// Makes room for the levels that are computed whole, of frames of `size` pixels.
+    pub fn make_room(&mut self, size: [usize; 2]) {
+        for (means, l) in self.means.iter_mut().zip(1..) {
+            means.light.clear();
+            means.light.reserve((size[0] >> l) * (size[1] >> l));
+        }
+    }
+
     /// Begins a new frame; buffers are kept.
     pub fn clear(&mut self) {
         self.filled = 0;
