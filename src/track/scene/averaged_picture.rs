@@ -133,7 +133,8 @@ mod tests {
                 std::array::from_fn(|k| s[k] + more[k])
             });
             let correlation = (ab - a * b / n) / ((aa - a * a / n) * (bb - b * b / n)).sqrt();
-            // Interpolating roots between texels of noise differs a little from averaging their light.
+            // Interpolating roots between texels of noise differs a little from averaging their
+            // light.
             assert!(correlation > 0.91, "{side}: {correlation}");
         }
     }
