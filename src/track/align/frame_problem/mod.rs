@@ -407,7 +407,7 @@ impl<'a> FrameProblem<'a> {
     /// singular.
     pub fn verify(&mut self) -> Option<(Alignment, Option<Clue>)> {
         self.bands = RowBands::new(self.slow.shutter);
-        let Corrected { motion, residual_sigma } = self.buffers.fine.solution()?.found;
+        let Corrected { motion, residual_sigma, .. } = self.buffers.fine.solution()?.found;
         let spec = self.spec(FINEST, &motion);
         let mut solution = self.buffers.fine.solution()?;
         let blur_px = spec.blur_px * spec.frame_px();

@@ -7,7 +7,7 @@
 use crate::track::align::tuning::TUNING;
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3, Vector6};
 
-use super::LevelProblem;
+use super::{LevelProblem, Reweighted};
 use super::solution::VoteScatter;
 use crate::motion::{Motion, MotionError, MotionMatrix};
 use crate::track::align::kernel::columns::POSE;
@@ -97,13 +97,12 @@ impl LevelProblem {
         };
         let together = TileTime { delay_s: 0.0, mean_square_s2: 0.0 };
         self.gate_tiles(&spec.noise, false);
-        let residual_sigma = self.reweight(spec, &prior, Some(together), false, TUNING.blur_reweightings)?;
+        let Reweighted { weight, .. } = self.reweight(spec, &prior, Some(together), false, TUNING.blur_reweightings)?;
         let Self { picture, runs, system, .. } = self;
         let step: Vector6<f64> = system.step().motion().fixed_rows::<6>(0).into_owned();
         let (covariance, votes) = system.covariance();
         let by_noise: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
         let mut scatter = VoteScatter::default();
-        let weight = residual_sigma.powi(-2);
         for r in runs.iter().filter(|r| r.gate.is_open) {
             let nodes = picture.pixels.light().nodes_of(r.run.tile);
             scatter.add(&votes.of_tile(&r.equations.left_by(&r.step), nodes, &together, weight));

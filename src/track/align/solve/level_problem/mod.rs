@@ -107,6 +107,14 @@ pub struct LevelProblem {
     pub rounds: u64,
 }
 
+/// The result of reweighting.
+struct Reweighted {
+    /// Robust standard deviation of the residuals that the last step left, in sigmas of noise.
+    residual_sigma: f64,
+    /// Weight of the tiles in the last system: by the residuals before that step.
+    weight: f64,
+}
+
 /// Minimum mean light that a tile's gain is guessed from. Raised, dark tiles are guessed too dark.
 const MIN_PREDICTED_LIGHT: f32 = 0.1;
 
@@ -125,6 +133,9 @@ pub struct Corrected {
     pub motion: Motion,
     /// Robust standard deviation of the residuals, in sigmas of noise.
     pub residual_sigma: f64,
+    /// Weight of the tiles in the solved system. Whatever is added to that system or eliminated from
+    /// it must have the same.
+    pub weight: f64,
 }
 
 impl LevelProblem {
@@ -254,29 +265,28 @@ impl LevelProblem {
         // off.
         let may_be_covered = level_prior.is_sure && !is_first && spec.level == FINEST;
         self.gate_tiles(&spec.noise, may_be_covered);
-        let residual_sigma = self.reweight(spec, &prior, spec.same_time(), is_first, passes)?;
+        let Reweighted { residual_sigma, weight } = self.reweight(spec, &prior, spec.same_time(), is_first, passes)?;
         let step = self.system.step();
         self.picture.pixels.correct_light(step.gains(), step.psf_variance(), step.bias());
         light.take(self.picture.pixels.light());
         let motion = at.corrected(&step.motion());
-        self.solved = motion.is_finite().then_some(Corrected { motion, residual_sigma });
+        self.solved = motion.is_finite().then_some(Corrected { motion, residual_sigma, weight });
         self.solved
     }
 
     /// Solves for the step of the gated tiles from the linearisation, iteratively reweighted.
-    /// Returns the robust standard deviation of the residuals that it leaves, in sigmas.
     /// `same_time`: the time of all tiles, where it is the same.
-    fn reweight(&mut self, spec: &LevelSpec, prior: &Prior, same_time: Option<TileTime>, is_first: bool, passes: usize) -> Option<f64> {
+    fn reweight(&mut self, spec: &LevelSpec, prior: &Prior, same_time: Option<TileTime>, is_first: bool, passes: usize) -> Option<Reweighted> {
         self.rounds += 1;
         self.residuals_all(&spec.noise);
-        let mut residual_sigma = self.residual_sigma();
+        let (mut residual_sigma, mut weight) = (self.residual_sigma(), 1.0);
         for pass in 0..passes {
             let stride = if pass + 1 < passes { self.rough_stride() } else { 1 };
             let weighting = RobustWeighting { residual_sigma, is_first_pass: is_first && pass == 0, stride };
             let Self { picture, runs, products, system, .. } = self;
             let light = picture.pixels.light();
             system.begin(light, prior, same_time);
-            let weight = residual_sigma.powi(-2) * stride as f64;
+            weight = residual_sigma.powi(-2) * stride as f64;
             // A rough step is used only for weights, so it ignores the times of rows.
             let is_rolling = same_time.is_none() && pass + 1 == passes;
             for r in runs.iter_mut().filter(|r| r.gate.is_open) {
@@ -291,7 +301,7 @@ impl LevelProblem {
             }
             residual_sigma = self.residual_sigma();
         }
-        Some(residual_sigma)
+        Some(Reweighted { residual_sigma, weight })
     }
 
     /// Whether the solution shows a body of which more than half may be occluded.

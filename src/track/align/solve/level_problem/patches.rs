@@ -39,7 +39,7 @@ impl LevelSolution<'_> {
     pub fn patches(self, spec: &LevelSpec, shifts: &mut Vec<Vector2<f64>>, patches: &mut Vec<Patch>) {
         // Not the reported motion: after a jump within the frame that is the motion of its last
         // rows.
-        let Self { found: Corrected { motion, residual_sigma: mut sigmas }, problem } = self;
+        let Self { found: Corrected { motion, residual_sigma: mut sigmas, .. }, problem } = self;
         shifts.clear();
         shifts.extend(problem.runs.iter().map(|r| patch_shift(&r.evidence).map_or(Vector2::zeros(), |(shift, _)| shift)));
         // One linear step is right for small shifts. Where the calibration or the survey is off,

@@ -93,9 +93,8 @@ impl LevelSolution<'_> {
     /// Concludes from all tiles. Stores each one's evidence with it, and fills `bands` with the
     /// equations of the open ones. `None` where the covariance is singular.
     pub fn conclude(&mut self, spec: &LevelSpec, bands: &mut RowBands) -> Option<Conclusion> {
-        let Corrected { motion, residual_sigma } = self.found;
+        let Corrected { motion, residual_sigma, weight } = self.found;
         let weighting = RobustWeighting { residual_sigma, is_first_pass: false, stride: 1 };
-        let weight = residual_sigma.powi(-2);
         let LevelProblem { picture, runs, system, .. } = &mut *self.problem;
         let (covariance, votes) = system.covariance();
         let mut scatter = VoteScatter::default();
@@ -171,7 +170,7 @@ impl LevelSolution<'_> {
     /// would be different. So a change of the readout moves the rows and the prediction at once
     /// (Friedland 1969, "Treatment of bias in recursive filtering"), and only a part of it shows.
     pub fn readout_clue(&self, spec: &LevelSpec, pull: &MotionError, column: &mut SchurComplement) -> ReadoutClue {
-        let Corrected { motion, residual_sigma } = self.found;
+        let Corrected { motion, weight, .. } = self.found;
         let LevelProblem { picture, runs, system, .. } = &*self.problem;
         // One second more of readout delays a row by as much as a sensor with a readout of one
         // second does.
@@ -191,7 +190,7 @@ impl LevelSolution<'_> {
                 by_readout.rate[c] = (speed * per_second) as f32;
             }
             let nodes = picture.pixels.light().nodes_of(r.run.tile);
-            let tile = SolvedTile { equations: &r.equations, step: &r.step, nodes, time, weight: residual_sigma.powi(-2) };
+            let tile = SolvedTile { equations: &r.equations, step: &r.step, nodes, time, weight };
             column.add(system, &tile, &by_readout);
         }
         let clue = column.finish(system);
