@@ -153,6 +153,7 @@ pub use camera::{
 pub use compute_clock::ComputeClock;
 pub use frame::{Frame, Timestamp};
 pub use geometry::{Body, Camera, Pose, ReferenceCamera, Stage, SurfaceFrame};
+pub use light::Transfer;
 pub use pose::{FilterKind, FilterSettings, KalmanSettings, OneEuroSettings};
 pub use record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
 pub use track::{
