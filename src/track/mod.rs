@@ -13,7 +13,7 @@
 //! Elsewhere only these remember something from frame to frame; a test holds the list, and names
 //! all scratch space besides:
 //!
-//! - in `frame`: `LightLevels` has the camera's curve, by which frames are decoded
+//! - in `frame`: `FrameLevels` has the camera's curve, by which frames are decoded
 //! - in `align`: `Aligner` owns what is learned; `Buffers` knows for how long the camera has been
 //!   still, and whether its pixels are kept; `LevelProblem`, `Pixels`, `Appearance` and
 //!   `TouchingPlanes` are kept while it is

@@ -28,7 +28,7 @@ const REMEMBERS: [Place; 19] = [
     ("LevelProblem", "align/solve/level_problem/mod.rs", "the finest level keeps its pixels while the camera is still"),
     ("Appearance", "align/pixels/appearance.rs", "the prediction at those pixels"),
     ("Pixels", "align/pixels/runs.rs", "those pixels"),
-    ("LightLevels", "frame/light_levels.rs", "the camera's curve, by which frames are decoded"),
+    ("FrameLevels", "frame/frame_levels.rs", "the camera's curve, by which frames are decoded"),
     ("TouchingPlanes", "align/pixels/touching_planes.rs", "the planes at those pixels"),
     ("FieldSize", "model_error/field_error.rs", "mean size of the model's error over recent frames"),
     ("Jump", "model_error/focal_step.rs", "usual error of predictions"),
@@ -46,13 +46,11 @@ const REMEMBERS: [Place; 19] = [
 
 /// What outlives a frame and changes, but carries nothing from one frame to the next: it is filled
 /// anew before it is read, or was made at load.
-const SCRATCH: [Place; 28] = [
+const SCRATCH: [Place; 26] = [
     ("AveragedPicture", "scene/averaged_picture.rs", "a copy of a picture, made again for another resolution"),
     ("PreparedSurface", "scene/reference.rs", "made at load"),
     ("RowOfTexels", "scene/bilinear.rs", "texels of a row"),
-    ("FrameLevels", "frame/frame_levels.rs", "the frame itself"),
     ("Level", "frame/frame_levels.rs", "the frame itself"),
-    ("Means", "frame/light_levels.rs", "the frame's light"),
     ("VerifyBuffers", "patches/verify.rs", "buffers"),
     ("SilentSearch", "patches/verify.rs", "buffers of a study"),
     ("AlignSurface", "align/picture/surface.rs", "made at load; a survey may move it"),

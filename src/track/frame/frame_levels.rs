@@ -5,7 +5,7 @@
 use image::GrayImage;
 
 pub use super::level_numbers::{FINEST, LEVELS};
-use super::light_levels::{LightLevel, LightLevels};
+use super::light_levels::LightLevel;
 use crate::light::CameraCurve;
 use crate::simd::multiversion;
 
@@ -15,7 +15,8 @@ pub struct FrameLevels {
     /// The frame itself.
     grey: Vec<u8>,
     size: [usize; 2],
-    light: LightLevels,
+    /// The camera's curve, by which it is decoded.
+    curve: CameraCurve,
     levels: [Level; LEVELS - 1],
     /// Number of levels of grey filled so far.
     filled: usize,
@@ -41,36 +42,23 @@ impl FrameLevels {
     pub fn update(&mut self, image: &GrayImage) {
         self.grey.clear();
         self.grey.extend_from_slice(image.as_raw());
-        let size = [image.width() as usize, image.height() as usize];
-        if size != self.size {
-            self.make_room(size);
-        }
-        (self.size, self.filled) = (size, 0);
-        self.light.clear();
-    }
-
-    /// Makes room for all levels, so that none allocates when it is first asked for.
-    fn make_room(&mut self, size: [usize; 2]) {
-        for (level, l) in self.levels.iter_mut().zip(1..) {
-            level.sums.clear();
-            level.sums.reserve((size[0] >> l) * (size[1] >> l));
-        }
-        self.light.make_room(size);
+        self.size = [image.width() as usize, image.height() as usize];
+        self.filled = 0;
     }
 
     /// Replaces the camera's curve between light and grey.
     pub fn set_curve(&mut self, curve: &CameraCurve) {
-        self.light.set_curve(curve);
+        self.curve.clone_from(curve);
     }
 
     /// Returns the camera's curve.
     pub fn curve(&self) -> &CameraCurve {
-        self.light.curve()
+        &self.curve
     }
 
     /// Returns the light at level `l`, from 1.
-    pub fn light(&mut self, l: usize) -> LightLevel<'_> {
-        self.light.level(l, &self.grey, self.size)
+    pub fn light(&self, l: usize) -> LightLevel<'_> {
+        LightLevel::new(l, &self.grey, self.size, &self.curve)
     }
 
     /// Writes the frame at half its size, rounded to whole grey levels.
