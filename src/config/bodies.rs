@@ -155,7 +155,7 @@ impl BodyReader<'_> {
         read.spec.doubt = doubt(&section, surface, read.spec.doubt)?;
         // A photograph is most likely one of the camera's own.
         let usual = self.transfer.filter(|_| surface.photo.is_some()).unwrap_or_default();
-        read.spec.transfer = transfer(&section, surface.transfer.as_ref(), Some(usual))?.unwrap_or_default();
+        read.spec.transfer = transfer(&section, surface.transfer.as_ref())?.unwrap_or(usual);
         Ok(read)
     }
 

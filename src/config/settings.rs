@@ -200,7 +200,7 @@ impl Settings {
         let camera = typed.camera.as_ref().map_or(&none, Spanned::get_ref);
         let calibration_line = camera.calibration.as_ref().map(Spanned::span).or(typed.camera.as_ref().map(Spanned::span));
         let calibration_line = calibration_line.map_or(1, |span| origin.line(&span));
-        let (shutter, transfer) = (shutter(&section, camera)?, transfer(&section, camera.transfer.as_ref(), None)?);
+        let (shutter, transfer) = (shutter(&section, camera)?, transfer(&section, camera.transfer.as_ref())?);
         let mask = camera.mask.as_ref().map(|m| mask(&section, m, lens.size(&model).map(|_| &model))).transpose()?;
         let mut bodies = BodyReader {
             origin: &origin,
@@ -417,9 +417,7 @@ fn tracker(origin: &Origin<'_>, typed: Option<&as_typed::Tracker>, transfer: Opt
         coast_s: section.number("coast_s", typed.coast_s.as_ref(), default.coast_s, coast, "seconds from 0 to 10")?,
         confirm_frames: confirm as u32,
         seed: section.count("seed", typed.seed.as_ref(), default.seed, 0..=u64::MAX, "a whole number of 0 or more")?,
-        adds_lens_doubt: default.adds_lens_doubt,
-        transfer,
-        is_trial: default.is_trial,
+        ..default
     })
 }
 

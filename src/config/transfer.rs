@@ -6,12 +6,8 @@ use super::ConfigError;
 use super::values::Section;
 use crate::light::Transfer;
 
-/// Returns what the key says, or `usual` where it is absent.
-pub(super) fn transfer(
-    section: &Section<'_>,
-    typed: Option<&Spanned<String>>,
-    usual: Option<Transfer>,
-) -> Result<Option<Transfer>, ConfigError> {
+/// Returns what the key says; `None` where it is absent.
+pub(super) fn transfer(section: &Section<'_>, typed: Option<&Spanned<String>>) -> Result<Option<Transfer>, ConfigError> {
     let words = [("srgb", Some(Transfer::Srgb)), ("bt709", Some(Transfer::Bt709)), ("linear", Some(Transfer::Linear))];
-    section.word("transfer", typed, usual, &words, "srgb, bt709 or linear")
+    section.word("transfer", typed, None, &words, "srgb, bt709 or linear")
 }
