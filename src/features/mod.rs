@@ -33,6 +33,6 @@ pub use corners::{CornerBuffers, CornerOptions, Polarity, detect_corners};
 pub use descriptor::{Descriptor, describe, orientation};
 pub use extractor::{ExtractorOptions, Feature, FeatureExtractor};
 pub(crate) use pyramid::resize_buffer;
-pub use pyramid::{Pyramid, halved, smooth_into};
+pub use pyramid::{Pyramid, halved, halved_by, smooth_into};
 pub use tilted_view::{TiltedViews, append_tilted_features};
 pub use workers::Workers;

@@ -150,13 +150,20 @@ pub(super) fn smooth_with(from: &GrayImage, to: &mut GrayImage, row: &mut Vec<u1
 
 /// Returns means of 2x2 pixels; an odd last row or column is dropped, so that positions stay exact.
 pub fn halved(image: &GrayImage) -> GrayImage {
+    halved_by(image, |top, bottom, out| {
+        for ((out, t), b) in out.iter_mut().zip(top.chunks_exact(2)).zip(bottom.chunks_exact(2)) {
+            *out = ((u16::from(t[0]) + u16::from(t[1]) + u16::from(b[0]) + u16::from(b[1]) + 2) >> 2) as u8;
+        }
+    })
+}
+
+/// Halves a picture likewise; `average` computes a row of it from two rows of the picture.
+pub fn halved_by(image: &GrayImage, average: impl Fn(&[u8], &[u8], &mut [u8])) -> GrayImage {
     let mut half = GrayImage::new(image.width() / 2, image.height() / 2);
     let (w, stride) = (half.width() as usize, image.width() as usize);
     for (out, rows) in half.chunks_exact_mut(w.max(1)).zip(image.as_raw().chunks_exact(2 * stride.max(1))) {
         let (top, bottom) = rows.split_at(stride);
-        for ((out, t), b) in out.iter_mut().zip(top.chunks_exact(2)).zip(bottom.chunks_exact(2)) {
-            *out = ((u16::from(t[0]) + u16::from(t[1]) + u16::from(b[0]) + u16::from(b[1]) + 2) >> 2) as u8;
-        }
+        average(top, bottom, out);
     }
     half
 }

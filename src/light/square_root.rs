@@ -6,6 +6,7 @@
 use image::GrayImage;
 
 use super::transfer::{FULL, Transfer};
+use crate::features::{self, halved_by};
 use crate::simd::multiversion;
 
 /// Returns a picture's light as square roots.
@@ -19,19 +20,13 @@ pub fn roots_of(picture: &GrayImage, transfer: Transfer) -> GrayImage {
 /// Returns a picture at half its size, with the light of its pixels averaged: exactly where they
 /// are square roots or light itself, and nearly where they are sRGB.
 pub fn halved_in_light(picture: &GrayImage, transfer: Transfer) -> GrayImage {
-    if transfer.is_root() { halved(picture) } else { crate::features::halved(picture) }
+    if transfer.is_root() { halved(picture) } else { features::halved(picture) }
 }
 
 /// Returns the light of 2x2 pixels averaged, all as square roots; an odd last row or column is
 /// dropped, so that positions stay exact.
 pub fn halved(roots: &GrayImage) -> GrayImage {
-    let mut half = GrayImage::new(roots.width() / 2, roots.height() / 2);
-    let (w, stride) = (half.width() as usize, roots.width() as usize);
-    for (out, rows) in half.chunks_exact_mut(w.max(1)).zip(roots.as_raw().chunks_exact(2 * stride.max(1))) {
-        let (top, bottom) = rows.split_at(stride);
-        average(top, bottom, out);
-    }
-    half
+    halved_by(roots, average)
 }
 
 multiversion! {
