@@ -41,12 +41,12 @@ impl CameraCurve {
     /// Creates a standard curve with corrections at its knots. It rises everywhere: where the
     /// corrections say otherwise, they are limited.
     pub fn bent(transfer: Transfer, bend: &Bend) -> Self {
-        let standard = |grey: usize| FULL * transfer.decoded(grey as f32 / FULL);
-        let mut light = [0.0; 256];
+        let standard: [f32; 256] = std::array::from_fn(|grey| FULL * transfer.decoded(grey as f32 / FULL));
+        let mut light = standard;
         for grey in 1..256 {
             let correction: f32 = knots_at(grey as f32).iter().map(|(knot, weight)| weight * bend[*knot]).sum();
-            let least = light[grey - 1] + MIN_SLOPE_RATIO * (standard(grey) - standard(grey - 1));
-            light[grey] = (standard(grey) + correction).max(least);
+            let least = light[grey - 1] + MIN_SLOPE_RATIO * (standard[grey] - standard[grey - 1]);
+            light[grey] = (standard[grey] + correction).max(least);
         }
         Self { transfer, bend: *bend, light }
     }
