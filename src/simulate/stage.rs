@@ -180,13 +180,19 @@ impl VirtualStage {
 
 impl From<&VirtualStage> for TrackerSetup {
     /// Sets up a tracker with the scene's true values. The scenery and the waves stay unknown to
-    /// it.
+    /// it, and so does the camera's curve, unless grey levels are averaged.
     fn from(scene: &VirtualStage) -> Self {
-        Self {
+        let mut setup = Self {
             shutter: scene.shutter.into(),
             objects: scene.objects.iter().map(|object| object.body.clone()).collect(),
             ..Self::new(scene.camera, scene.stage.clone())
+        };
+        if scene.light_model == LightModel::GreyAverages {
+            setup.settings.transfer = Some(Transfer::Linear);
+            let bodies = std::iter::once(&mut setup.stage).chain(&mut setup.objects);
+            bodies.flat_map(|body| &mut body.surfaces).for_each(|surface| surface.transfer = Transfer::Linear);
         }
+        setup
     }
 }
 
