@@ -72,7 +72,7 @@ impl Aligner {
 impl Aligner {
     /// Creates an aligner from surfaces that are already prepared.
     pub fn of_surfaces(surfaces: Vec<AlignSurface>, shutter: Shutter) -> Self {
-        Self { buffers: Buffers::with_room_for(&surfaces), surfaces, slow: OnlineCalibration::new(shutter, &CameraCurve::default()) }
+        Self { buffers: Buffers::with_room_for(&surfaces), surfaces, slow: OnlineCalibration::new(shutter) }
     }
 
     /// Assumes the noise that is usual of cameras with this curve, before any frame. `learns`:

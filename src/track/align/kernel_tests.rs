@@ -19,7 +19,6 @@ use super::pixels::level_spec::LevelSpec;
 use super::pixels::runs::{Pixels, Run};
 use super::pixels::selection::Selector;
 use crate::camera::Shutter;
-use crate::light::CameraCurve;
 use crate::motion::{Motion, MotionError};
 use crate::track::frame::frame_levels::FrameLevels;
 use crate::track::frame::rays::CameraRays;
@@ -64,7 +63,7 @@ fn scene_of(surface: SurfaceSpec) -> Scene {
     let camera = lens(480, 360);
     let mut levels = FrameLevels::default();
     levels.update(&view(&surface, &pose, &camera));
-    let slow = OnlineCalibration::new(Shutter { readout_s: 0.012, exposure_s: 0.01 }, &CameraCurve::default());
+    let slow = OnlineCalibration::new(Shutter { readout_s: 0.012, exposure_s: 0.01 });
     let (surfaces, rays, pixels) = ([AlignSurface::new(&surface)], CameraRays::new(camera, None), Pixels::default());
     let mut scene = Scene { surfaces, slow, rays, motion, pixels };
     let (mut selector, mut pixels) = (Selector::default(), Pixels::default());

@@ -18,7 +18,6 @@ use super::pixels::runs::{Pixels, Run};
 use super::pixels::selection::Selector;
 use crate::camera::{CameraModel, Shutter};
 use crate::geometry::{Body, Camera, Pose};
-use crate::light::CameraCurve;
 use crate::motion::Motion;
 use crate::track::frame::frame_levels::{FINEST, FrameLevels};
 use crate::track::frame::rays::CameraRays;
@@ -54,7 +53,7 @@ impl AlignKernels {
             surfaces: [AlignSurface::new(surface)],
             rays: CameraRays::new(camera, None),
             motion: Motion::still(t_camera_body.inverse()),
-            slow: OnlineCalibration::new(Shutter { readout_s: 0.01, exposure_s: EXPOSURE_S }, &CameraCurve::default()),
+            slow: OnlineCalibration::new(Shutter { readout_s: 0.01, exposure_s: EXPOSURE_S }),
             levels,
             selector: Selector::default(),
             pixels: Pixels::default(),

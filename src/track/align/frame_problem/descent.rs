@@ -133,7 +133,6 @@ mod tests {
     use super::*;
     use crate::camera::Shutter;
     use crate::geometry::resection::perturbed;
-    use crate::light::CameraCurve;
     use crate::motion::{Motion, MotionEstimate};
     use crate::track::frame::frame_levels::FrameLevels;
     use crate::track::synthetic::{cloth, facing, lens, moving_view, view};
@@ -147,7 +146,7 @@ mod tests {
         let (mut levels, rays) = (FrameLevels::default(), CameraRays::new(lens(480, 360), None));
         levels.update(&covered);
         let surfaces = [AlignSurface::new(&cloth(1))];
-        let slow = OnlineCalibration::new(Shutter { readout_s: 0.0, exposure_s: 1e-6 }, &CameraCurve::default());
+        let slow = OnlineCalibration::new(Shutter { readout_s: 0.0, exposure_s: 1e-6 });
         let mut buffers = Buffers::with_room_for(&surfaces);
         let start = perturbed(&truth, &(Vector6::x() * off_m)).inverse();
         let expected = MotionEstimate::unseen(start, 3.4, 0.1, 0.03);
@@ -199,7 +198,7 @@ mod tests {
         let truth = Motion { angular_velocity: Vector3::new(0.3, 2.0, 0.0), ..still };
         let (mut levels, rays, surfaces) = (FrameLevels::default(), CameraRays::new(lens(480, 360), None), [AlignSurface::new(&cloth(1))]);
         levels.update(&moving_view(&cloth(1), &truth, &shutter, &lens(480, 360)));
-        let (slow, mut buffers) = (OnlineCalibration::new(shutter, &CameraCurve::default()), Buffers::with_room_for(&surfaces));
+        let (slow, mut buffers) = (OnlineCalibration::new(shutter), Buffers::with_room_for(&surfaces));
         let expected = MotionEstimate::unseen(truth.pose, 3.4, 0.1, 0.03);
         let information = expected.covariance.cholesky().expect("positive").inverse();
         let request = AlignRequest::new(Start::found(&expected), true);

@@ -59,24 +59,13 @@ fn weighted_lanes<L: Lanes>(view: &RunView, step: &[f32; COLUMNS], weighting: &R
 
 /// Weighted sums over a run: of the nuisances (1 and the light), the knots' weights, and the
 /// correction that is asked for.
+#[derive(Default)]
 struct RunSums {
     nuisances: Matrix2<f64>,
     knots: SMatrix<f64, KNOTS, KNOTS>,
     both: SMatrix<f64, KNOTS, 2>,
     nuisances_by_correction: SVector<f64, 2>,
     knots_by_correction: SVector<f64, KNOTS>,
-}
-
-impl Default for RunSums {
-    fn default() -> Self {
-        Self {
-            nuisances: Matrix2::zeros(),
-            knots: SMatrix::zeros(),
-            both: SMatrix::zeros(),
-            nuisances_by_correction: SVector::zeros(),
-            knots_by_correction: SVector::zeros(),
-        }
-    }
 }
 
 impl RunSums {

@@ -10,18 +10,12 @@ use crate::light::camera_curve::{Bend, KNOTS};
 use crate::track::align::tuning::TUNING;
 
 /// Sums over pixels for the fit of the corrections at the knots.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct CurveSums {
     /// Products of the knots' weights with each other, each times the information of the pixel.
     pub by_each_other: SMatrix<f64, KNOTS, KNOTS>,
     /// Products with the correction that the pixel asks for.
     pub by_correction: SVector<f64, KNOTS>,
-}
-
-impl Default for CurveSums {
-    fn default() -> Self {
-        Self { by_each_other: SMatrix::zeros(), by_correction: SVector::zeros() }
-    }
 }
 
 /// The corrections as learnt so far.

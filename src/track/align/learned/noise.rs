@@ -24,7 +24,7 @@ pub struct Noise {
 
 /// Sums over pixels for the fit: products of the regressors (1, light, squared gradient) with each
 /// other, and with the squared residual.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct NoiseSums {
     /// Products of the regressors with each other.
     pub(in crate::track::align) by_each_other: Matrix3<f64>,
@@ -35,12 +35,6 @@ pub struct NoiseSums {
 /// The grey at which the usual noise is exact. Raised, dark pixels count as noisier at first;
 /// lowered, bright ones count as less noisy than they are.
 const USUAL_GREY: u8 = 160;
-
-impl Default for NoiseSums {
-    fn default() -> Self {
-        Self { by_each_other: Matrix3::zeros(), by_squared: Vector3::zeros() }
-    }
-}
 
 /// The noise of one camera as learnt so far, as variances of a pixel at the finest level.
 #[derive(Debug, Clone)]

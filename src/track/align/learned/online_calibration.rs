@@ -93,13 +93,13 @@ impl Updates {
 impl OnlineCalibration {
     /// Returns the estimates before any frame. An exposure of 0 in `shutter` is unknown, and learnt
     /// from blurred frames.
-    pub fn new(shutter: Shutter, curve: &CameraCurve) -> Self {
+    pub fn new(shutter: Shutter) -> Self {
         let is_known = shutter.exposure_s > 0.0;
         Self {
             shutter: Shutter { exposure_s: if is_known { shutter.exposure_s } else { TUNING.initial_exposure_s }, ..shutter },
             exposure: (!is_known).then(UnknownExposure::default),
             exposure_watch: ExposureWatch::default(),
-            noise: CameraNoise::usual(FINEST, curve),
+            noise: CameraNoise::usual(FINEST, &CameraCurve::default()),
             curve: None,
             gradient_gain: GradientGain::default(),
             psf_variance: 0.0,

@@ -83,7 +83,6 @@ multiversion! {
 
 #[inline(always)]
 fn interleave_plain(row: &[f32], earlier: &[f32; TAPS], later: &[f32; TAPS], out: &mut [u8]) {
-    let root = |sum: f32| byte(sum);
     for (k, out) in out.chunks_mut(2 * TEXELS_AT_A_TIME).enumerate() {
         // Values computed beyond the end of the row are not written.
         let Some(row) = row[k * TEXELS_AT_A_TIME..].first_chunk::<{ TEXELS_AT_A_TIME + TAPS }>() else { return };
@@ -94,7 +93,7 @@ fn interleave_plain(row: &[f32], earlier: &[f32; TAPS], later: &[f32; TAPS], out
                 sums[0] += earlier[t] * row[u + t];
                 sums[1] += later[t] * row[u + t + 1];
             }
-            (roots[0][u], roots[1][u]) = (root(sums[0]), root(sums[1]));
+            (roots[0][u], roots[1][u]) = (byte(sums[0]), byte(sums[1]));
         }
         let [earlier, later] = &roots;
         for ((pair, a), b) in out.as_chunks_mut::<2>().0.iter_mut().zip(earlier).zip(later) {

@@ -7,8 +7,8 @@
 use crate::track::align::tuning::TUNING;
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3, Vector6};
 
-use super::{LevelProblem, Reweighted};
 use super::solution::VoteScatter;
+use super::{LevelProblem, Reweighted};
 use crate::motion::{Motion, MotionError, MotionMatrix};
 use crate::track::align::kernel::columns::POSE;
 use crate::track::align::pixels::appearance::Appearance;

@@ -133,8 +133,8 @@ pub struct Corrected {
     pub motion: Motion,
     /// Robust standard deviation of the residuals, in sigmas of noise.
     pub residual_sigma: f64,
-    /// Weight of the tiles in the solved system. Whatever is added to that system or eliminated from
-    /// it must have the same.
+    /// Weight of the tiles in the solved system. Whatever is added to that system or eliminated
+    /// from it must have the same.
     pub weight: f64,
 }
 
@@ -276,7 +276,14 @@ impl LevelProblem {
 
     /// Solves for the step of the gated tiles from the linearisation, iteratively reweighted.
     /// `same_time`: the time of all tiles, where it is the same.
-    fn reweight(&mut self, spec: &LevelSpec, prior: &Prior, same_time: Option<TileTime>, is_first: bool, passes: usize) -> Option<Reweighted> {
+    fn reweight(
+        &mut self,
+        spec: &LevelSpec,
+        prior: &Prior,
+        same_time: Option<TileTime>,
+        is_first: bool,
+        passes: usize,
+    ) -> Option<Reweighted> {
         self.rounds += 1;
         self.residuals_all(&spec.noise);
         let (mut residual_sigma, mut weight) = (self.residual_sigma(), 1.0);
