@@ -4,13 +4,14 @@
 //! `picture` examines the frames themselves, and tries them mirrored, in negative and without the
 //! mask. `geometry` uses `fit` to find the lens and shape of the picture that would explain how it
 //! is seen, and the positions of the other surfaces. `corners` does the same from a photograph's
-//! four corners alone. `plausible` states what no picture shows: sizes, distances, speeds. Every
+//! four corners alone. `lamps` finds walls of LEDs. `plausible` states what no picture shows: sizes, distances, speeds. Every
 //! result is a [`Finding`]. `trackability` rates each picture before the show.
 
 mod corners;
 mod finding;
 mod fit;
 mod geometry;
+mod lamps;
 mod picture;
 mod plausible;
 pub mod trackability;
@@ -110,6 +111,7 @@ pub struct Shown<'a> {
 pub fn of_clip(shown: &Shown<'_>) -> Vec<Finding> {
     let Shown { setup, frames, is_followed, travel, .. } = *shown;
     let mut findings = picture::of_frames(frames, is_followed);
+    findings.extend(lamps::of_walls(shown));
     let mut trial = Trial::of(setup);
     let views: Vec<Vec<SurfaceView>> = frames.iter().map(|f| trial.views(&f.image)).collect();
     let seen = views.iter().filter(|v| !v.is_empty()).count();

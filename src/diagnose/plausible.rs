@@ -123,6 +123,11 @@ impl Travel {
         self.poses.push((timestamp, *pose));
     }
 
+    /// Returns the pose at an instant, if one was added for it.
+    pub fn pose_at(&self, timestamp: Timestamp) -> Option<&Pose<Stage, Camera>> {
+        self.poses.iter().find(|(at, _)| *at == timestamp).map(|(_, pose)| pose)
+    }
+
     /// Returns the minimum and maximum distance from a point, metres.
     fn distances(&self, place: &Vector3<f64>) -> Option<[f64; 2]> {
         let all = || self.poses.iter().map(|(_, pose)| (pose.translation - place).norm());
