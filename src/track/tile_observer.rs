@@ -18,6 +18,7 @@ use crate::camera::{CameraModel, Shutter};
 use crate::features::Workers;
 use crate::geometry::resection::{MovingCamera, Observation, resect, residual_and_jacobian};
 use crate::geometry::{Body, Camera, Pose};
+use crate::light::CameraCurve;
 use crate::motion::{Motion, MotionEstimate};
 
 /// Measures the tiles of one body in frames.
@@ -80,14 +81,17 @@ pub struct ObservedFrame {
 }
 
 impl TileObserver {
-    /// Prepares a body's pictures.
-    pub fn new(camera: CameraModel, shutter: Shutter, mask: Option<GrayImage>, body: &BodySpec) -> Self {
+    /// Prepares a body's pictures. `curve`: that by which the camera encodes light.
+    pub fn new(camera: CameraModel, shutter: Shutter, curve: &CameraCurve, mask: Option<GrayImage>, body: &BodySpec) -> Self {
         let body = PreparedBody::new(body).with_anchors();
-        let aligner = Aligner::new(&body, shutter);
+        let mut aligner = Aligner::new(&body, shutter);
+        aligner.assume_curve(curve, false);
+        let mut levels = FrameLevels::default();
+        levels.set_curve(curve);
         Self {
             rays: CameraRays::new(camera, mask.clone()),
             mask,
-            levels: FrameLevels::default(),
+            levels,
             patches: Vec::with_capacity(aligner.most_patches()),
             half: GrayImage::default(),
             targets: Vec::new(),

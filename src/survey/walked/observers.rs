@@ -9,6 +9,7 @@ use super::keyframes::{Keyframe, MatchedFeature};
 use super::stage_model::StageModel;
 use crate::camera::Shutter;
 use crate::geometry::resection::{MovingCamera, Observation, resect, residual_and_jacobian};
+use crate::light::CameraCurve;
 use crate::motion::Motion;
 use crate::track::{BodySpec, KnownRates, ObservedFrame, ObservedTile, TileObserver};
 
@@ -26,22 +27,23 @@ pub struct Observers<'a> {
     keyframes: Vec<Keyframe>,
     observers: Vec<TileObserver>,
     body: &'a BodySpec,
+    curve: CameraCurve,
     mask: Option<&'a GrayImage>,
     /// Called before each frame; false stops the work.
     goes_on: &'a (dyn Fn() -> bool + Sync),
 }
 
 impl<'a> Observers<'a> {
-    /// Prepares the observers.
+    /// Prepares the observers of a camera with this curve and mask.
     pub fn new(
         keyframes: Vec<Keyframe>,
         model: &StageModel,
         shutter: Shutter,
         body: &'a BodySpec,
-        mask: Option<&'a GrayImage>,
+        (curve, mask): (CameraCurve, Option<&'a GrayImage>),
         goes_on: &'a (dyn Fn() -> bool + Sync),
     ) -> Self {
-        let mut observers = Self { keyframes, observers: Vec::new(), body, mask, goes_on };
+        let mut observers = Self { keyframes, observers: Vec::new(), body, curve, mask, goes_on };
         observers.take_shutter(model, shutter);
         observers
     }
@@ -49,8 +51,8 @@ impl<'a> Observers<'a> {
     /// Sets the shutter with which frames are assumed to be exposed.
     pub fn take_shutter(&mut self, model: &StageModel, shutter: Shutter) {
         let n = self.keyframes.len().div_ceil(KEYFRAMES_AN_OBSERVER).max(1);
-        let (body, mask) = (self.body, self.mask);
-        self.observers = (0..n).into_par_iter().map(|_| TileObserver::new(model.camera, shutter, mask.cloned(), body)).collect();
+        let (body, curve, mask) = (self.body, &self.curve, self.mask);
+        self.observers = (0..n).into_par_iter().map(|_| TileObserver::new(model.camera, shutter, curve, mask.cloned(), body)).collect();
     }
 
     /// Aligns all keyframes with a model and updates their motions. `None` if the work was stopped

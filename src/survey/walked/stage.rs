@@ -15,6 +15,7 @@ use super::ways;
 use crate::camera::{CameraModel, IntrinsicsUncertainty, LensDoubt, Shutter};
 use crate::frame::Frame;
 use crate::geometry::{Body, Camera, Pose};
+use crate::light::CameraCurve;
 use crate::survey::shutter::{ShutterEstimate, ShutterTime};
 use crate::track::{BodySpec, SurfaceSpec};
 use crate::tracker::TrackerSetup;
@@ -125,7 +126,7 @@ where
     let TrackerSetup { camera, mask, stage, .. } = setup.clone();
     let configured = setup.shutter.or_zero();
     let mut shutter = configured;
-    let Walk { keyframes, lively, frames, found } = walk;
+    let Walk { keyframes, lively, frames, found, bend } = walk;
     match (found, keyframes.len()) {
         (0, _) => return Err(SurveyError::NotFound { frames }),
         (_, n) if n < MIN_KEYFRAMES => return Err(SurveyError::TooFewPlaces { found: n, least: MIN_KEYFRAMES }),
@@ -133,7 +134,8 @@ where
     }
     let model =
         StageModel::new(camera, &stage.surfaces, options.refines_lens, !options.constraints.is_empty()).with_readout(shutter.readout_s);
-    let observers = Observers::new(keyframes, &model, shutter, &stage, mask.as_ref(), goes_on);
+    let curve = CameraCurve::bent(setup.settings.transfer.unwrap_or_default(), &bend);
+    let observers = Observers::new(keyframes, &model, shutter, &stage, (curve, mask.as_ref()), goes_on);
     let mut adjustment = Adjustment::new(observers, lens_sigmas(&camera), options.constraints);
     let mut round = 0;
     let mut report = |step| {

@@ -15,6 +15,7 @@ use super::progress::{SurveyError, SurveyStep};
 use super::stage_model::distance_m;
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose};
+use crate::light::camera_curve::Bend;
 use crate::motion::Motion;
 use crate::track::{BodySpec, BodyTracker, KnownRates, SurfaceMatch};
 use crate::tracker::TrackerSetup;
@@ -44,6 +45,8 @@ pub struct Walk {
     /// Numbers of frames examined, and of those in which the stage was found.
     pub(super) frames: usize,
     pub(super) found: usize,
+    /// The camera's curve as learnt from the last clip: corrections of the configured one.
+    pub(super) bend: Bend,
 }
 
 /// A walk without its pictures. Frame numbers count the frames of all clips together, from 1.
@@ -53,6 +56,7 @@ pub struct WalkRecord {
     found: usize,
     keyframes: Vec<KeyframeRecord>,
     lively: Vec<usize>,
+    bend: Bend,
 }
 
 /// A keyframe without its picture. Units as in [`Motion`] and [`MatchedFeature`].
@@ -89,7 +93,7 @@ impl Walk {
     {
         let TrackerSetup { camera, shutter, mask, stage, settings, clock, store, .. } = setup.clone().as_trial();
         let (mut keyframes, mut lively) = (Keyframes::default(), LivelyPart::default());
-        let (mut frames, mut found) = (0, 0);
+        let (mut frames, mut found, mut bend) = (0, 0, Bend::default());
         for clip in clips {
             let mut finder = StageFinder::new(BodyTracker::new(
                 camera,
@@ -125,14 +129,16 @@ impl Walk {
                 keyframes.offer((frames, &frame), motion, speed, distance_m, |frame| finder.matched_features(frame, &stage));
             }
             lively.offer(None);
+            bend = finder.matcher.learnt().curve.unwrap_or(bend);
         }
-        Ok(Self { keyframes: keyframes.into_kept(), lively: lively.into_frames(), frames, found })
+        Ok(Self { keyframes: keyframes.into_kept(), lively: lively.into_frames(), frames, found, bend })
     }
 
     /// Returns the walk without its pictures.
     pub fn record(&self) -> WalkRecord {
         let keyframes = self.keyframes.iter().map(KeyframeRecord::of).collect();
-        WalkRecord { frames: self.frames, found: self.found, keyframes, lively: self.lively.iter().map(|f| f.number).collect() }
+        let lively = self.lively.iter().map(|f| f.number).collect();
+        WalkRecord { frames: self.frames, found: self.found, keyframes, lively, bend: self.bend }
     }
 
     /// Restores a recorded walk with the pictures of its clips, which are read but not tracked.
@@ -168,7 +174,8 @@ impl Walk {
             }
         }
         let is_whole = frames == record.frames && keyframes.len() == record.keyframes.len() && lively.len() == record.lively.len();
-        Ok(is_whole.then_some(Self { keyframes, lively, frames, found: record.found }))
+        let is_sound = record.bend.iter().all(|correction| correction.is_finite());
+        Ok((is_whole && is_sound).then_some(Self { keyframes, lively, frames, found: record.found, bend: record.bend }))
     }
 }
 
@@ -316,7 +323,13 @@ mod tests {
             Keyframe { number, frame: frames[number - 1].clone(), motion, rates, features: vec![feature; number] }
         };
         let lively = [6, 7].map(|number| NumberedFrame { number, frame: frames[number - 1].clone() }).to_vec();
-        Walk { keyframes: [1, 4, 6, 9].map(keyframe).to_vec(), lively, frames: FRAMES, found: 8 }
+        Walk {
+            keyframes: [1, 4, 6, 9].map(keyframe).to_vec(),
+            lively,
+            frames: FRAMES,
+            found: 8,
+            bend: [0.0, 0.1, 1.0 / 3.0, 2.0, 1.0, 0.5, -1.0],
+        }
     }
 
     fn recalled(record: &WalkRecord, clips: &[Vec<Frame>]) -> Option<Walk> {
@@ -368,6 +381,7 @@ mod tests {
         assert_eq!(damaged(|r| r.keyframes[2].velocity[0] = f64::NAN), None);
         assert_eq!(damaged(|r| r.keyframes[0].features[0].0 = 1), None);
         assert_eq!(damaged(|r| r.lively.push(10)), None);
+        assert_eq!(damaged(|r| r.bend[3] = f32::INFINITY), None);
         assert!(damaged(|_| ()).is_some());
         let stage = BodySpec::new("stage", synthetic::stage()[..1].to_vec());
         assert_eq!(Walk::recall(&record, [first], &stage, |_| (), &|| false), Err(SurveyError::Interrupted));
