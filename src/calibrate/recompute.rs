@@ -37,12 +37,25 @@ impl BoardPatch {
         // Cut at multiples of 8, so that halving aligns with the same pixels for every cut.
         let (x, y) = (low(0) / 8 * 8, low(1) / 8 * 8);
         let (w, h) = (high(0, picture.width()).saturating_sub(x).max(1), high(1, picture.height()).saturating_sub(y).max(1));
-        let mut levels = vec![Level::of_picture(&image::imageops::crop_imm(picture, x, y, w, h).to_image())];
+        let level = Level::of_picture(&image::imageops::crop_imm(picture, x, y, w, h).to_image());
+        Self::with_levels(level, Vector2::new(f64::from(x), f64::from(y)), found)
+    }
+
+    /// Returns the patch smoothed `passes` times, each by a Gaussian of sigma 1; `found` has the
+    /// blur after that.
+    pub fn smoothed(&self, passes: usize, found: &FoundBoard) -> Self {
+        let full_size = (0..passes).fold(self.levels[0].clone(), |level, _| level.smoothed());
+        Self::with_levels(full_size, self.corner, found)
+    }
+
+    /// Adds the halved levels that the blur asks for.
+    fn with_levels(full_size: Level, corner: Vector2<f64>, found: &FoundBoard) -> Self {
+        let mut levels = vec![full_size];
         let here = |px: f64, levels: &[Level]| px * 0.5_f64.powi(levels.len() as i32 - 1);
         while here(found.blur_px, &levels) > WIDEST_BLUR && here(found.square_px, &levels) >= SMALL_SQUARE && levels.len() < 5 {
             levels.push(levels[levels.len() - 1].halved());
         }
-        Self { levels, corner: Vector2::new(f64::from(x), f64::from(y)) }
+        Self { levels, corner }
     }
 }
 

@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use image::GrayImage;
+use image::{GrayImage, RgbImage};
 use nalgebra::Vector2;
 use rayon::prelude::*;
 use thiserror::Error;
@@ -12,6 +12,7 @@ use super::board::Board;
 use super::finder::FoundBoard;
 use super::finder::window::Window;
 use super::judge::{self, Judgement};
+use super::lateral_colour::{self, CornerColours, LateralColour};
 use super::picture::Inspected;
 use super::recompute::BoardView;
 use super::solve::adjust::{Observation, mean_distance, observations_of};
@@ -70,6 +71,9 @@ pub struct CameraCalibration {
     /// Number of rounds in which the corners were refitted, and the largest movement of a corner in
     /// the last round, pixels.
     pub rounds: (usize, f64),
+    /// How much the colours differ in size, or why this is not measured; the caller measures it
+    /// with [`CameraCalibration::corner_colours`].
+    pub lateral_colour: Result<LateralColour, &'static str>,
 }
 
 /// Why the calibration failed, and what to do.
@@ -139,7 +143,23 @@ pub fn calibrate(pictures: &[Inspected], board: &Board, options: &CalibrationOpt
     judgement.remarks.extend(judge::implausible_squares(&estimate, board));
     judgement.remarks.extend(judge::all_blurred(&blurs(&working), size));
     let camera = pictures.iter().filter(|p| p.board.is_ok()).find_map(|p| p.origin.camera.clone());
-    Ok(CameraCalibration { board: *board, camera, size, views, estimate, judgement, rounds })
+    let lateral_colour = Err(lateral_colour::GREY);
+    Ok(CameraCalibration { board: *board, camera, size, views, estimate, judgement, rounds, lateral_colour })
+}
+
+impl CameraCalibration {
+    /// Measures where the corners of view `view` are in each colour of its picture. Returns `None`
+    /// if the picture is grey, the view is not used, or the picture is not the one inspected.
+    pub fn corner_colours(&self, view: usize, inspected: &Inspected, picture: &RgbImage) -> Option<Vec<CornerColours>> {
+        let view = self.views.get(view)?;
+        let (found, patch) = (inspected.board.as_ref().ok()?, inspected.patch.as_ref()?);
+        (picture.dimensions() == self.size).then_some(())?;
+        let mut corners = view.corners.clone()?;
+        view.outliers.iter().for_each(|&k| corners[k] = None);
+        let model = self.estimate.bundle.lens.model(self.size.0, self.size.1).ok()?;
+        let pose = self.estimate.bundle.poses.get(view.index?)?;
+        lateral_colour::corner_colours((&model, pose, &self.board), (found, patch), &corners, picture)
+    }
 }
 
 /// Alternates estimation and refitting of the corners until nothing moves.

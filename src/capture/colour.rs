@@ -23,8 +23,7 @@ impl Received {
     /// no colours or they cannot be read.
     pub fn colours(&self) -> Option<Arc<RgbImage>> {
         match self {
-            Self::Jpeg(bytes) => contained(|| jpeg_colours(bytes)).ok().flatten().map(Arc::new),
-            Self::Picture(bytes) => contained(|| picture_colours(bytes)).ok().flatten().map(Arc::new),
+            Self::Jpeg(bytes) | Self::Picture(bytes) => decode_colours(bytes).map(Arc::new),
             Self::Colours(picture) => Some(Arc::clone(picture)),
             Self::Raw | Self::Damaged => None,
         }
@@ -36,6 +35,13 @@ pub(super) fn received(bytes: Vec<u8>) -> Received {
     let is_jpeg = bytes.starts_with(&[0xFF, 0xD8]);
     let bytes = Arc::from(bytes);
     if is_jpeg { Received::Jpeg(bytes) } else { Received::Picture(bytes) }
+}
+
+/// Decodes JPEG, PNG or PNM bytes to colours, with the pixels as they lie in the file; `None` if
+/// they are no such picture.
+pub fn decode_colours(bytes: &[u8]) -> Option<RgbImage> {
+    let colours = || if bytes.starts_with(&[0xFF, 0xD8]) { jpeg_colours(bytes) } else { picture_colours(bytes) };
+    contained(colours).ok().flatten()
 }
 
 fn jpeg_colours(bytes: &[u8]) -> Option<RgbImage> {

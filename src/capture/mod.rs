@@ -43,6 +43,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 pub use avi::AviReader;
+pub use colour::decode_colours;
 pub use error::CaptureError;
 pub use ffmpeg::ffmpeg_account;
 pub use folder::PICTURE_EXTENSIONS;

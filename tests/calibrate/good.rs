@@ -3,7 +3,7 @@
 use image::{DynamicImage, ImageBuffer, Luma, Rgb, Rgba};
 use stagepose::{CalibrationForm, read_calibration};
 
-use super::scene::{FX, Scene, view};
+use super::scene::{FX, Scene, view, view_with_large_red};
 
 #[test]
 fn table_json_report_and_file_all_say_the_same() {
@@ -21,6 +21,11 @@ fn table_json_report_and_file_all_say_the_same() {
     // The JSON reader may differ in the last bit.
     let same = |key: &str, value: f64| json[key].as_f64().is_some_and(|v| (v - value).abs() < 1e-12 * value.abs());
     assert!(same("fx", i.fx) && same("cy", i.cy) && same("rms_px", file.rms_px.expect("it is written")), "{json}");
+    assert!(
+        run.stdout.contains("Lateral colour: not measured; the pictures are grey.") && json["lateral_colour"].is_null(),
+        "{}",
+        run.stdout
+    );
     assert_eq!((json["width"].as_u64(), json["images"].as_u64()), (Some(320), Some(10)));
     assert!((i.fx - FX).abs() < 1.5 * u.focal_px[0] && u.focal_px[0] < 3.0, "{} +- {}", i.fx, u.focal_px[0]);
     assert!(run.stdout.contains(&format!("{:.5}", i.fx)));
@@ -105,6 +110,30 @@ fn views_are_picked_from_a_clip() {
     run.assert_success();
     let views = scene.json("out.json")["views"].as_array().map_or(0, Vec::len);
     assert!((6..=10).contains(&views), "{views}");
+}
+
+#[test]
+fn lateral_colour_is_measured_in_pictures_and_clips() {
+    let scene = Scene::new(0, 0.0);
+    std::fs::create_dir(scene.path("clip")).expect("it is new");
+    for k in 0..10 {
+        let view = view_with_large_red(k, 0.5, 1.001);
+        view.save(scene.path(&format!("pictures/{k:02}.png"))).expect("it can be written");
+        for frame in 0..3 {
+            view.save(scene.path(&format!("clip/{:03}.png", 3 * k + frame))).expect("it can be written");
+        }
+    }
+    let run = scene.calibrate(&["--json", "pictures.json", "--report", "report.html"]);
+    run.assert_success();
+    assert!(run.stdout.contains("in red alone 0.0"), "{}", run.stdout);
+    assert!(scene.read("report.html").contains("Lateral colour"));
+    scene.run(&["calibrate", "--clip", "clip", "--board", "7x5", "--square-mm", "25", "--json", "clip.json"]).assert_success();
+    for name in ["pictures.json", "clip.json"] {
+        let red = &scene.json(name)["lateral_colour"]["red"];
+        let [scale, uncertainty] = ["scale", "uncertainty"].map(|key| red[key].as_f64().expect("it is measured"));
+        // Grey is 0.0003 larger too.
+        assert!((scale - 1.0007).abs() < uncertainty && uncertainty < 2e-4, "{name}: {red}");
+    }
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::Command;
 use std::sync::OnceLock;
 
-use image::GrayImage;
+use image::{GrayImage, Rgb, RgbImage};
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use stagepose::diagnostics::calibrate::Board;
 use stagepose::{CameraModel, Intrinsics, Pose};
@@ -23,25 +23,40 @@ pub struct Run {
     pub stderr: String,
 }
 
+/// A camera whose picture is `scale` times as large.
+fn photographer_of(scale: f64) -> BoardPhotographer {
+    let (distortion, f) = ([-0.2, 0.05, 0.0, 0.0, 0.0], FX * scale);
+    let intrinsics = Intrinsics { width: 320, height: 240, fx: f, fy: f, cx: 161.0, cy: 118.0, skew: 0.0, distortion };
+    BoardPhotographer::new(CameraModel::new(intrinsics).expect("a possible camera"))
+}
+
 fn photographer() -> &'static BoardPhotographer {
     static CAMERA: OnceLock<BoardPhotographer> = OnceLock::new();
-    CAMERA.get_or_init(|| {
-        let distortion = [-0.2, 0.05, 0.0, 0.0, 0.0];
-        let intrinsics = Intrinsics { width: 320, height: 240, fx: FX, fy: FX, cx: 161.0, cy: 118.0, skew: 0.0, distortion };
-        BoardPhotographer::new(CameraModel::new(intrinsics).expect("a possible camera"))
-    })
+    CAMERA.get_or_init(|| photographer_of(1.0))
 }
 
 /// Renders view `k` of a 7x5 board, tilted by `tilt` rad in a direction that changes with `k`.
 pub fn view(k: usize, tilt: f64) -> GrayImage {
+    view_by(photographer(), k, tilt, k as u64)
+}
+
+/// Renders view `k` in colour, with red `scale` times as large as green and blue.
+pub fn view_with_large_red(k: usize, tilt: f64, scale: f64) -> RgbImage {
+    let others = [1, 2].map(|c| view_by(photographer(), k, tilt, (100 * c + k) as u64));
+    let red = view_by(&photographer_of(scale), k, tilt, k as u64);
+    let level = |plane: &GrayImage, x, y| plane.get_pixel(x, y).0[0];
+    RgbImage::from_fn(320, 240, |x, y| Rgb([level(&red, x, y), level(&others[0], x, y), level(&others[1], x, y)]))
+}
+
+fn view_by(camera: &BoardPhotographer, k: usize, tilt: f64, seed: u64) -> GrayImage {
     let board = Board::new(7, 5, 0.025).expect("a possible board");
     let azimuth = 1.57 * k as f64 + 0.4;
     let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * tilt);
     let aside = Vector3::new(0.07 * ((k % 3) as f64 - 1.0), 0.05 * ((k / 3 % 3) as f64 - 1.0), 0.33 + 0.03 * (k % 2) as f64);
     let pose = Pose::new(rotation, aside - rotation * Vector3::new(0.075, 0.05, 0.0));
     let is_in_view = |p: &Vector2<f64>| (0.0..320.0).contains(&p.x) && (0.0..240.0).contains(&p.y);
-    assert!(photographer().corners(&board, &pose).iter().any(is_in_view), "view {k} shows no corner of the board");
-    photographer().photograph(&board, &pose, &Photograph { blur_px: 0.6, noise: 1.0, seed: k as u64, ..Photograph::default() })
+    assert!(camera.corners(&board, &pose).iter().any(is_in_view), "view {k} shows no corner of the board");
+    camera.photograph(&board, &pose, &Photograph { blur_px: 0.6, noise: 1.0, seed, ..Photograph::default() })
 }
 
 impl Scene {

@@ -49,6 +49,10 @@ fn plain(made: &CameraCalibration) -> Vec<(&'static str, String)> {
     }
     let corners = made.estimate.used.iter().flatten().filter(|used| **used).count();
     rows.push(("How well corners fit", format!("{:.2} px (root of the mean square over {corners} corners)", made.estimate.rms_px)));
+    if let Ok(colours) = &made.lateral_colour {
+        let text = format!("{}. {}", colours.sizes(), colours.meaning()).replace("+/-", "&plusmn;");
+        rows.push(("Lateral colour", text));
+    }
     let map = &made.judgement.uncertainty;
     if map.quantile(MOST).is_finite() {
         let (most, worst) = (map.quantile(MOST), map.worst());

@@ -54,9 +54,9 @@ pub const MIN_VIEWS: usize = 3;
 /// Residual, in sigma, above which corners are rejected: one good corner in 40 000 (Rayleigh
 /// distribution). Raised, wrong corners pull the lens; lowered, good ones are lost and sigma comes
 /// out too small.
-const OUTLIER_SIGMAS: f64 = 4.6;
+pub(crate) const OUTLIER_SIGMAS: f64 = 4.6;
 /// The median length of a 2-vector of unit noise: sqrt(2 ln 2).
-const MEDIAN_LENGTH: f64 = 1.1774;
+pub(crate) const MEDIAN_LENGTH: f64 = 1.1774;
 
 /// Estimates the lens and a pose for every view; `None` with fewer than `MIN_VIEWS` views, or if
 /// they do not determine the unknowns.

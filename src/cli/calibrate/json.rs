@@ -3,6 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::calibrate::judge::map::{MAP_COLUMNS, MAP_ROWS, PixelMap};
+use crate::calibrate::lateral_colour::LateralColour;
 use crate::calibrate::report::Comparison;
 use crate::calibrate::session::{CalibrationView, CameraCalibration};
 use crate::camera::Calibration;
@@ -28,6 +29,7 @@ pub(super) fn text(made: &CameraCalibration, calibration: &Calibration, comparis
         "tilted_views": judgement.tilted_views,
         "uncertainty_map": map(&judgement.uncertainty),
         "halves": judgement.halves.as_ref().map(|h| json!({"agree": h.agree(), "sigmas": h.sigmas, "px": h.most_px})),
+        "lateral_colour": made.lateral_colour.as_ref().ok().map(lateral_colour),
         "compare": comparison.map(|c| json!({"file": c.name, "px": map(&c.lengths())})),
         "views": made.views.iter().map(view).collect::<Vec<_>>(),
     });
@@ -36,6 +38,18 @@ pub(super) fn text(made: &CameraCalibration, calibration: &Calibration, comparis
 
 fn map(map: &PixelMap) -> Value {
     json!({"columns": MAP_COLUMNS, "rows": MAP_ROWS, "values_px": map.values_px, "worst_px": map.worst(), "median_px": finite(map.quantile(0.5))})
+}
+
+fn lateral_colour(colours: &LateralColour) -> Value {
+    let mut value = json!({"pictures": colours.pictures});
+    for (name, c) in colours.named() {
+        value[name] = json!({
+            "scale": c.scale, "uncertainty": c.scale_uncertainty,
+            "corner_px": c.corner_px, "corner_uncertainty_px": c.corner_uncertainty_px,
+            "shift_px": [c.shift_px.x, c.shift_px.y], "corners": c.corners,
+        });
+    }
+    value
 }
 
 fn finite(value: f64) -> Option<f64> {

@@ -1,6 +1,7 @@
 //! `stagepose calibrate`: turns pictures of a chessboard into a camera calibration and says how far
 //! to trust it.
 
+mod colours;
 mod compare;
 mod json;
 mod live;
@@ -132,10 +133,11 @@ pub(super) fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
     let other = arguments.compare.as_deref().map(compare::read).transpose()?;
     output::refuse_unwritable(arguments)?;
     let pictures = pictures::inspected(arguments, &board)?;
-    let made = calibrate(&pictures, &board, &options).map_err(|e| Failure::Calibration(e.to_string()))?;
+    let mut made = calibrate(&pictures, &board, &options).map_err(|e| Failure::Calibration(e.to_string()))?;
     let Some(calibration) = calibration_of(&made) else {
         return Err(Failure::Calibration("no plausible camera fits the pictures; take sharper ones with more tilt".to_owned()));
     };
+    made.lateral_colour = colours::measured(arguments, &made, &pictures)?;
     let comparison = other.map(|other| compare::between(&calibration.model, &other)).transpose()?;
     let is_readable = plausible::judge(&calibration.model).is_ok();
     let accepted = made.judgement.verdict != Verdict::DoNotUse || (arguments.write_anyway && is_readable);

@@ -59,7 +59,7 @@ pub(super) fn inspected(arguments: &CalibrateArguments, board: &Board) -> Result
 /// Pixels above which a picture is inspected alone. Inspection takes about 14 bytes per pixel, and
 /// one large picture per processor would exceed a small machine's memory. Raised, more memory is
 /// needed; lowered, large pictures take longer.
-const LARGE_PIXELS: u64 = 16_000_000;
+pub(super) const LARGE_PIXELS: u64 = 16_000_000;
 
 /// State shared by threads that inspect pictures in parallel.
 #[derive(Default)]
@@ -134,6 +134,11 @@ fn files_of(images: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     Ok(files)
 }
 
+/// Returns the name of a clip's frame, for messages.
+pub(super) fn frame_name(clip: &Path, sequence: u64) -> PathBuf {
+    PathBuf::from(format!("{} frame {sequence}", clip.display()))
+}
+
 /// Picks the useful frames of a clip.
 fn picked(clip: &Path, board: &Board) -> Result<Vec<Inspected>, Failure> {
     let mut source = open_clip(clip, ClipOptions { is_stopped: Some(interrupt::is_interrupted), ..ClipOptions::default() })?;
@@ -146,7 +151,7 @@ fn picked(clip: &Path, board: &Board) -> Result<Vec<Inspected>, Failure> {
         match row.content {
             EntryContent::Frame(frame) => {
                 readable += 1;
-                picker.look_at(PathBuf::from(format!("{} frame {}", clip.display(), row.sequence)), &frame.image);
+                picker.look_at(frame_name(clip, row.sequence), &frame.image);
             }
             EntryContent::Undecodable(reason) | EntryContent::Skipped(reason) => {
                 first_reason.get_or_insert(reason);

@@ -30,6 +30,14 @@ pub(super) fn table(made: &CameraCalibration) -> String {
     let _ = writeln!(text, "\nCalibration results (with uncertainties):\n");
     text += &bouguet(made);
     let _ = writeln!(text, "\nThe numbers after +/- are 3 sigma. Reprojection error per point: {:.4} px.", made.estimate.rms_px);
+    match &made.lateral_colour {
+        Ok(colours) => {
+            let _ = writeln!(text, "Lateral colour: {}.\n  {}", colours.sizes(), colours.meaning());
+        }
+        Err(reason) => {
+            let _ = writeln!(text, "Lateral colour: not measured; {reason}.");
+        }
+    }
     let judgement = &made.judgement;
     let _ = writeln!(text, "\nVerdict: {}.", judgement.sentence());
     for finding in judgement.findings.iter().filter(|f| f.weight != judgement.verdict) {
