@@ -187,3 +187,28 @@ impl TileObserver {
         Some(ObservedFrame { motion: found.estimate.motion, rates, tiles: self.patches.iter().map(tile).collect() })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::light::Transfer;
+    use crate::track::synthetic::{cloth, facing, lens, view};
+
+    #[test]
+    fn tiles_are_where_they_are_if_the_cameras_curve_is_known() {
+        let (surface, camera) = (cloth(1), lens(640, 480));
+        let pose = facing(0.15, -0.2, Vector3::new(0.1, 0.05, 3.6));
+        let bent = CameraCurve::bent(Transfer::Srgb, &[0.0, 6.0, 14.0, 20.0, 14.0, 6.0, 0.0]);
+        let mut image = view(&surface, &pose, &camera);
+        image.iter_mut().for_each(|grey| *grey = bent.grey_of(CameraCurve::default().light()[usize::from(*grey)]).round() as u8);
+        let body = BodySpec::new("stage", vec![surface]);
+        let shutter = Shutter { readout_s: 0.0, exposure_s: 1e-6 };
+        let rms_px = |curve: &CameraCurve| {
+            let mut observer = TileObserver::new(camera, shutter, curve, None, &body);
+            let tiles = observer.observe(&image, &Motion::still(pose.inverse()), None).expect("a frame that fits").tiles;
+            (tiles.iter().map(|tile| tile.shift_px.norm_squared()).sum::<f64>() / tiles.len() as f64).sqrt()
+        };
+        let [known, assumed] = [&bent, &CameraCurve::default()].map(rms_px);
+        assert!(known < 0.8 * assumed && known < 0.02, "{known} {assumed}");
+    }
+}
