@@ -132,10 +132,10 @@ impl Equations {
         for row in rows {
             let basis = row.basis();
             let last = if is_cubic { 1.0 } else { 0.0 };
-            for k in 0..2 {
+            for (k, moved) in row.moved.iter().enumerate() {
                 let by = Vector4::new(basis[0][k], basis[1][k], basis[2][k], last * basis[CUBIC][k]);
                 normal += by * by.transpose();
-                right += by * row.moved[k];
+                right += by * *moved;
             }
         }
         Self { normal, right }

@@ -30,6 +30,11 @@ pub const GREY: &str = "the pictures are grey";
 pub const READ_ONCE: &str = "the clip cannot be read a second time for its colours";
 /// Why nothing is measured with too few views or corners.
 const TOO_FEW: &str = "fewer than two pictures show the board's corners in each colour";
+/// Why nothing is measured where every colour is a copy of grey, as after strong compression.
+const COPIES: &str = "the files keep no differences of colour; take PNG or JPEG of higher quality";
+/// 3 sigma of every colour at the picture's corners, pixels, below which they are copies: noise of
+/// their own gives a hundred times as much. Raised, very many pictures may count as copies.
+const COPIED_PX: f64 = 1e-5;
 /// Distance of a stage for which displacements are stated, metres.
 const STAGE_M: f64 = 4.0;
 /// A picture counts as coloured if in more than this fraction of the pixels …
@@ -132,6 +137,7 @@ impl LateralColour {
             return Err(GREY);
         }
         match [0, 1, 2].map(|colour| ColourScale::of(views, colour, size)) {
+            [Some(r), Some(g), Some(b)] if [r, g, b].iter().all(|c| c.corner_uncertainty_px < COPIED_PX) => Err(COPIES),
             [Some(red), Some(green), Some(blue)] => Ok(Self { pictures: views.len(), colours: [red, green, blue] }),
             _ => Err(TOO_FEW),
         }

@@ -220,6 +220,8 @@ fn the_uncertainty_holds_with_errors_that_a_picture_shares() {
 fn too_few_corners_and_pictures_give_the_reason() {
     let scaled = |p: Vector2<f64>| p * 2e-4;
     assert_eq!(LateralColour::of(&made_up(1, 1, [0.02, 0.0], scaled), SIZE), Err(TOO_FEW));
+    // Compression leaves each colour a copy of grey.
+    assert_eq!(LateralColour::of(&made_up(9, 1, [1e-7, 0.0], |p| p * 0.0), SIZE), Err(COPIES));
     let mut views = made_up(9, 1, [0.02, 0.0], scaled);
     // A board in red and white has no contrast in red.
     views.iter_mut().flatten().for_each(|corner| corner.moved[0] = None);
