@@ -62,6 +62,8 @@ pub use scene::surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
 pub use settings::TrackerSettings;
 
 // What only the rooms around the core use.
+#[cfg(feature = "cli")]
+pub use align::PixelShift;
 #[cfg(feature = "calibrate")]
 pub(crate) use frame::frame_look::{FrameLook, PictureFault};
 #[cfg(feature = "calibrate")]
@@ -69,7 +71,7 @@ pub use model_error::lens_doubt::covariance_by_lens;
 #[cfg(feature = "simulate")]
 pub use scene::{shape::ShapePoint, surface::SurfaceDoubt};
 #[cfg(feature = "cli")]
-pub use tile_observer::{KnownRates, ObservedFrame, ObservedTile, TileObserver};
+pub use tile_observer::{KnownRates, ObservedFrame, ObservedPixels, ObservedTile, TileObserver};
 pub use tuning::TUNING;
 #[cfg(feature = "daemon")]
 pub use {

@@ -9,7 +9,7 @@ use super::tuning::frame_order::TUNING;
 use image::GrayImage;
 use nalgebra::{Matrix2, Vector2, Vector3};
 
-use super::align::{AlignRequest, Aligner, CameraRays, FrameLevels, Patch, Start};
+use super::align::{AlignRequest, Aligner, CameraRays, FrameLevels, Patch, PixelShift, Start};
 use super::patches::registration::{Registered, SearchPicture, Target, register, visible_targets};
 use super::scene::rectangle::Rectangle;
 use super::scene::reference::PreparedBody;
@@ -78,6 +78,15 @@ pub struct ObservedFrame {
     pub rates: Option<KnownRates>,
     /// The tiles that fit.
     pub tiles: Vec<ObservedTile>,
+}
+
+/// What a frame shows, pixel by pixel.
+#[derive(Debug, Clone)]
+pub struct ObservedPixels {
+    /// The camera's motion, under the current model.
+    pub motion: Motion,
+    /// The pixels of the tiles that fit.
+    pub pixels: Vec<PixelShift>,
 }
 
 impl TileObserver {
@@ -160,15 +169,7 @@ impl TileObserver {
     /// Aligns a frame starting at `start` and returns where it shows the tiles; `rates`: prior of
     /// the motion's rates, if known. `None` if the picture does not confirm the model.
     pub fn observe(&mut self, image: &GrayImage, start: &Motion, rates: Option<KnownRates>) -> Option<ObservedFrame> {
-        let distance_m = self.aligner.distance_m(&start.pose);
-        let unseen = MotionEstimate::unseen(start.pose, distance_m, TUNING.start_shift_sigma * distance_m, TUNING.start_rotation_sigma);
-        let mut expected = MotionEstimate { motion: *start, ..unseen };
-        if let Some(rates) = rates {
-            expected.motion = rates.on(&start.pose);
-            for axis in 6..18 {
-                expected.covariance[(axis, axis)] = rates.sigmas[axis / 3 - 2].powi(2);
-            }
-        }
+        let expected = self.expected(start, rates);
         self.levels.update(image);
         let solution = self.aligner.align(&mut self.levels, &self.rays, &AlignRequest::new(Start::found(&expected), false))?;
         let found = solution.alignment;
@@ -185,6 +186,34 @@ impl TileObserver {
             number: p.tile,
         };
         Some(ObservedFrame { motion: found.estimate.motion, rates, tiles: self.patches.iter().map(tile).collect() })
+    }
+
+    /// Aligns a frame as [`observe`](Self::observe) does and returns what its single pixels say,
+    /// for what is narrower than a tile. Nothing is learnt from the frame.
+    pub fn observe_pixels(&mut self, image: &GrayImage, start: &Motion, rates: Option<KnownRates>) -> Option<ObservedPixels> {
+        let expected = self.expected(start, rates);
+        self.levels.update(image);
+        let mut solution = self.aligner.align(&mut self.levels, &self.rays, &AlignRequest::new(Start::found(&expected), false))?;
+        if !solution.alignment.is_credible(true) {
+            return None;
+        }
+        let mut pixels = Vec::new();
+        solution.pixel_shifts(&mut pixels);
+        Some(ObservedPixels { motion: solution.alignment.estimate.motion, pixels })
+    }
+
+    /// Returns the prior of a frame's motion; `rates`: that of the motion's rates, if known.
+    fn expected(&self, start: &Motion, rates: Option<KnownRates>) -> MotionEstimate {
+        let distance_m = self.aligner.distance_m(&start.pose);
+        let unseen = MotionEstimate::unseen(start.pose, distance_m, TUNING.start_shift_sigma * distance_m, TUNING.start_rotation_sigma);
+        let mut expected = MotionEstimate { motion: *start, ..unseen };
+        if let Some(rates) = rates {
+            expected.motion = rates.on(&start.pose);
+            for axis in 6..18 {
+                expected.covariance[(axis, axis)] = rates.sigmas[axis / 3 - 2].powi(2);
+            }
+        }
+        expected
     }
 }
 

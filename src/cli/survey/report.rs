@@ -65,8 +65,13 @@ fn residuals(made: &Survey) -> String {
     }
     for (description, spec) in made.described().iter().zip(&made.surfaces) {
         let text = format!(
-            "heights {:.2} mm rms, {:.1} mm at most, one sigma {:.2} mm; place known to {:.2} mm and {:.3} degrees",
-            description.height_rms_mm, description.height_max_mm, description.height_sigma_mm, description.sigma_mm, description.sigma_deg
+            "heights {:.2} mm rms, {:.1} mm at most, one sigma {:.2} mm ({}); place known to {:.2} mm and {:.3} degrees",
+            description.height_rms_mm,
+            description.height_max_mm,
+            description.height_sigma_mm,
+            super::text::narrowest(description),
+            description.sigma_mm,
+            description.sigma_deg
         );
         row(&escaped(&spec.name), text);
     }

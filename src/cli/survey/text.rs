@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use crate::survey::shutter::ShutterTime;
 use crate::survey::walked::constraints::{ConstraintCheck, Measured};
-use crate::survey::walked::judgement::Judgement;
+use crate::survey::walked::judgement::{Judgement, SurfaceDescription};
 use crate::survey::walked::stage::Survey;
 
 /// Returns the report for the terminal.
@@ -35,8 +35,14 @@ pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
         let label = if k == 0 { "surfaces" } else { "" };
         let _ = writeln!(
             text,
-            "{label:<11} {}: heights {:.2} mm rms, {:.1} mm at most, known to {:.2} mm; place {:.2} mm, {:.3} degrees",
-            spec.name, surface.height_rms_mm, surface.height_max_mm, surface.height_sigma_mm, surface.sigma_mm, surface.sigma_deg
+            "{label:<11} {}: heights {:.2} mm rms, {:.1} mm at most, known to {:.2} mm ({}); place {:.2} mm, {:.3} degrees",
+            spec.name,
+            surface.height_rms_mm,
+            surface.height_max_mm,
+            surface.height_sigma_mm,
+            narrowest(surface),
+            surface.sigma_mm,
+            surface.sigma_deg
         );
     }
     for line in measured(made) {
@@ -44,6 +50,12 @@ pub(super) fn text(made: &Survey, judgement: &Judgement) -> String {
     }
     let _ = writeln!(text, "verdict     {}", judgement.sentence());
     text
+}
+
+/// Describes how narrow wrinkles of a surface show, and how much of its sigma is by narrower ones.
+pub(super) fn narrowest(surface: &SurfaceDescription) -> String {
+    let (narrowest_mm, unmodelled_mm) = (surface.narrowest_wrinkle_mm, surface.unmodelled_mm);
+    format!("{unmodelled_mm:.2} mm of it not shown: wrinkles show down to {narrowest_mm:.0} mm")
 }
 
 /// Describes what the walk says about the shutter; `None` if it was not estimated.

@@ -11,6 +11,7 @@ use super::observers::{ObservedFrames, Observers};
 use super::prior::{self, Smoothness};
 use super::scales::{Support, robust_scales, supports};
 use super::stage_model::{LENS_NUMBERS, StageModel, distance_m};
+use super::unmodelled::unmodelled_m;
 use crate::camera::Shutter;
 use crate::motion::Motion;
 use crate::track::{KnownRates, ObservedFrame, ObservedTile};
@@ -194,6 +195,12 @@ impl<'a> Adjustment<'a> {
             model = self.stepped(&model, step, rows.len())?;
         }
         self.settle(model, progress)
+    }
+
+    /// Returns each surface's root mean square height that its spline does not show, metres. `None`
+    /// if the work was stopped meanwhile.
+    pub fn unmodelled_m(&mut self, model: &StageModel) -> Option<Vec<f64>> {
+        Some(unmodelled_m(self.observers.cells(model)?.iter().flatten(), model.surfaces.len()))
     }
 
     /// Readjusts a model with another shutter. See [`run`](Self::run).

@@ -3,6 +3,7 @@
 use super::scales::Support;
 use super::stage::Survey;
 use super::stage_model::bent;
+use super::unmodelled::narrowest_wrinkle_m;
 
 /// Points across and down a surface at which its shape is evaluated.
 const POINTS: [usize; 2] = [24, 18];
@@ -95,8 +96,13 @@ pub struct SurfaceDescription {
     pub height_rms_mm: f64,
     /// Largest height, millimetres.
     pub height_max_mm: f64,
-    /// Median over the surface of one sigma of the heights, millimetres.
+    /// Median over the surface of one sigma of the heights, millimetres, including what the spline
+    /// does not show.
     pub height_sigma_mm: f64,
+    /// Root mean square height that the spline does not show, millimetres.
+    pub unmodelled_mm: f64,
+    /// Length of the narrowest wrinkle that the spline follows, millimetres.
+    pub narrowest_wrinkle_mm: f64,
 }
 
 impl Survey {
@@ -105,12 +111,13 @@ impl Survey {
         (0..self.surfaces.len()).filter_map(|k| self.description(k)).collect()
     }
 
-    /// Returns one sigma of the height of surface `k` at a point of its picture, metres.
+    /// Returns one sigma of the height of surface `k` at a point of its picture, metres: of the
+    /// spline, and of what it does not show.
     pub fn height_sigma_m(&self, k: usize, point: [f64; 2]) -> f64 {
         let Some(shape) = bent(&self.surfaces[k]) else { return 0.0 };
         let weights = shape.height.support(point).weights().map(|(n, w)| (self.places.heights[k] + n, w));
         let variance: f64 = weights.iter().flat_map(|(i, a)| weights.iter().map(move |(j, b)| a * b * self.covariance[(*i, *j)])).sum();
-        variance.max(0.0).sqrt()
+        variance.max(0.0).sqrt().hypot(self.unmodelled_m[k])
     }
 
     fn description(&self, k: usize) -> Option<SurfaceDescription> {
@@ -137,6 +144,8 @@ impl Survey {
             height_rms_mm: 1e3 * (squared / sigmas.len() as f64).sqrt(),
             height_max_mm: 1e3 * most,
             height_sigma_mm: 1e3 * sigmas[sigmas.len() / 2],
+            unmodelled_mm: 1e3 * self.unmodelled_m[k],
+            narrowest_wrinkle_mm: 1e3 * narrowest_wrinkle_m(surface),
         })
     }
 
@@ -196,7 +205,14 @@ impl Survey {
             // not.
             let unknown_mm = if description.height_sigma_mm > usable { f64::INFINITY } else { worst_mm.min(usable) };
             findings.push(graded(unknown_mm, [good, usable], String::new(), &|| {
-                let parts = parts.beyond(1e-3 * good);
+                let (wrinkles_mm, parts) = (description.narrowest_wrinkle_mm, parts.beyond(1e-3 * good));
+                if description.unmodelled_mm > good {
+                    return format!(
+                        "the shape of {} is known to {worst_mm:.1} mm only: it has wrinkles narrower than {wrinkles_mm:.0} mm, which a \
+                         survey cannot show; stretch it",
+                        surface.name
+                    );
+                }
                 format!(
                     "the shape of {} is known to {worst_mm:.1} mm only ({parts}): film it from two sides, 20 degrees or more apart",
                     surface.name

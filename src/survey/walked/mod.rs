@@ -20,6 +20,7 @@ mod stage_model;
 #[cfg(test)]
 mod synthetic;
 mod tile_derivatives;
+pub mod unmodelled;
 pub mod walk;
 mod ways;
 pub mod weak_parts;

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use super::keyframes::{Keyframe, MatchedFeature};
 use super::stage_model::StageModel;
+use super::unmodelled::FrameCells;
 use crate::camera::Shutter;
 use crate::geometry::resection::{MovingCamera, Observation, resect, residual_and_jacobian};
 use crate::light::CameraCurve;
@@ -74,6 +75,15 @@ impl<'a> Observers<'a> {
         })
     }
 
+    /// Aligns all keyframes once more and returns what each says about the cells of the surfaces.
+    /// The motions stay. `None` as above.
+    pub fn cells(&mut self, model: &StageModel) -> Option<Vec<Option<FrameCells>>> {
+        self.ask(model, |observer, keyframe| {
+            let pixels = observer.observe_pixels(&keyframe.frame.image, &keyframe.motion, keyframe.rates)?;
+            Some(FrameCells::of(&pixels, model))
+        })
+    }
+
     /// Compares each keyframe's features with a model, at the pose that fits them best. `None` as
     /// above.
     pub fn features(&mut self, model: &StageModel) -> Option<ObservedFrames> {
@@ -112,14 +122,14 @@ impl<'a> Observers<'a> {
     }
 
     /// Runs `of_frame` on every keyframe with its observer, which takes the model first.
-    fn ask(
+    fn ask<T: Send>(
         &mut self,
         model: &StageModel,
-        of_frame: impl Fn(&mut TileObserver, &mut Keyframe) -> Option<ObservedFrame> + Sync,
-    ) -> Option<ObservedFrames> {
+        of_frame: impl Fn(&mut TileObserver, &mut Keyframe) -> Option<T> + Sync,
+    ) -> Option<Vec<Option<T>>> {
         let goes_on = self.goes_on;
         let chunks = self.keyframes.par_chunks_mut(KEYFRAMES_AN_OBSERVER).zip(&mut self.observers);
-        let of_chunk = |(keyframes, observer): (&mut [Keyframe], &mut TileObserver)| -> Option<ObservedFrames> {
+        let of_chunk = |(keyframes, observer): (&mut [Keyframe], &mut TileObserver)| -> Option<Vec<Option<T>>> {
             observer.take_model(&model.camera, &model.surfaces);
             observer.take_readout(model.readout_s());
             keyframes.iter_mut().map(|keyframe| goes_on().then(|| of_frame(observer, keyframe))).collect()

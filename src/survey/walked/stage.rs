@@ -94,6 +94,8 @@ pub struct Survey {
     pub checks: Vec<ConstraintCheck>,
     /// Robust scale of the residuals, in sigmas.
     pub scale: f64,
+    /// Root mean square height of each surface that its spline does not show, metres.
+    pub unmodelled_m: Vec<f64>,
     /// The support of each surface's pose.
     pub(super) supports: Vec<Support>,
     /// Whether the adjustment converged.
@@ -179,6 +181,8 @@ where
     else {
         return Err(if !goes_on() { SurveyError::Interrupted } else { SurveyError::Undetermined });
     };
+    let unmodelled_m = adjustment.unmodelled_m(&model).ok_or(SurveyError::Interrupted)?;
+    tracing::debug!(?unmodelled_m, "heights that the splines do not show");
     let covariance = match model.places().readout {
         Some(at) if shutter.readout_s != configured.readout_s => with_sway(covariance, at, SWAY_SHARE * model.readout_s()),
         _ => covariance,
@@ -205,6 +209,7 @@ where
         cameras,
         rms_px,
         scale,
+        unmodelled_m,
         supports,
         has_settled,
         rounds,

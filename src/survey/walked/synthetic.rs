@@ -60,6 +60,18 @@ pub fn camera_poses(n: usize) -> Vec<Pose<Body, Camera>> {
 /// The tiles that frames with these motions show of the true stage, each as its shift from a
 /// model's prediction, with noise (one sigma, pixels).
 pub fn observed(truth: &StageModel, model: &StageModel, motions: &[Motion], noise_px: f64, seed: u64) -> Vec<ObservedFrame> {
+    observed_on([10, 8], truth, model, motions, noise_px, seed)
+}
+
+/// Like [`observed`], with this number of tiles across and down each surface.
+pub fn observed_on(
+    [across, down]: [i32; 2],
+    truth: &StageModel,
+    model: &StageModel,
+    motions: &[Motion],
+    noise_px: f64,
+    seed: u64,
+) -> Vec<ObservedFrame> {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut gauss = move || (0..12).map(|_| random.random_range(-0.5..0.5)).sum::<f64>();
     // Where a model shows a point, and when its row is exposed.
@@ -84,10 +96,12 @@ pub fn observed(truth: &StageModel, model: &StageModel, motions: &[Motion], nois
     let mut frame = |motion: &Motion| {
         let mut tiles = Vec::new();
         for (surface, spec) in model.surfaces.iter().enumerate() {
-            for k in 0..80 {
-                let share = |n: i32, of: f64| (f64::from(n) + 0.5) / of - 0.5;
-                let on_picture_m =
-                    [share(k % 10, 10.0) * spec.size_m[0] + 0.03 * gauss(), share(k / 10, 8.0) * spec.size_m[1] + 0.03 * gauss()];
+            for k in 0..across * down {
+                let share = |n: i32, of: i32| (f64::from(n) + 0.5) / f64::from(of) - 0.5;
+                let on_picture_m = [
+                    share(k % across, across) * spec.size_m[0] + 0.03 * gauss(),
+                    share(k / across, down) * spec.size_m[1] + 0.03 * gauss(),
+                ];
                 let (Some((real, _)), Some((expected, delay_s))) =
                     (seen(truth, motion, surface, on_picture_m), seen(model, motion, surface, on_picture_m))
                 else {

@@ -17,6 +17,8 @@ use super::picture::surface::{AlignSurface, distance_m};
 use super::pixels::level_spec::LevelSpec;
 use super::request::{AlignRequest, Start};
 use super::solve::level_problem::patches::Patch;
+#[cfg(feature = "cli")]
+use super::solve::level_problem::patches::PixelShift;
 use super::solve::level_problem::solution::UsedPixel;
 use super::solve::shutter_clue::ShutterClue;
 use super::solve::verdict::Alignment;
@@ -200,6 +202,16 @@ impl Solution<'_> {
     pub fn used_pixels(&mut self, out: &mut Vec<UsedPixel>) {
         if let Some(solution) = self.aligner.buffers.fine.solution() {
             solution.used_pixels(FINEST, out);
+        }
+    }
+
+    /// Appends what the single pixels of the tiles that fit say about their displacement.
+    #[cfg(feature = "cli")]
+    pub fn pixel_shifts(&mut self, out: &mut Vec<PixelShift>) {
+        let Aligner { surfaces, buffers, slow } = &mut *self.aligner;
+        if let Some(solution) = buffers.fine.solution() {
+            let spec = LevelSpec::new(surfaces, slow, self.rays, slow.is_enlarged, FINEST, &solution.found.motion);
+            solution.pixel_shifts(&spec, out);
         }
     }
 

@@ -1,16 +1,23 @@
 //! The aligner on rendered frames: accuracy, occlusion, blur, wrong pictures, still cameras, and
 //! what it learns.
 
+#[cfg(feature = "cli")]
+use std::sync::Arc;
+
 use crate::track::align::tuning::TUNING;
 use image::GrayImage;
 use nalgebra::{Vector3, Vector6};
 
 use super::super::CameraRays;
 use super::*;
+#[cfg(feature = "cli")]
+use crate::geometry::bspline::BicubicSpline;
 use crate::geometry::resection::perturbed;
 use crate::motion::{Motion, MotionEstimate, ProcessNoise};
 use crate::track::frame::frame_levels::FrameLevels;
 use crate::track::scene::shape::tests::folds;
+#[cfg(feature = "cli")]
+use crate::track::scene::shape::{BentShape, SurfaceShape};
 use crate::track::scene::surface::SurfaceSpec;
 use crate::track::synthetic::{cloth, facing, grey_of, lens, light_of, prepared, texture, view};
 
@@ -206,6 +213,43 @@ fn patches_lie_where_the_pose_puts_them() {
     let mean = patches.iter().map(|p| p.shift_px.norm()).sum::<f64>() / patches.len() as f64;
     assert!(mean < 0.05, "{mean}");
     assert!(patches.iter().all(|p| p.on_surface_m.x.abs() < 2.0 && p.on_surface_m.y.abs() < 1.5));
+}
+
+#[cfg(feature = "cli")]
+#[test]
+fn single_pixels_show_wrinkles_narrower_than_a_tile() {
+    use crate::camera::Normalized;
+    // Wrinkles of six millimetres that the aligned model does not have.
+    let mut height = BicubicSpline::<1>::zero([80, 60], [4.0, 3.0]);
+    let middles = height.middles();
+    let wave = |[x, y]: [f64; 2]| 0.006 * (18.0 * x + 9.0 * y).sin();
+    height.coefficients_mut().iter_mut().enumerate().for_each(|(n, c)| c.x = wave(middles(n)));
+    let shape = BentShape { height: height.clone(), stretch: BicubicSpline::zero([4, 3], [4.0, 3.0]), ways: Vec::new() };
+    let wrinkled = SurfaceSpec { shape: SurfaceShape::Bent(Arc::new(shape)), ..cloth(1) };
+    let mut frame = FrameLevels::default();
+    frame.update(&view(&wrinkled, &truth(), &lens(480, 360)));
+    let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), Shutter { readout_s: 0.0, exposure_s: 0.0 });
+    let expected = MotionEstimate::unseen(truth().inverse(), 3.4, 0.01, 0.003);
+    let rays = CameraRays::new(lens(480, 360), None);
+    let mut pixels = Vec::new();
+    let mut solution = aligner.align(&mut frame, &rays, &AlignRequest::new(Start::found(&expected), false)).expect("the picture agrees");
+    let pose = solution.alignment.pose.inverse();
+    solution.pixel_shifts(&mut pixels);
+    let seen = |on_surface: nalgebra::Vector2<f64>, height: f64| {
+        let c = pose.transform(&on_surface.push(height).into()).coords;
+        lens(480, 360).project(Normalized(c.xy() / c.z)).0
+    };
+    // How much of the displacement by the wrinkles the pixels show.
+    let (mut shown, mut whole) = (0.0, 0.0);
+    for pixel in &pixels {
+        let shift = seen(pixel.on_surface_m, height.at(pixel.on_surface_m.into()).value.x) - seen(pixel.on_surface_m, 0.0);
+        shown += shift.dot(&pixel.weighted);
+        whole += shift.dot(&(pixel.information * shift));
+        // A pixel says nothing across its gradient.
+        assert!(pixel.information.determinant().abs() <= 1e-4 * pixel.information.trace().powi(2));
+    }
+    println!("{} pixels, {:.3}", pixels.len(), shown / whole);
+    assert!(pixels.len() > 1000 && (0.8..1.2).contains(&(shown / whole)), "{} pixels, {}", pixels.len(), shown / whole);
 }
 
 /// After a jump within a frame, the reported motion is that of its last rows; the other rows'
