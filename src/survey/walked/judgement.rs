@@ -202,14 +202,15 @@ impl Survey {
             }
             let [good, usable] = MAX_HEIGHT_SIGMA.map(|share| share * side_mm);
             // If one part was not filmed, the rest is still usable; if half of them were not, it is
-            // not.
-            let unknown_mm = if description.height_sigma_mm > usable { f64::INFINITY } else { worst_mm.min(usable) };
+            // not. What the spline leaves out was there before the survey too, so it refuses none.
+            let by_spline_mm = (description.height_sigma_mm.powi(2) - description.unmodelled_mm.powi(2)).max(0.0).sqrt();
+            let unknown_mm = if by_spline_mm > usable { f64::INFINITY } else { worst_mm.min(usable) };
             findings.push(graded(unknown_mm, [good, usable], String::new(), &|| {
                 let (wrinkles_mm, parts) = (description.narrowest_wrinkle_mm, parts.beyond(1e-3 * good));
-                if description.unmodelled_mm > good {
+                if description.unmodelled_mm > good && by_spline_mm <= usable {
                     return format!(
-                        "the shape of {} is known to {worst_mm:.1} mm only: it has wrinkles narrower than {wrinkles_mm:.0} mm, which a \
-                         survey cannot show; stretch it",
+                        "the shape of {} is known to {worst_mm:.1} mm only: its residuals show wrinkles narrower than {wrinkles_mm:.0} mm, \
+                         which a survey cannot measure, or a lens that is off; stretch it, or try --lens refine",
                         surface.name
                     );
                 }
