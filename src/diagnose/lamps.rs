@@ -17,8 +17,8 @@ use crate::geometry::robust_kernel::median;
 use crate::geometry::{Body, Camera, Pose, Stage, SurfaceFrame};
 use crate::track::SurfaceSpec;
 
-/// Maximum number of frames examined for each surface. Chosen for time. Raised, aliases are told
-/// from the pitch more often.
+/// Maximum number of frames examined for each surface. Chosen for time. Raised, an alias is taken
+/// for the pitch less often.
 const MAX_FRAMES: usize = 4;
 /// Half the side of the window that is examined, pixels. Raised, lines in the spectrum are sharper,
 /// and the work grows squared.

@@ -2,7 +2,7 @@
 //!
 //! A curve is a standard one, bent: between evenly spaced grey levels, the knots, a correction is
 //! interpolated linearly. It is 0 at black and at white, because a scale of all light cannot be
-//! told from brighter lamps, nor an offset from haze.
+//! distinguished from brighter lamps, nor an offset from haze.
 
 use super::transfer::{FULL, Transfer};
 
