@@ -4,9 +4,9 @@
 //! `picture` examines the frames themselves, and tries them mirrored, in negative and without the
 //! mask. `geometry` uses `fit` to find the lens and shape of the picture that would explain how it
 //! is seen, and the positions of the other surfaces. `corners` does the same from a photograph's
-//! four corners alone. `lamps` finds walls of LEDs. `plausible` states what no picture shows: sizes,
-//! distances, speeds. Every result is a [`Finding`]. `trackability` rates each picture before the
-//! show.
+//! four corners alone. `lamps` finds walls of LEDs. `plausible` states what no picture shows:
+//! sizes, distances, speeds. Every result is a [`Finding`]. `trackability` rates each picture
+//! before the show.
 
 mod corners;
 mod finding;
