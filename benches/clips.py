@@ -53,9 +53,9 @@ BARS = {
     # light adds up as light does: along sRGB, clipped, along a curve with contrast, in motion
     "d-linear":          Bar(good=0.98, permille=0.02, nees=(0.3, 2.0)),
     "d-linear-clip":     Bar(good=0.98, permille=0.02, nees=(0.3, 2.0)),
-    "d-linear-tone":     Bar(good=0.98, permille=0.03, nees=(0.2, 2.0)),
+    "d-linear-tone":     Bar(good=0.98, permille=0.03, nees=(0.3, 2.0)),
     "d-linear-steep":    Bar(good=0.98, permille=0.03),
-    "d-linear-handheld": Bar(good=0.95, permille=0.05),
+    "d-linear-handheld": Bar(good=0.98, permille=0.05),
 }
 AGAINST = "before"  # name of the --against build in the table
 RUNS_AGAINST = 3  # runs of each build; the fastest counts, because other load only slows it
