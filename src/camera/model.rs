@@ -6,7 +6,7 @@
 //! folds back on itself beyond some radius. [`CameraModel`] computes that radius once and refuses
 //! to undistort anything outside it, rather than return a ray that does not exist.
 
-use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
 use thiserror::Error;
 
 use super::doubt::LensDoubt;
@@ -259,6 +259,14 @@ impl CameraModel {
         let (d, j) = i.distort(n.0);
         let affine = Matrix2::new(i.fx, i.fx * i.skew, 0.0, i.fy);
         (Pixel(i.affine(d)), affine * j)
+    }
+
+    /// Projects a point in camera axes, metres, to its raw pixel, with the derivative by the point.
+    /// It must be in front of the camera.
+    pub(crate) fn project_point_with_jacobian(&self, point: &Vector3<f64>) -> (Pixel, Matrix2x3<f64>) {
+        let n = point.xy() / point.z;
+        let (pixel, by_ray) = self.project_with_jacobian(Normalized(n));
+        (pixel, by_ray * Matrix2x3::new(1.0, 0.0, -n.x, 0.0, 1.0, -n.y) / point.z)
     }
 
     /// Returns the pixel that a camera with the same K and no distortion would see: the

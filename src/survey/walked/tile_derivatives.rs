@@ -3,7 +3,7 @@
 use nalgebra::{SMatrix, Vector2};
 
 use super::stage_model::{LENS_COLUMNS, StageModel};
-use crate::camera::{Normalized, Shutter};
+use crate::camera::Shutter;
 use crate::geometry::skew;
 use crate::motion::Motion;
 use crate::track::ObservedTile;
@@ -36,9 +36,7 @@ impl TileDerivatives {
         if seen.z < 1e-6 {
             return None;
         }
-        let n = Vector2::new(seen.x / seen.z, seen.y / seen.z);
-        let (_, by_ray) = model.camera.project_with_jacobian(Normalized(n));
-        let by_point = by_ray * SMatrix::<f64, 2, 3>::new(1.0, 0.0, -n.x, 0.0, 1.0, -n.y) / seen.z;
+        let (pixel, by_point) = model.camera.project_point_with_jacobian(&seen);
         let mut by_pose = SMatrix::<f64, 2, 6>::zeros();
         by_pose.fixed_columns_mut::<3>(0).copy_from(&by_point);
         by_pose.fixed_columns_mut::<3>(3).copy_from(&(-by_point * skew(&seen)));
@@ -52,12 +50,12 @@ impl TileDerivatives {
         if let Some(at) = model.places().readout {
             // The later a row is read, the farther the camera has moved.
             let height = model.camera.height();
-            let share = Shutter { readout_s: 1.0, exposure_s: 0.0 }.delay_s(model.camera.project(Normalized(n)).0.y + 0.5, height);
+            let share = Shutter { readout_s: 1.0, exposure_s: 0.0 }.delay_s(pixel.0.y + 0.5, height);
             let passes = -(t_camera_body.rotation * then.velocity) - then.angular_velocity.cross(&seen);
             by_model.push((at, by_point * passes * share));
         }
         if let Some(at) = model.places().lens {
-            let lens = model.camera.intrinsics();
+            let (lens, n) = (model.camera.intrinsics(), seen.xy() / seen.z);
             let by_numbers = lens.by_numbers(n, lens.distort(n).0);
             by_model.extend(LENS_COLUMNS.iter().enumerate().map(|(k, column)| (at + k, by_numbers.column(*column).into_owned())));
         }
@@ -68,6 +66,7 @@ impl TileDerivatives {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::camera::Normalized;
     use crate::geometry::Pose;
     use crate::survey::walked::synthetic::{LENS, camera_poses, stage};
     use nalgebra::{DVector, Matrix2, UnitQuaternion, Vector3};

@@ -11,11 +11,11 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix3, SMatrix, Vector2, Vector3};
+use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 
 use super::stage_model::{StageModel, bent};
-use crate::camera::Normalized;
 use crate::geometry::bspline::BicubicSpline;
+use crate::geometry::robust_kernel::median;
 use crate::track::{ObservedPixels, PixelShift, SurfaceSpec};
 
 /// Cells per knot interval, along each axis. Raised, few pixels are in each cell; lowered, cells
@@ -87,16 +87,14 @@ fn cell_of(height: &BicubicSpline<1>, point: Vector2<f64>) -> usize {
 
 /// Returns the derivative of a pixel by the position of its detail along the surface's axes; `None`
 /// if it is behind the camera.
-fn by_place(pixel: &PixelShift, frame: &ObservedPixels, surface: &SurfaceSpec, model: &StageModel) -> Option<SMatrix<f64, 2, 3>> {
+fn by_place(pixel: &PixelShift, frame: &ObservedPixels, surface: &SurfaceSpec, model: &StageModel) -> Option<Matrix2x3<f64>> {
     let to_camera = frame.motion.after(pixel.delay_s).pose.inverse();
     let place = surface.pose.transform(&surface.shape.at(pixel.on_surface_m.into()).place.into());
     let seen = to_camera.transform(&place).coords;
     if seen.z < 1e-6 {
         return None;
     }
-    let n = seen.xy() / seen.z;
-    let (_, by_ray) = model.camera.project_with_jacobian(Normalized(n));
-    let by_seen = by_ray * SMatrix::<f64, 2, 3>::new(1.0, 0.0, -n.x, 0.0, 1.0, -n.y) / seen.z;
+    let (_, by_seen) = model.camera.project_point_with_jacobian(&seen);
     Some(by_seen * to_camera.rotation_matrix() * surface.pose.rotation_matrix())
 }
 
@@ -121,9 +119,7 @@ pub fn unmodelled_m<'a>(frames: impl IntoIterator<Item = &'a FrameCells>, surfac
 /// by either half; cells whose variance is small compared with the usual one count alike.
 fn shared_variance(cells: &[[[f64; 2]; 2]]) -> f64 {
     let variance = |[[_, a], [_, b]]: &[[f64; 2]; 2]| (a * b).sqrt();
-    let mut sorted: Vec<f64> = cells.iter().map(variance).collect();
-    sorted.sort_by(f64::total_cmp);
-    let Some(usual) = sorted.get(sorted.len() / 2) else { return 0.0 };
+    let Some(usual) = median(&mut cells.iter().map(variance).collect::<Vec<_>>()) else { return 0.0 };
     let (mut sum, mut weights) = (0.0, 0.0);
     for [[a, a_variance], [b, b_variance]] in cells {
         let weight = 1.0 / ((usual + a_variance) * (usual + b_variance));

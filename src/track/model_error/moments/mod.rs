@@ -14,7 +14,7 @@ mod tear;
 
 use crate::track::model_error::tuning::TUNING;
 use image::GrayImage;
-use nalgebra::{Matrix2, Matrix2x3, Point3, SVector, Vector2};
+use nalgebra::{Matrix2, Point3, SVector, Vector2};
 
 use self::evidence::{CELL_COLUMNS, CELL_ROWS, Cell, Evidence, Greys, MIDDLES, MOMENTS};
 use self::tear::{Displaced, torn_by};
@@ -276,11 +276,9 @@ impl Found<'_> {
         let ShapePoint { place, .. } = rectangle.shape.at(metres(share, rectangle.size_m));
         let point = Point3::from(rectangle.rotation * place + rectangle.centre);
         let seen = self.motion.pose.inverse().transform(&point);
-        let (pixel, by_ray) = self.camera.project_with_jacobian(Normalized(seen.coords.xy() / seen.z));
+        let (pixel, by_point) = self.camera.project_point_with_jacobian(&seen.coords);
         let way = self.way(&point, &self.motion)?;
         let along = way.try_normalize(1e-6)?;
-        let [x, y, z] = [seen.x, seen.y, seen.z];
-        let by_point = by_ray * Matrix2x3::new(1.0, 0.0, -x / z, 0.0, 1.0, -y / z) / z;
         let (by_shift, by_rotation) = (by_point.transpose() * along, (by_point * -skew(&seen.coords)).transpose() * along);
         let by_pose = SVector::from([by_shift.x, by_shift.y, by_shift.z, by_rotation.x, by_rotation.y, by_rotation.z]);
         let (row, way) = (pixel.0.y / f64::from(self.camera.height()), way.norm());
