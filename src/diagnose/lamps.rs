@@ -8,7 +8,7 @@
 use std::f64::consts::TAU;
 
 use image::GrayImage;
-use nalgebra::{Point3, Vector2};
+use nalgebra::Vector2;
 
 use super::{Finding, Shown, written};
 use crate::camera::{CameraModel, Normalized, Pixel};
@@ -105,10 +105,10 @@ impl<'a> Sight<'a> {
     fn place_of(&self, pixel: [i32; 2]) -> Option<Vector2<f64>> {
         let Normalized(ray) = self.camera.unproject(Pixel(Vector2::from(pixel.map(f64::from))))?;
         let (direction, from) = (self.surface_from_camera.rotation * ray.push(1.0), self.surface_from_camera.translation);
-        let depth = -from.z / direction.z;
-        let place = (from + direction * depth).xy();
-        let is_on = depth > 0.0 && [0, 1].iter().all(|axis| place[*axis].abs() < 0.5 * self.surface.size_m[*axis]);
-        is_on.then_some(place)
+        let place = self.surface.shape.meet(&from, &direction)?;
+        let is_ahead = (self.surface.shape.at(place).place - from).dot(&direction) > 0.0;
+        let is_on = [0, 1].iter().all(|axis| place[*axis].abs() < 0.5 * self.surface.size_m[*axis]);
+        (is_ahead && is_on).then_some(place.into())
     }
 
     /// Returns the middle of what the frame shows of the surface, and the width of a pixel there,
@@ -117,8 +117,8 @@ impl<'a> Sight<'a> {
         let camera_from_surface = self.surface_from_camera.inverse();
         let pixel_of = |n: i32| {
             let share = |k: i32| f64::from(k) / f64::from(PLACES - 1) - 0.5;
-            let place = Point3::new(share(n % PLACES) * self.surface.size_m[0], share(n / PLACES) * self.surface.size_m[1], 0.0);
-            let point = camera_from_surface.transform(&place);
+            let place = [share(n % PLACES) * self.surface.size_m[0], share(n / PLACES) * self.surface.size_m[1]];
+            let point = camera_from_surface.transform(&self.surface.shape.at(place).place.into());
             let pixel = self.camera.project(Normalized(point.coords.xy() / point.z)).0;
             let is_inside =
                 (0.0..f64::from(self.camera.width())).contains(&pixel.x) && (0.0..f64::from(self.camera.height())).contains(&pixel.y);
@@ -223,7 +223,7 @@ mod tests {
         let grey_at = |x: f64, y: f64| {
             let Normalized(ray) = camera.unproject(Pixel(Vector2::new(x, y))).expect("a ray");
             let (direction, from) = (sight.surface_from_camera.rotation * ray.push(1.0), sight.surface_from_camera.translation);
-            let place = (from - direction * (from.z / direction.z)).xy();
+            let place = Vector2::from(surface.shape.meet(&from, &direction).expect("a place"));
             let texel = surface.to_artwork(place).map(f64::round);
             let is_lit = pitch_m.is_none_or(|pitch| place.iter().all(|metres| (metres / pitch).rem_euclid(1.0) < 0.75));
             let drawn = artwork.get_pixel_checked(texel.x as u32, texel.y as u32).map_or(0, |pixel| pixel[0]);
