@@ -18,7 +18,7 @@ use super::pixels::level_spec::LevelSpec;
 use super::request::{AlignRequest, Start};
 use super::solve::level_problem::patches::Patch;
 #[cfg(feature = "cli")]
-use super::solve::level_problem::patches::PixelShift;
+use super::solve::level_problem::pixel_shifts::PixelShift;
 use super::solve::level_problem::solution::UsedPixel;
 use super::solve::shutter_clue::ShutterClue;
 use super::solve::verdict::Alignment;

@@ -45,7 +45,7 @@ pub use picture::surface::AlignSurface;
 pub use request::{AlignRequest, Start};
 pub use solve::level_problem::patches::Patch;
 #[cfg(feature = "cli")]
-pub use solve::level_problem::patches::PixelShift;
+pub use solve::level_problem::pixel_shifts::PixelShift;
 pub use solve::level_problem::solution::UsedPixel;
 #[cfg(test)]
 pub use solve::shutter_clue::ReadoutClue;

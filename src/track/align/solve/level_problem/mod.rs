@@ -13,6 +13,8 @@ use nalgebra::Vector3;
 
 pub mod blur;
 pub mod patches;
+#[cfg(feature = "cli")]
+pub mod pixel_shifts;
 pub mod solution;
 
 use super::system::{Prior, System};

@@ -11,14 +11,8 @@ use crate::motion::Motion;
 use crate::track::align::kernel::columns::COLUMNS;
 use crate::track::align::kernel::evidence::{RunEvidence, evidence};
 use crate::track::align::kernel::normal::RobustWeighting;
-#[cfg(feature = "cli")]
-use crate::track::align::kernel::normal::RunView;
-#[cfg(feature = "cli")]
-use crate::track::align::lanes::LANES;
 use crate::track::align::picture::surface::AlignSurface;
 use crate::track::align::pixels::appearance::predict;
-#[cfg(feature = "cli")]
-use crate::track::align::pixels::runs::Run;
 
 /// A patch of the reference and where the frame shows it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,28 +30,6 @@ pub struct Patch {
     /// Tile, for grouping.
     pub tile: u32,
     /// When its rows were exposed, seconds after the frame's stamp.
-    pub delay_s: f64,
-}
-
-/// Factor on the robust scale of the residuals for single pixels. One step with weights by the
-/// residual shortens displacements: by a fifth to a third at 1, by a fiftieth at 3. Raised,
-/// outliers count for more.
-#[cfg(feature = "cli")]
-const OUTLIER_SIGMAS: f64 = 3.0;
-
-/// What a single pixel says about where the frame shows its detail, for surveys.
-#[cfg(feature = "cli")]
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PixelShift {
-    /// Index of the surface in the body.
-    pub surface: u32,
-    /// Its detail on the surface, metres from the centre (x right, y up).
-    pub on_surface_m: Vector2<f64>,
-    /// Information of the displacement, pixels^-2: along the pixel's gradient only.
-    pub information: Matrix2<f64>,
-    /// That information times the displacement, pixels^-1.
-    pub weighted: Vector2<f64>,
-    /// When its row was exposed, seconds after the frame's stamp.
     pub delay_s: f64,
 }
 
@@ -113,41 +85,6 @@ impl LevelSolution<'_> {
     }
 }
 
-#[cfg(feature = "cli")]
-impl LevelSolution<'_> {
-    /// Appends the pixels of the tiles that fit, to first order: a tile averages away whatever is
-    /// narrower than it. Requires [`conclude`](Self::conclude).
-    pub fn pixel_shifts(self, spec: &LevelSpec, out: &mut Vec<PixelShift>) {
-        let Self { found: Corrected { motion, residual_sigma, .. }, problem } = self;
-        let weighting = RobustWeighting { residual_sigma: OUTLIER_SIGMAS * residual_sigma, is_first_pass: false, stride: 1 };
-        let scale = spec.frame_px();
-        let counts = std::mem::take(&mut problem.picture.pixels.counts);
-        let mut alone = vec![0.0; counts.len()];
-        for r in problem.runs.iter().filter(|r| r.gate.is_open && patch_shift(&r.evidence).is_some()) {
-            for k in r.run.range().filter(|k| counts[*k] > 0.0) {
-                // The evidence of a run in which only this pixel counts.
-                let start = k - k % LANES;
-                let run = Run { start: start as u32, end: (start + LANES) as u32, ..r.run };
-                alone[k] = counts[k];
-                std::mem::swap(&mut problem.picture.pixels.counts, &mut alone);
-                let e = evidence(&RunView { run: &run, ..problem.picture.view(r) }, &r.step.columns, &weighting);
-                std::mem::swap(&mut problem.picture.pixels.counts, &mut alone);
-                alone[k] = 0.0;
-                let [aa, ab, bb, ra, rb] = e.shift;
-                let Some(on_surface_m) = problem.on_surface(k, &spec.surfaces[r.run.surface as usize], &motion) else { continue };
-                out.push(PixelShift {
-                    surface: r.run.surface,
-                    on_surface_m,
-                    information: Matrix2::new(aa, ab, ab, bb) / (scale * scale),
-                    weighted: Vector2::new(ra, rb) / -scale,
-                    delay_s: f64::from(problem.picture.pixels.delay_s[k]),
-                });
-            }
-        }
-        problem.picture.pixels.counts = counts;
-    }
-}
-
 impl LevelProblem {
     /// Predicts every run as if the frame showed it shifted (pixels of the level), and updates its
     /// evidence. Returns the robust standard deviation of the residuals, in sigmas.
@@ -186,7 +123,7 @@ impl LevelProblem {
 
     /// Returns where pixel `k` lies on its surface, metres from the centre. `None` if its ray
     /// misses the surface.
-    fn on_surface(&self, k: usize, surface: &AlignSurface, motion: &Motion) -> Option<Vector2<f64>> {
+    pub(super) fn on_surface(&self, k: usize, surface: &AlignSurface, motion: &Motion) -> Option<Vector2<f64>> {
         let pixels = self.pixels();
         let ray = Vector3::new(f64::from(pixels.x[k]), f64::from(pixels.y[k]), 1.0);
         let pose = motion.after(f64::from(pixels.delay_s[k])).pose;
@@ -199,7 +136,7 @@ impl LevelProblem {
 
 /// Returns a tile's displacement in the frame (pixels of the level) and its information. `None`
 /// where too little of the tile fits, or its detail runs in one direction only.
-fn patch_shift(e: &RunEvidence) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+pub(super) fn patch_shift(e: &RunEvidence) -> Option<(Vector2<f64>, Matrix2<f64>)> {
     let [aa, ab, bb, ra, rb] = e.shift;
     if e.inliers < TUNING.min_patch_pixels || 2.0 * e.inliers < e.count || aa * bb - ab * ab < 0.02 * (aa + bb).powi(2) {
         return None;
