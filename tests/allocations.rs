@@ -34,14 +34,14 @@ unsafe impl GlobalAlloc for Counting {
 static ALLOCATOR: Counting = Counting;
 
 /// Frames until every list has grown to the size that this clip needs.
-const WARM_UP: usize = 60;
+const WARM_UP: usize = 50;
 /// Counted frames: more than one period of everything that runs only now and then (the twin's
 /// audit, the trial of the enlargement).
 const COUNTED: usize = 40;
 
 #[test]
 fn tracking_a_frame_allocates_nothing() {
-    let choice = Dolly { width: 640, height: 480, seed: 4, duration_s: 3.4, artwork_width: 1000 };
+    let choice = Dolly { width: 640, height: 480, seed: 4, duration_s: 3.0, artwork_width: 1000 };
     let mut camera = VirtualCamera::new(dolly(choice).expect("a scene"), 30.0, (WARM_UP + COUNTED) as u64);
     let rows: Vec<_> = std::iter::from_fn(|| camera.next_entry()).collect();
     let mut tracker = Tracker::new(TrackerSetup::from(camera.stage())).expect("a setup that fits");

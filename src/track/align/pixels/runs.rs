@@ -191,6 +191,8 @@ impl Pixels {
         self.runs.clear();
         self.groups.clear();
         self.repeats.clear();
+        // The most that any choice can need, so that it never grows.
+        self.repeats.reserve(surfaces * tiles * (LANES - 1));
         let mut end = 0u32;
         for surface in 0..surfaces as u32 {
             let group_start = end;

@@ -12,6 +12,7 @@ use nalgebra::Vector3;
 use super::level_spec::LevelSpec;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
+use crate::track::align::lanes::resize_with_room;
 use crate::track::align::picture::surface::AlignSurface;
 use crate::track::align::picture::texture::BLOCK;
 use crate::track::frame::rays::RayTable;
@@ -76,7 +77,7 @@ impl Selector {
         // Blocks with little detail leave room, which the others fill in further rounds.
         for _ in 0..3 {
             // Room for all that the blocks may contribute.
-            chosen.resize(count + share * blocks.len(), Chosen::default());
+            resize_with_room(chosen, count + share * blocks.len(), Chosen::default());
             for block in &*blocks {
                 count += take(block, spec.surfaces, first..first + share, table, taken, &mut chosen[count..]);
             }
