@@ -6,7 +6,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use super::kernel::columns::{BIAS, COLUMNS, GAINS, POSE, PSF_VARIANCE, entry};
 use super::kernel::evidence::{RunEvidence, evidence, evidence_lanes};
 use super::kernel::noise_sums::{noise_sums, noise_sums_lanes};
-use super::kernel::normal::{Residuals, RobustWeighting, RunView, columns, less_step, moments, residuals, weight};
+use super::kernel::normal::{Residuals, RobustWeighting, RunView, columns, less_step, moments, residuals, robust_cost, weight};
 use super::kernel::tile_equations::TileEquations;
 use super::kernel::tile_products::{ProductBuffer, tile_equations, tile_equations_lanes};
 use super::lanes::{LANES, Lanes, Plain, load_at};
@@ -19,6 +19,7 @@ use super::pixels::level_spec::LevelSpec;
 use super::pixels::runs::{Pixels, Run};
 use super::pixels::selection::Selector;
 use crate::camera::Shutter;
+use crate::geometry::robust_kernel::tukey_cost;
 use crate::motion::{Motion, MotionError};
 use crate::track::frame::frame_levels::FrameLevels;
 use crate::track::frame::rays::CameraRays;
@@ -245,6 +246,9 @@ fn scalar_twins_and_column_products_give_the_same_sums() {
         assert_near(&all(&fast), &all(&plain));
         let (fast, plain) = (noise_sums(&view, &step, &weighting), noise_sums_lanes::<Plain>(&view, &step, &weighting));
         assert_near(&fast.map(f64::from), &plain.map(f64::from));
+        let squared = run.range().map(|k| f64::from(found.intensity[k].powi(2) * found.information[k] / 9.0));
+        let in_plain: f64 = squared.zip(&scene.pixels.counts[run.range()]).map(|(s, n)| f64::from(*n) * tukey_cost(Some(s), 1.0)).sum();
+        assert_near(&[robust_cost(&scene.pixels, run, &found, 3.0)], &[in_plain]);
         let n = moments(&scene.pixels, run, &at)[0];
         assert!(n <= f64::from(run.end - run.start) && n > 0.0);
     }

@@ -196,23 +196,7 @@ tuning! {
         /// Raised, a better minimum is missed; lowered, frames of occluded bodies are solved twice.
         same_minimum_px: f64 = 0.5,
 
-        // frame_problem/mod.rs
-        /// Sigma about the slow estimate of the point spread's variance (kernel's unit) in a sharp
-        /// frame. Lowered, refocusing is followed late.
-        psf_variance_sigma: f64 = 0.5,
-        /// The same in a blurred frame. Raised, motion passes for point spread.
-        blurred_psf_variance_sigma: f64 = 0.05,
-        /// Maximum linearisations at a coarse level. Raised, frames that do not converge cost more;
-        /// lowered, distant starts are given up.
-        max_coarse_rounds: usize = 8,
-        /// The same at the finest level.
-        max_fine_rounds: usize = 10,
-        /// A coarse level has converged when a step moves no tile by more, pixels of the level.
-        /// Raised, more of the last step is missing from the pose; lowered, frames take more
-        /// rounds.
-        coarse_converged_px: f64 = 0.1,
-        /// The same at the finest level.
-        fine_converged_px: f64 = 0.045,
+        // frame_problem/level_minimisation.rs
         /// Maximum last step of a reported pose, pixels of the level. Raised, solutions that creep
         /// along outside their basin are reported; lowered, good ones that converge slowly are not.
         max_last_step_px: f64 = 0.15,
@@ -242,6 +226,24 @@ tuning! {
         /// fit, and those poorly. Raised, frames of occluded bodies cost more; lowered, they are
         /// found later.
         max_poor_rounds: usize = 6,
+
+        // frame_problem/mod.rs
+        /// Sigma about the slow estimate of the point spread's variance (kernel's unit) in a sharp
+        /// frame. Lowered, refocusing is followed late.
+        psf_variance_sigma: f64 = 0.5,
+        /// The same in a blurred frame. Raised, motion passes for point spread.
+        blurred_psf_variance_sigma: f64 = 0.05,
+        /// Maximum linearisations at a coarse level. Raised, frames that do not converge cost more;
+        /// lowered, distant starts are given up.
+        max_coarse_rounds: usize = 8,
+        /// The same at the finest level.
+        max_fine_rounds: usize = 10,
+        /// A coarse level has converged when a step moves no tile by more, pixels of the level.
+        /// Raised, more of the last step is missing from the pose; lowered, frames take more
+        /// rounds.
+        coarse_converged_px: f64 = 0.1,
+        /// The same at the finest level.
+        fine_converged_px: f64 = 0.045,
         /// Sigma of what is still missing from the pose, as a fraction of the frame's last step.
         /// Raised, covariances are wider than the errors; lowered, they are too narrow for a moving
         /// camera.
@@ -325,6 +327,12 @@ tuning! {
         /// One of so many selected pixels is compared. Raised, the regression's deviation grows;
         /// lowered, frames cost more.
         aperture_stride: usize = 3,
+
+        // solve/minimiser.rs
+        /// Minimum and maximum fraction of a step that is tried where the whole raised the cost.
+        /// Minimum lowered: poor predictions end in steps of no length. Maximum raised: a step that
+        /// is far too long takes more rounds.
+        shortened_step_ratios: [f64; 2] = [0.1, 0.5],
 
         // solve/jump_instant.rs
         /// Instants of a jump tried within a frame's exposure and readout. Raised, frames cost

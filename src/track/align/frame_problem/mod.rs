@@ -10,6 +10,7 @@
 
 mod blurred_body;
 mod descent;
+mod level_minimisation;
 mod still_camera;
 
 use crate::track::align::tuning::TUNING;
@@ -19,7 +20,6 @@ use super::hypotheses::velocity_jump::{by_bend, by_start, is_unexpected, jumped}
 use super::learned::camera_curve::LearntCurve;
 use super::learned::clue::Clue;
 use super::learned::exposure::{KnownPsfVariance, exposure_clue};
-use super::learned::gradient_gain::ChangeSums;
 use super::learned::light::RememberedLight;
 use super::learned::online_calibration::{OnlineCalibration, Updates};
 use super::picture::surface::{AlignSurface, distance_m};
@@ -29,12 +29,14 @@ use super::request::{AlignRequest, Start};
 use super::solve::jump_instant::{MotionPrior, RowBands};
 use super::solve::level_problem::solution::Conclusion;
 use super::solve::level_problem::{Corrected, LevelPrior, LevelProblem};
+use super::solve::minimiser::{End, Minimum, minimise};
 use super::solve::shutter_clue::{ReadoutQuestion, ShutterClue};
 use super::solve::system::schur_complement::SchurComplement;
 use super::solve::verdict::{Alignment, squared_mahalanobis};
 use crate::motion::{Continuation, Motion, MotionEstimate, MotionMatrix, UniformMotion};
 use crate::track::frame::frame_levels::{FINEST, FrameLevels, LEVELS};
 use crate::track::frame::rays::CameraRays;
+use level_minimisation::{LevelMinimisation, Use};
 
 /// Buffers of the hot path, kept from frame to frame.
 #[derive(Debug, Default)]
@@ -197,85 +199,13 @@ impl<'a> FrameProblem<'a> {
     /// Predicts and solves a level's pixels until a step is small. At the finest level it selects
     /// them anew where the pose moved much. `None` where there are too few pixels, the system is
     /// singular, or the level is given up.
-    fn iterate(&mut self, spec: &LevelSpec, start: Motion, is_first: bool) -> Option<Iterated> {
-        let is_finest = spec.level == FINEST;
-        let (rounds, small_px) =
-            if is_finest { (TUNING.max_fine_rounds, self.fine_step_px()) } else { (TUNING.max_coarse_rounds, TUNING.coarse_converged_px) };
-        let (mut motion, mut chosen_at) = (start, start);
-        let mut converged = None;
-        // Whether these pixels were predicted before.
-        let mut is_same = false;
-        let mut changes = ChangeSums::default();
-        let (mut blurred, mut settles_from) = (*spec, TUNING.settling_rounds);
-        for round in 0..rounds {
-            let is_first = is_first && round == 0;
-            // With a rolling shutter, rows show the motion of a body that was just found. Its
-            // prediction starts without blur and takes it up as the motion becomes known.
-            if !is_finest && self.may_ask_blur() {
-                let longer = blurred.blurred_by(&motion);
-                settles_from = if longer.places > blurred.places { round + TUNING.settling_rounds } else { settles_from };
-                blurred = longer;
-            }
-            let spec = &blurred;
-            if is_finest && self.buffers.fine.moved_px(spec, &chosen_at, &motion) > TUNING.reselection_px {
-                (chosen_at, is_same) = (motion, false);
-                if !self.lay_out(spec, &motion) {
-                    return None;
-                }
-            }
-            let (problem, _, light) = self.buffers.at_level(spec.level);
-            if is_same && is_finest {
-                changes.add(&problem.predict_again(spec, &motion));
-            } else {
-                problem.predict(spec, &motion);
-            }
-            is_same = true;
-            if is_first {
-                problem.guess_light(spec, self.slow.psf_variance);
-            }
-            let solved = problem.solve(spec, &self.known, light, is_first, if is_first { 3 } else { 2 })?;
-            let moved = problem.moved_px(spec, &motion, &solved.motion);
-            let inlier_tile_ratio = problem.inlier_tile_ratio();
-            tracing::trace!(
-                level = spec.level,
-                moved,
-                pixels = problem.pixels().len(),
-                scale = solved.residual_sigma,
-                open_share = inlier_tile_ratio
-            );
-            (self.progress.last_step, self.progress.last_moved_px) = (motion.pose_error_to(&solved.motion), moved);
-            motion = solved.motion;
-            converged = Some(solved).filter(|_| moved < TUNING.max_last_step_px);
-            let is_half_open = is_finest && inlier_tile_ratio < TUNING.hopeless_inlier_ratio;
-            // Where barely half the tiles of a new body fit, and those poorly, full convergence is
-            // not needed: tiles keep entering and leaving.
-            let is_poor =
-                is_half_open && !self.is_followed && round >= TUNING.settling_rounds && solved.residual_sigma > TUNING.clear_fit_sigma;
-            // An occluded body converges later, once it is known which tiles fit; a blurred one
-            // fits once its velocity is known.
-            let is_covered = is_half_open && self.is_found_again() && solved.residual_sigma < TUNING.clear_fit_sigma;
-            let is_hopeless = is_half_open && round + 1 >= TUNING.hopeless_rounds && solved.residual_sigma > TUNING.hopeless_sigma;
-            let is_blurred = is_hopeless && solved.residual_sigma < TUNING.poor_fit_sigma && self.is_clearly_blurred(solved.residual_sigma);
-            if moved < if is_poor || is_covered || is_blurred { TUNING.max_last_step_px } else { small_px } {
-                break;
-            }
-            let longest_px = if is_poor || solved.residual_sigma > TUNING.poor_fit_sigma {
-                TUNING.max_settled_step_of_poor_fit_px
-            } else {
-                TUNING.max_settled_step_px
-            };
-            if round >= settles_from && moved > longest_px || is_poor && round + 1 >= TUNING.max_poor_rounds {
-                self.wanders = is_poor;
-                return None;
-            }
-            if is_hopeless && !is_blurred {
-                return None;
-            }
-        }
-        if is_finest {
-            self.updates.changes = changes;
-        }
-        Some(Iterated { motion, converged })
+    fn iterate(&mut self, spec: &LevelSpec<'a>, start: Motion, is_first: bool) -> Option<Iterated> {
+        let max_rounds = if spec.level == FINEST { TUNING.max_fine_rounds } else { TUNING.max_coarse_rounds };
+        let prior = self.known;
+        let mut level = LevelMinimisation::new(self, *spec, prior, Use::Descent, start, is_first);
+        let Minimum { state: motion, end } = minimise(&mut level, start, max_rounds);
+        let converged = level.finish();
+        matches!(end, End::Converged | End::OutOfRounds).then_some(Iterated { motion, converged })
     }
 
     /// Between its pixels the picture may be smooth, as the enlarged copies have it, or linear (a
@@ -345,21 +275,13 @@ impl<'a> FrameProblem<'a> {
     }
 
     /// Solves the finest level's pixels from a motion until a step is small.
-    fn settle(&mut self, mut motion: Motion, known: &LevelPrior) -> Option<()> {
+    fn settle(&mut self, motion: Motion, known: &LevelPrior) -> Option<()> {
         self.buffers.has_kept = false;
-        for _ in 0..TUNING.max_settling_steps {
-            let spec = self.spec(FINEST, &motion);
-            let (fine, _, light) = self.buffers.at_level(FINEST);
-            fine.predict(&spec, &motion);
-            let solved = fine.solve(&spec, known, light, false, 2)?.motion;
-            let moved = fine.moved_px(&spec, &motion, &solved);
-            (self.progress.last_step, self.progress.last_moved_px) = (motion.pose_error_to(&solved), moved);
-            motion = solved;
-            if moved < TUNING.fine_converged_px {
-                break;
-            }
-        }
-        Some(())
+        let spec = self.spec(FINEST, &motion);
+        let mut level = LevelMinimisation::new(self, spec, *known, Use::Settling, motion, false);
+        let Minimum { end, .. } = minimise(&mut level, motion, TUNING.max_settling_steps);
+        level.finish();
+        matches!(end, End::Converged | End::OutOfRounds).then_some(())
     }
 
     /// Finishes the iterations that [`Self::solve`] left to [`Self::solve_with_blur`], where that

@@ -152,6 +152,27 @@ pub fn weight<L: Lanes>(squared: L, weighting: &RobustWeighting) -> L {
     u.mul(u)
 }
 
+dispatch! {
+    /// Returns the cost of a run's residuals at the linearisation: the sum of Tukey's costs, in
+    /// robust sigmas. It is half the sum of squares where residuals are small, and constant beyond
+    /// [`TUKEY`] sigmas.
+    robust_cost, robust_cost_lanes, (pixels: &Pixels, run: &Run, residuals: &Residuals, residual_sigma: f64) -> f64
+}
+
+#[inline(always)]
+fn robust_cost_lanes<L: Lanes>(pixels: &Pixels, run: &Run, residuals: &Residuals, residual_sigma: f64) -> f64 {
+    let (zero, one) = (L::splat(0.0), L::splat(1.0));
+    let per_square = L::splat((residual_sigma * residual_sigma).recip() as f32 / (TUKEY * TUKEY));
+    let mut sum = zero;
+    for k in run.range().step_by(LANES) {
+        let r = load_at::<L>(&residuals.intensity, k);
+        let squared = r.mul(r).mul(load_at(&residuals.information, k));
+        let u = one.sub(squared.mul(per_square)).max(zero);
+        sum = sum.add(load_at::<L>(&pixels.counts, k).mul(one.sub(u.mul(u).mul(u))));
+    }
+    f64::from(TUKEY * TUKEY / 6.0 * total(sum))
+}
+
 /// Returns the square root of light, 0 to 255. Pixels are correlated by it: in light, highlights
 /// outweigh all else, while its root is about as noisy in the dark as in the bright (Anscombe
 /// 1948).

@@ -110,12 +110,13 @@ impl Light {
         (self.bias, self.psf_variance) = (light.bias, light.psf_variance);
     }
 
-    /// Adds a solution's changes of the gains at the nodes, of the point spread and of the bias.
-    pub fn correct(&mut self, gains: &[f64], psf_variance: f64, bias: f64) {
-        self.psf_variance += psf_variance;
-        self.bias += bias;
+    /// Adds a fraction of a solution's changes of the gains at the nodes, of the point spread and
+    /// of the bias.
+    pub fn correct(&mut self, fraction: f64, gains: &[f64], psf_variance: f64, bias: f64) {
+        self.psf_variance += fraction * psf_variance;
+        self.bias += fraction * bias;
         for (gain, change) in self.gains.iter_mut().zip(gains) {
-            *gain += change;
+            *gain += fraction * change;
         }
     }
 

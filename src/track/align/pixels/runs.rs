@@ -166,9 +166,10 @@ impl Pixels {
         self.light.spread_over(*self.light.grid(), light);
     }
 
-    /// Adds a solution's changes of the gains, the point spread and the bias to the light.
-    pub fn correct_light(&mut self, gains: &[f64], psf_variance: f64, bias: f64) {
-        self.light.correct(gains, psf_variance, bias);
+    /// Adds a fraction of a solution's changes of the gains, the point spread and the bias to the
+    /// light.
+    pub fn correct_light(&mut self, fraction: f64, gains: &[f64], psf_variance: f64, bias: f64) {
+        self.light.correct(fraction, gains, psf_variance, bias);
     }
 
     /// Takes a light from guesses: `gains` of tiles, pulled towards the usual gain.

@@ -1,6 +1,7 @@
 //! Solves one pyramid level: all tiles together, for motion, light and point spread.
 //!
 //! - `system`: the linear system of one step
+//! - `minimiser`: the loop over steps, whatever is minimised
 //! - `level_problem`: linearises, weights, solves and judges one level
 //! - `tile_correlation`, `aperture`, `verdict`: whether tiles show the picture, and whether the
 //!   result may be reported
@@ -12,6 +13,7 @@
 pub mod aperture;
 pub mod jump_instant;
 pub mod level_problem;
+pub mod minimiser;
 pub mod shutter_clue;
 #[allow(clippy::needless_range_loop)]
 pub mod system;

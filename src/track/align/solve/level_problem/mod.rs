@@ -20,9 +20,9 @@ pub mod solution;
 use super::system::{Prior, System};
 use super::tile_correlation::{TileCorrelation, median};
 use super::verdict::are_sure;
-use crate::motion::{Motion, MotionMatrix};
+use crate::motion::{Motion, MotionError, MotionMatrix};
 use crate::track::align::kernel::evidence::RunEvidence;
-use crate::track::align::kernel::normal::{Residuals, RobustWeighting, RunView, moments, residuals, squares_after};
+use crate::track::align::kernel::normal::{Residuals, RobustWeighting, RunView, moments, residuals, robust_cost, squares_after};
 use crate::track::align::kernel::tile_equations::{TileEquations, TileStep};
 use crate::track::align::kernel::tile_products::{ProductBuffer, tile_equations};
 use crate::track::align::learned::gradient_gain::{ChangeSums, PredictedChange};
@@ -51,6 +51,18 @@ pub struct LevelPrior<'a> {
     /// before, or much of it is seen where it was found. Otherwise it may be another body, or of
     /// another size, and a part that fits by chance must not be taken for its visible part.
     pub is_sure: bool,
+}
+
+impl LevelPrior<'_> {
+    /// Returns the prior of a step from a motion.
+    fn at(&self, motion: &Motion) -> Prior<'_> {
+        Prior {
+            information: self.information,
+            error: motion.error_to(self.motion),
+            psf_variance: self.psf_variance,
+            psf_variance_sigma: self.psf_variance_sigma,
+        }
+    }
 }
 
 /// The pixels of a level with their prediction and their residuals.
@@ -138,6 +150,10 @@ pub struct Corrected {
     /// Weight of the tiles in the solved system. Whatever is added to that system or eliminated
     /// from it must have the same.
     pub weight: f64,
+    /// The cost at the linearisation, by this solution's weights and tiles.
+    pub cost: f64,
+    /// By how much the step lowers it, if residuals are linear.
+    pub decrease: f64,
 }
 
 impl LevelProblem {
@@ -226,6 +242,22 @@ impl LevelProblem {
         }
     }
 
+    /// Returns the cost of the prediction: of the residuals of the tiles that take part, in robust
+    /// sigmas of `residual_sigma`, and of the prior. Comparable with the cost at another motion as
+    /// long as pixels and tiles are the same.
+    pub fn cost(&mut self, spec: &LevelSpec, level_prior: &LevelPrior, residual_sigma: f64) -> Option<f64> {
+        let prior = level_prior.at(&self.at?);
+        self.residuals_all(&spec.noise);
+        Some(self.cost_of_residuals(&prior, residual_sigma))
+    }
+
+    /// Does the same for the residuals that are there.
+    fn cost_of_residuals(&self, prior: &Prior, residual_sigma: f64) -> f64 {
+        let Picture { pixels, residuals, .. } = &self.picture;
+        let open = self.runs.iter().filter(|r| r.gate.is_open);
+        open.map(|r| robust_cost(pixels, &r.run, residuals, residual_sigma)).sum::<f64>() + prior.cost(pixels.light())
+    }
+
     /// Returns how far the picture moved since the prediction, pixels of the level; infinite before
     /// the first one.
     pub fn moved_since(&self, spec: &LevelSpec, motion: &Motion) -> f64 {
@@ -257,23 +289,29 @@ impl LevelProblem {
     ) -> Option<Corrected> {
         self.solved = None;
         let at = self.at?;
-        let prior = Prior {
-            information: level_prior.information,
-            error: at.error_to(level_prior.motion),
-            psf_variance: level_prior.psf_variance,
-            psf_variance_sigma: level_prior.psf_variance_sigma,
-        };
+        let prior = level_prior.at(&at);
         // From a start that is off, nothing correlates well yet. At the finest level it is hardly
         // off.
         let may_be_covered = level_prior.is_sure && !is_first && spec.level == FINEST;
         self.gate_tiles(&spec.noise, may_be_covered);
         let Reweighted { residual_sigma, weight } = self.reweight(spec, &prior, spec.same_time(), is_first, passes)?;
+        let (cost, decrease) = (self.cost_of_residuals(&prior, residual_sigma), self.system.predicted_decrease());
         let step = self.system.step();
-        self.picture.pixels.correct_light(step.gains(), step.psf_variance(), step.bias());
+        self.picture.pixels.correct_light(1.0, step.gains(), step.psf_variance(), step.bias());
         light.take(self.picture.pixels.light());
         let motion = at.corrected(&step.motion());
-        self.solved = motion.is_finite().then_some(Corrected { motion, residual_sigma, weight });
+        self.solved = motion.is_finite().then_some(Corrected { motion, residual_sigma, weight, cost, decrease });
         self.solved
+    }
+
+    /// Changes the light by a part of the last step: `change` is the difference of the fractions
+    /// that are taken of it. Returns the whole step of the motion.
+    pub fn change_light_by_step(&mut self, change: f64, light: &mut RememberedLight) -> MotionError {
+        self.solved = None;
+        let step = self.system.step();
+        self.picture.pixels.correct_light(change, step.gains(), step.psf_variance(), step.bias());
+        light.take(self.picture.pixels.light());
+        step.motion()
     }
 
     /// Solves for the step of the gated tiles from the linearisation, iteratively reweighted.

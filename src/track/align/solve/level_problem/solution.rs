@@ -93,7 +93,7 @@ impl LevelSolution<'_> {
     /// Concludes from all tiles. Stores each one's evidence with it, and fills `bands` with the
     /// equations of the open ones. `None` where the covariance is singular.
     pub fn conclude(&mut self, spec: &LevelSpec, bands: &mut RowBands) -> Option<Conclusion> {
-        let Corrected { motion, residual_sigma, weight } = self.found;
+        let Corrected { motion, residual_sigma, weight, .. } = self.found;
         let weighting = RobustWeighting { residual_sigma, is_first_pass: false, stride: 1 };
         let LevelProblem { picture, runs, system, .. } = &mut *self.problem;
         let (covariance, votes) = system.covariance();

@@ -41,6 +41,32 @@ pub struct Prior<'a> {
     pub psf_variance_sigma: f64,
 }
 
+impl Prior<'_> {
+    /// Returns the prior's part of the cost at the linearisation: half the squared deviations, in
+    /// sigmas, of the motion and of a light from what the prior expects.
+    pub fn cost(&self, light: &Light) -> f64 {
+        let psf_variance = (light.psf_variance() - self.psf_variance) / self.psf_variance_sigma;
+        let bias = light.bias() / TUNING.bias_sigma;
+        let roughness: f64 = neighbours(light).map(|[a, b]| (light.gains()[b] - light.gains()[a]).powi(2)).sum();
+        let of_light = psf_variance.powi(2) + bias.powi(2) + roughness * roughness_information(light);
+        0.5 * (self.error.dot(&(self.information * self.error)) + of_light)
+    }
+}
+
+/// Returns the information of the difference between neighbouring nodes' gains.
+fn roughness_information(light: &Light) -> f64 {
+    (TUNING.gain_roughness * light.mean_gain().abs().max(0.02)).powi(-2)
+}
+
+/// Returns the pairs of neighbouring nodes of the light's grid.
+fn neighbours(light: &Light) -> impl Iterator<Item = [usize; 2]> {
+    let [columns, rows] = light.grid().nodes();
+    (0..columns * rows).flat_map(move |a| {
+        let next = [(a + rows < columns * rows).then_some(a + rows), ((a + 1) % rows != 0).then_some(a + 1)];
+        next.into_iter().flatten().map(move |b| [a, b])
+    })
+}
+
 /// The tiles' equations for the pose at their own time, by powers of time.
 #[derive(Debug)]
 struct PoseSums {
@@ -160,7 +186,7 @@ impl System {
             list.clear();
             list.resize(self.band.nodes + SHARED, [0.0; POSE]);
         }
-        self.smooth(columns, light);
+        self.smooth(light);
         let (psf_variance, bias, motion) = (self.band.nodes, self.band.nodes + 1, self.band.nodes + SHARED);
         self.matrix[psf_variance * n + psf_variance] = prior.psf_variance_sigma.powi(-2);
         self.right[psf_variance] = (prior.psf_variance - light.psf_variance()) * prior.psf_variance_sigma.powi(-2);
@@ -176,22 +202,16 @@ impl System {
     }
 
     /// Adds the prior that neighbouring nodes have similar gains.
-    fn smooth(&mut self, columns: usize, light: &Light) {
+    fn smooth(&mut self, light: &Light) {
         let n = self.band.size;
-        let information = (TUNING.gain_roughness * light.mean_gain().abs().max(0.02)).powi(-2);
-        for c in 0..columns {
-            for r in 0..self.band.rows {
-                let a = c * self.band.rows + r;
-                let neighbours = [(c + 1 < columns).then_some(a + self.band.rows), (r + 1 < self.band.rows).then_some(a + 1)];
-                for b in neighbours.into_iter().flatten() {
-                    let difference = light.gains()[b] - light.gains()[a];
-                    self.matrix[a * n + a] += information;
-                    self.matrix[b * n + b] += information;
-                    self.matrix[b * n + a] -= information;
-                    self.right[a] += information * difference;
-                    self.right[b] -= information * difference;
-                }
-            }
+        let information = roughness_information(light);
+        for [a, b] in neighbours(light) {
+            let difference = light.gains()[b] - light.gains()[a];
+            self.matrix[a * n + a] += information;
+            self.matrix[b * n + b] += information;
+            self.matrix[b * n + a] -= information;
+            self.right[a] += information * difference;
+            self.right[b] -= information * difference;
         }
     }
 
@@ -308,6 +328,12 @@ impl System {
     /// Returns the last solution.
     pub fn step(&self) -> Step<'_> {
         Step { all: &self.solution, nodes: self.band.nodes }
+    }
+
+    /// Returns by how much the last solution lowers the cost of the linearised system; also half
+    /// its squared length in sigmas.
+    pub fn predicted_decrease(&self) -> f64 {
+        0.5 * self.right.iter().zip(&self.solution).map(|(right, step)| right * step).sum::<f64>()
     }
 
     /// Solves with the factor, in place.
