@@ -91,3 +91,9 @@ pub mod web {
 pub mod printable {
     pub use crate::printable::stands_for_itself;
 }
+
+/// The reader of pose records that exports begin with.
+#[cfg(feature = "cli")]
+pub mod export {
+    pub use crate::export::take::{Take, TakeError};
+}

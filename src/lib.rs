@@ -49,6 +49,8 @@
 //! - `drop_oldest` (`publish`): the bounded channel that drops its oldest entry
 //! - `utc` (`daemon`): dates and times of day
 //! - `html_page` (`capture`): the page and figures shared by the reports
+//! - `export` (`cli`): takes and stages for other programs: USD, Nuke, Blender, After Effects,
+//!   glTF, MCAP, OBJ
 //! - `capture` (`capture`, V4L2 cameras `live`): `FrameSource`: clips of all formats, the virtual
 //!   camera, cameras
 //! - `calibrate` (`calibrate`): chessboard corners, Zhang's method, bundle adjustment, assessment
@@ -114,6 +116,8 @@ mod daemon;
 mod diagnose;
 #[cfg(any(feature = "publish", feature = "daemon"))]
 mod drop_oldest;
+#[cfg(feature = "cli")]
+mod export;
 #[cfg(feature = "capture")]
 mod html_page;
 #[cfg(feature = "calibrate")]

@@ -92,6 +92,14 @@ pub enum Failure {
     /// A walk yields no survey, or none that should be used.
     #[error("{0}")]
     Survey(String),
+    /// Poses cannot be exported.
+    #[error("{}: {reason}", file.display())]
+    Export {
+        /// The file of poses.
+        file: PathBuf,
+        /// What is wrong with it, and the fix.
+        reason: String,
+    },
     /// Two clips yield no mount.
     #[error("{0}")]
     Mount(String),

@@ -12,6 +12,7 @@ mod completions;
 mod demo;
 mod detectors;
 mod devices;
+mod export;
 mod failure;
 mod interrupt;
 mod learnt;
@@ -79,6 +80,7 @@ enum Command {
     #[cfg(feature = "http")]
     Pair(pair::PairArguments),
     Survey(survey::SurveyArguments),
+    Export(export::ExportArguments),
     Completions(completions::CompletionsArguments),
     Man(man::ManArguments),
 }
@@ -115,6 +117,7 @@ pub fn run(started: Instant) -> ExitCode {
         #[cfg(feature = "http")]
         Command::Pair(arguments) => pair::run(&arguments),
         Command::Survey(arguments) => survey::run(&arguments),
+        Command::Export(arguments) => export::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
         Command::Man(arguments) => man::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments).map_err(Failure::from),

@@ -6,6 +6,8 @@
 //! Nothing is written back. Unknown keys are refused, because an ignored misspelt key looks exactly
 //! like a tracker that does not work.
 
+#[cfg(feature = "cli")]
+mod artwork;
 pub mod as_typed;
 mod bodies;
 mod error;

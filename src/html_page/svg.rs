@@ -110,7 +110,7 @@ pub fn hue(k: usize) -> String {
 }
 
 /// Encodes bytes as base64 (RFC 4648).
-fn base64(bytes: &[u8]) -> String {
+pub fn base64(bytes: &[u8]) -> String {
     // The alphabet of RFC 4648, section 4.
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
