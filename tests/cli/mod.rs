@@ -3,6 +3,7 @@
 mod bad_clip;
 mod bad_config;
 mod causes;
+mod export;
 mod files;
 mod good;
 mod kept_views;

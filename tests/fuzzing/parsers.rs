@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use stagepose::diagnostics::calibrate::Board;
 use stagepose::diagnostics::capture::{AviReader, MjpegReader, Y4mReader, decode_oriented, ffmpeg_account, picture_size, read_timestamps};
+use stagepose::diagnostics::export::Take;
 use stagepose::diagnostics::web::judge_model;
 use stagepose::protocols::freed::FreedPacket;
 use stagepose::protocols::opentrackio::{self, Encoding};
@@ -168,6 +169,15 @@ fn calibrations_in_utf_16() {
 #[test]
 fn timestamps() {
     fuzz("timestamps.csv", text(&[seeds::STAMPS, seeds::STAMPS_MS]), MAX_OF_TEXT, |bytes| drop(read_timestamps(bytes)));
+}
+
+#[test]
+fn poses() {
+    Take::parse(seeds::POSES.as_bytes().to_vec()).expect("the seed is good");
+    fuzz("poses", text(&[seeds::POSES]), MAX_OF_TEXT, |bytes| match Take::parse(bytes.to_vec()) {
+        Ok(take) => assert!(take.camera.iter().all(|key| key.pose.is_finite() && key.row < take.rows())),
+        Err(e) => assert!(!e.to_string().is_empty()),
+    });
 }
 
 #[test]

@@ -188,6 +188,15 @@ fn check_of_damaged_configs() {
 }
 
 #[test]
+fn export_of_damaged_poses() {
+    for (to, file) in [("usd", "a.usda"), ("gltf", "a.gltf"), ("mcap", "a.mcap"), ("chan", "a.chan"), ("blender", "a.py"), ("ae", "a.jsx")]
+    {
+        let arguments = ["export", "poses.jsonl", "--config", "stage.toml", "--to", to, "--output", file];
+        fuzz(&format!("export-{to}"), text(seeds::POSES), &To::File("poses.jsonl"), &arguments);
+    }
+}
+
+#[test]
 fn calibrate_with_damaged_pictures() {
     let board = seeds::encoded(&chessboard().into(), image::ImageFormat::Png);
     let arguments = ["calibrate", "board.png", "art.png", "--board", "7x5", "--square-mm", "25", "--json", "out.json"];

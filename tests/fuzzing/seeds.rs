@@ -42,6 +42,12 @@ pub const STAMPS: &str = "#timestamp [ns],filename\n0,000000.png\n33333333,00000
 
 /// The same in milliseconds, for which the unit is ambiguous.
 pub const STAMPS_MS: &str = "#timestamp [ns],filename\n0,000000.png\n33,000001.png\n66,000002.png\n100,000003.png\n";
+/// Pose records, with and without a pose.
+pub const POSES: &str = "{\"sequence\":0,\"timestamp_ns\":0,\"state\":\"searching\",\"pose\":null,\"objects\":[]}\n\
+    {\"sequence\":1,\"timestamp_ns\":33333333,\"state\":\"tracking\",\"pose\":{\"position_m\":[0.1,-4.0,1.5],\"orientation_xyzw\":[-0.6,0.0,0.0,0.8]},\
+    \"measured\":null,\"covariance\":null,\"objects\":[{\"name\":\"prop\",\"state\":\"tracking\",\"pose\":{\"position_m\":[0,0,0],\
+    \"orientation_xyzw\":[0,0,0,1]},\"covariance\":null}]}\n\
+    {\"sequence\":2,\"timestamp_ns\":66666666,\"state\":\"coasting\",\"pose\":{\"position_m\":[0.2,-4.0,1.5],\"orientation_xyzw\":[-0.6,0.0,0.0,0.8]}}\n";
 /// What was learnt about a camera.
 pub const LEARNT: &str = "stagepose learnt camera 2\nreadout_s 0.0201 0.0002\nexposure_s 0.012 0.001\ncurve 0.5 1.0 2.0 3.0 2.0 1.0 -1.0\n";
 /// Log of ffmpeg for a video with a rotation, and for its first picture.
