@@ -115,13 +115,22 @@ fn the_steps_run_as_they_are_written() {
         shell(folder, &block);
         ran += &block;
     }
-    for command in ["board", "calibrate", "check", "replay", "devices", "run", "record"] {
+    for command in ["board", "calibrate", "check", "replay", "devices", "run", "record", "export"] {
         assert!(
             ran.contains(&format!("stagepose {command} ")) || ran.contains(&format!("stagepose {command}\n")),
             "no {command} in:\n{ran}"
         );
     }
-    for file in ["board.pdf", "camera.toml", "report.html", "overlay/000000.jpg", "take1/poses.jsonl"] {
+    for file in [
+        "board.pdf",
+        "camera.toml",
+        "report.html",
+        "overlay/000000.jpg",
+        "take1/poses.jsonl",
+        "take.usda",
+        "take-backdrop.png",
+        "stage.gltf",
+    ] {
         assert!(folder.join(file).is_file(), "{file}");
     }
     // Step 5 used the lens that step 3 measured and the config of step 4.
