@@ -2,7 +2,7 @@
 //! C14).
 
 mod input;
-mod told;
+mod summary;
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -147,7 +147,7 @@ pub(super) fn run(arguments: &ExportArguments) -> Result<(), Failure> {
         write_whole(&beside(&sheet.picture), &sheet.png)?;
     }
     write_whole(&arguments.output, bytes)?;
-    print(printable_lines(&told::text(arguments, &input, &pictures)).as_bytes())
+    print(printable_lines(&summary::text(arguments, &input, &pictures)).as_bytes())
 }
 
 fn refuse_ending(arguments: &ExportArguments) -> Result<(), Failure> {

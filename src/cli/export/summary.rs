@@ -11,10 +11,10 @@ use crate::export::shot::Shot;
 
 /// Offsets of the principal point up to this many pixels are not mentioned: far less than an
 /// alignment shows.
-const UNSEEN_PX: f64 = 0.01;
+const MAX_UNMENTIONED_OFFSET_PX: f64 = 0.01;
 /// Frames that a stamp may be away from its row's place before that is mentioned. A camera's stamps
 /// scatter by less.
-const OFF_THE_GRID: f64 = 0.5;
+const MAX_UNMENTIONED_FRAMES: f64 = 0.5;
 
 /// Returns the text.
 pub fn text(arguments: &ExportArguments, input: &Input, pictures: &[&Sheet]) -> String {
@@ -63,7 +63,7 @@ fn not_held(to: Format, lens: &Intrinsics) -> Vec<String> {
         sentences.push(format!("not in it: the skew, {}", lens.skew));
     }
     let [right, down] = principal_offset_px(lens);
-    if matches!(to, Format::Chan | Format::Gltf) && right.abs().max(down.abs()) > UNSEEN_PX {
+    if matches!(to, Format::Chan | Format::Gltf) && right.abs().max(down.abs()) > MAX_UNMENTIONED_OFFSET_PX {
         sentences.push(format!(
             "not in it: the principal point, {:.2} px {} and {:.2} px {} the picture's centre; usd, blender and ae have it",
             right.abs(),
@@ -85,7 +85,7 @@ fn off_the_grid(arguments: &ExportArguments, input: &Input) -> Option<String> {
     let off = |row: usize, code: f64| code - row as f64;
     let farthest = take.camera.iter().map(|key| (key.row, off(key.row, shot.code(key.timestamp))));
     let (row, frames) = farthest.max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()))?;
-    (frames.abs() > OFF_THE_GRID).then(|| {
+    (frames.abs() > MAX_UNMENTIONED_FRAMES).then(|| {
         format!(
             "note: by its stamp, row {row} is {frames:+.1} frames away from its place; pictures are missing from the clip, or --fps is \
              wrong. Every row is one frame here; usd, gltf and mcap follow the stamps"
