@@ -50,6 +50,8 @@ pub fn mid_exposure(stamp: DriverStamp, arrival: Timestamp, shutter: &Shutter) -
 /// stamps are still accepted, so that the picture does not count as taken when it was read.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct StampTrust {
+    /// How late the driver's stamps and arrivals are, beyond what they say.
+    latency: Duration,
     is_monotonic: bool,
     /// Number of consecutive pictures older than the maximum age.
     old: u32,
@@ -61,8 +63,20 @@ pub struct StampTrust {
 const MAX_OLD: u32 = 64;
 
 impl StampTrust {
-    /// Converts a stamp like [`mid_exposure`], taking earlier stamps into account.
+    /// Creates one for a camera whose pictures are stamped late, as behind a capture device. A
+    /// recorded stamp is not corrected again.
+    pub fn late_by(latency: Duration) -> Self {
+        Self { latency, ..Self::default() }
+    }
+
+    /// Converts a stamp like [`mid_exposure`], taking earlier stamps and the latency into account.
     pub fn mid_exposure(&mut self, stamp: DriverStamp, arrival: Timestamp, shutter: &Shutter) -> (Timestamp, bool) {
+        let (at, is_stamped) = self.as_stamped(stamp, arrival, shutter);
+        let is_recorded = matches!(stamp, DriverStamp::MidExposure(_));
+        (if is_recorded { at } else { at.before(self.latency) }, is_stamped)
+    }
+
+    fn as_stamped(&mut self, stamp: DriverStamp, arrival: Timestamp, shutter: &Shutter) -> (Timestamp, bool) {
         let (DriverStamp::StartOfExposure(at) | DriverStamp::EndOfFrame(at)) = stamp else {
             return mid_exposure(stamp, arrival, shutter);
         };
@@ -112,6 +126,20 @@ mod tests {
         let start = mid_exposure(DriverStamp::StartOfExposure(Timestamp::from_seconds(1.0)), now, &shutter);
         let end = mid_exposure(DriverStamp::EndOfFrame(Timestamp::from_seconds(1.03)), now, &shutter);
         assert_eq!([start, end], [(Timestamp::from_ns(1_015_000_000), true); 2]);
+    }
+
+    #[test]
+    fn late_stamps_are_corrected_and_recorded_ones_are_not() {
+        let (at, now, shutter) = (Timestamp::from_seconds(1.0), Timestamp::from_seconds(2.0), Shutter::default());
+        let mut late = StampTrust::late_by(Duration::from_millis(120));
+        for (stamp, wanted) in [
+            (DriverStamp::StartOfExposure(at), (at.after_s(-0.12), true)),
+            (DriverStamp::EndOfFrame(at), (at.after_s(-0.12), true)),
+            (DriverStamp::None, (now.after_s(-0.12), false)),
+            (DriverStamp::MidExposure(at), (at, true)),
+        ] {
+            assert_eq!(late.mid_exposure(stamp, now, &shutter), wanted, "{stamp:?}");
+        }
     }
 
     #[test]

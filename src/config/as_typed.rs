@@ -71,6 +71,8 @@ pub struct Camera {
     pub fps: Option<Spanned<Number>>,
     /// Requested pixel format.
     pub format: Option<Spanned<String>>,
+    /// How late its pictures are stamped, seconds.
+    pub latency_s: Option<Spanned<Number>>,
     /// Driver controls by name.
     pub controls: Option<BTreeMap<String, Spanned<ControlValue>>>,
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use image::GrayImage;
 use image::imageops::{FilterType, resize};
@@ -125,6 +126,8 @@ pub struct DeviceSettings {
     pub format: Option<PixelLayout>,
     /// Driver controls by name, set once at the start.
     pub controls: BTreeMap<String, i64>,
+    /// How late its pictures are stamped.
+    pub latency: Duration,
 }
 
 /// The `[recorder]` section.
@@ -390,6 +393,7 @@ fn device(section: &Section<'_>, typed: &as_typed::Camera) -> Result<DeviceSetti
         ("grey", Some(PixelLayout::Grey)),
         ("rgb", Some(PixelLayout::Rgb)),
     ];
+    let latency = section.number("latency_s", typed.latency_s.as_ref(), 0.0, |v| (0.0..=2.0).contains(&v), "seconds from 0 to 2")?;
     let controls = typed.controls.iter().flatten().map(|(name, value)| (name.clone(), value.get_ref().0)).collect();
     let device = typed.device.as_ref().map(|d| section.text("device", d, "a device such as \"/dev/video0\"")).transpose()?;
     Ok(DeviceSettings {
@@ -399,6 +403,7 @@ fn device(section: &Section<'_>, typed: &as_typed::Camera) -> Result<DeviceSetti
         fps: typed.fps.as_ref().map(|_| fps),
         format: section.word("format", typed.format.as_ref(), None, &formats, "mjpeg, yuyv, nv12, grey or rgb")?,
         controls,
+        latency: Duration::from_secs_f64(latency),
     })
 }
 

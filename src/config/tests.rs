@@ -91,7 +91,7 @@ fn defaults_match_the_documentation() {
 fn every_key_reaches_the_settings() {
     let folder = folder();
     let text = "[camera]\ncalibration = \"camera.toml\"\nexposure_s = 0.01\nreadout_s = 0.02\nmask = \"mask.png\"\ndevice = \"/dev/video1\"\n\
-        width = 1280\nheight = 720\nfps = 59.94\nformat = \"grey\"\ncontrols = { gain = 3, auto = false }\n\
+        width = 1280\nheight = 720\nfps = 59.94\nlatency_s = 0.12\nformat = \"grey\"\ncontrols = { gain = 3, auto = false }\n\
         [[stage.surface]]\nphoto = \"photo.png\"\ncorners_px = [[10, 10], [600, 12.5], [590, 440], [20, 450]]\nsize_m = [4, 3]\n\
         position_m = [1, 2, 3]\norientation_xyzw = [0, 0, 0, 1.0005]\n\
         [[object]]\nname = \"cart\"\n[[object.surface]]\nimage = \"art.png\"\nsize_m = [0.8, 0.6]\n\
@@ -104,7 +104,7 @@ fn every_key_reaches_the_settings() {
         (s.device.width, s.device.height, s.device.fps, s.device.format),
         (Some(1280), Some(720), Some(59.94), Some(PixelLayout::Grey))
     );
-    assert_eq!(s.device.controls["gain"], 3);
+    assert_eq!((s.device.controls["gain"], s.device.latency.as_millis()), (3, 120));
     assert_eq!((s.tracker.threads, s.tracker.features, s.tracker.coast_s, s.tracker.confirm_frames, s.tracker.seed), (2, 800, 0.0, 3, 9));
     assert_eq!(s.recorder, RecorderSettings { folder: folder.path().join("takes"), continuous: true, ring_s: 20.0 });
     assert_eq!(s.log, LogSettings { level: LevelFilter::DEBUG, format: LogFormat::Json });

@@ -96,7 +96,8 @@ impl Session<'_> {
         let pages = self.pages;
         pages.use_limits(&self.settings.safety);
         let opener = camera::camera(self.settings, self.arguments.play.as_deref())?;
-        let mut source = LiveSource::start(opener, self.settings.shutter.or_zero(), Patience::default(), self.link.clone());
+        let (shutter, latency) = (self.settings.shutter.or_zero(), self.settings.device.latency);
+        let mut source = LiveSource::start_late(opener, shutter, latency, Patience::default(), self.link.clone());
         let mode = match self.wait(&mut source, pages, service, sinks) {
             Ok(mode) => mode,
             Err(end) => return Ok(end),

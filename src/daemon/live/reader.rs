@@ -32,6 +32,8 @@ pub(super) struct Arrived {
 pub(super) struct Shared {
     pub opener: Arc<dyn CameraOpener>,
     pub shutter: Shutter,
+    /// How late the camera's pictures are stamped.
+    pub latency: Duration,
     pub patience: Patience,
     pub link: LiveLink,
     pub stop: Arc<AtomicBool>,
@@ -232,7 +234,7 @@ fn stream(shared: &Shared, ticket: &Ticket, camera: &mut dyn Camera, mode: Camer
     let mode = Arc::new(mode);
     let shutter = Shutter { exposure_s: exposure_of(&shared.shutter, &mode), ..shared.shutter };
     let silence = shared.patience.silence.max(Duration::from_secs_f64(15.0 / mode.fps.max(0.1)));
-    let (mut last, mut last_sequence, mut trust) = (Instant::now(), None, StampTrust::default());
+    let (mut last, mut last_sequence, mut trust) = (Instant::now(), None, StampTrust::late_by(shared.latency));
     while wanted(shared, ticket) {
         ticket.beat();
         let picture = match catch_unwind(AssertUnwindSafe(|| camera.next_picture(shared.patience.read))) {

@@ -48,8 +48,14 @@ impl LiveStop {
 impl LiveSource {
     /// Starts to open and read the camera.
     pub fn start(opener: Arc<dyn CameraOpener>, shutter: Shutter, patience: Patience, link: LiveLink) -> Self {
+        Self::start_late(opener, shutter, Duration::ZERO, patience, link)
+    }
+
+    /// Like [`start`](Self::start), for a camera whose pictures are stamped `latency` late.
+    pub fn start_late(opener: Arc<dyn CameraOpener>, shutter: Shutter, latency: Duration, patience: Patience, link: LiveLink) -> Self {
         let (stop, is_read, has_reported_unstamped) = (Arc::default(), false.into(), false.into());
-        let shared = Shared { opener, shutter, patience, link, stop, first_mode: Mutex::new(None), is_read, has_reported_unstamped };
+        let shared =
+            Shared { opener, shutter, latency, patience, link, stop, first_mode: Mutex::new(None), is_read, has_reported_unstamped };
         let shared = Arc::new(shared);
         let (pictures, reader) = spawn(&shared);
         Self { shared, pictures, reader, left_behind: Vec::new(), nudged: false, next_sequence: 0, repeats: Repeats::default() }
