@@ -58,6 +58,12 @@ pub mod calibrate {
     pub use crate::targets::poster::paint as paint_poster;
 }
 
+/// Logs of other trackers.
+#[cfg(feature = "cli")]
+pub mod delay {
+    pub use crate::delay::log::{LogError, PoseLog, read as read_pose_log};
+}
+
 /// Outputs, with clocks that the caller passes in.
 #[cfg(feature = "publish")]
 pub mod publish {

@@ -61,6 +61,7 @@
 //!   moved between them
 //! - `diagnose` (`daemon`): why a clip is not tracked: tries likely mistakes and names what fits
 //! - `protocols` (`protocols`): encoding and decoding of FreeD, OpenTrackIO and PosiStageNet
+//! - `delay` (`cli`): how much later one camera's stamps are than another's, from their turn rates
 //! - `publish` (`publish`): one file per protocol, one thread per output: FreeD, OpenTrackIO,
 //!   PosiStageNet, OSC, JSON
 //! - `telemetry` (`daemon`): counters, health and metrics of a running daemon
@@ -112,6 +113,8 @@ mod config;
 mod contain;
 #[cfg(feature = "daemon")]
 mod daemon;
+#[cfg(feature = "cli")]
+mod delay;
 #[cfg(feature = "daemon")]
 mod diagnose;
 #[cfg(any(feature = "publish", feature = "daemon"))]

@@ -103,6 +103,9 @@ pub enum Failure {
     /// Two clips yield no mount.
     #[error("{0}")]
     Mount(String),
+    /// Two clips yield no delay, or none that should be used.
+    #[error("{0}")]
+    Delay(String),
     /// The browser pairing code is missing.
     #[error("{0}")]
     Pairing(String),

@@ -9,6 +9,7 @@ mod calibrate;
 mod check;
 mod compare;
 mod completions;
+mod delay;
 mod demo;
 mod detectors;
 mod devices;
@@ -69,6 +70,7 @@ enum Command {
     Board(board::BoardArguments),
     Poster(poster::PosterArguments),
     Mount(mount::MountArguments),
+    Delay(delay::DelayArguments),
     Devices(devices::DevicesArguments),
     Run(run::RunArguments),
     #[cfg(feature = "http")]
@@ -106,6 +108,7 @@ pub fn run(started: Instant) -> ExitCode {
         Command::Board(arguments) => board::run(&arguments),
         Command::Poster(arguments) => poster::run(&arguments),
         Command::Mount(arguments) => mount::run(&arguments),
+        Command::Delay(arguments) => delay::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),
         #[cfg(feature = "http")]

@@ -58,8 +58,12 @@ pub(super) struct BodyReader<'a> {
 }
 
 impl BodyReader<'_> {
-    pub fn stage(&mut self, typed: Option<&Spanned<as_typed::Stage>>) -> Result<BodySpec, ConfigError> {
+    /// Reads the stage; one without surfaces is refused if it is needed.
+    pub fn stage(&mut self, typed: Option<&Spanned<as_typed::Stage>>, is_needed: bool) -> Result<BodySpec, ConfigError> {
         let surfaces = typed.map_or(&[][..], |stage| &stage.get_ref().surface);
+        if surfaces.is_empty() && !is_needed {
+            return Ok(BodySpec { name: STAGE.to_owned(), surfaces: Vec::new() });
+        }
         if surfaces.is_empty() {
             let hint = "a section [[stage.surface]] with an `image` or a `photo` of the stage and its `size_m`";
             return Err(self.origin.missing("the config".to_owned(), "stage.surface", hint));

@@ -184,6 +184,14 @@ impl Settings {
         Self::from_text(&read_text(file)?, file)
     }
 
+    /// As [`load`](Self::load), but the config may lack a stage; it then has no surfaces.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load).
+    pub(crate) fn load_camera(file: &Path) -> Result<Self, ConfigError> {
+        Self::read(&read_text(file)?, file, false)
+    }
+
     /// As [`load`](Self::load), for a text that is stored in another file than the one it belongs
     /// to.
     pub fn load_as(text: &Path, file: &Path) -> Result<Self, ConfigError> {
@@ -193,6 +201,10 @@ impl Settings {
     /// As [`load`](Self::load), with the text at hand; `file` is its name, to which paths are
     /// relative.
     pub fn from_text(text: &str, file: &Path) -> Result<Self, ConfigError> {
+        Self::read(text, file, true)
+    }
+
+    fn read(text: &str, file: &Path, needs_stage: bool) -> Result<Self, ConfigError> {
         let typed = as_typed::Config::parse(text, file)?;
         let origin = Origin::new(file, text);
         refuse_many(&origin, &typed)?;
@@ -217,7 +229,7 @@ impl Settings {
         if let Some(calibration) = &camera.calibration {
             bodies.note_camera(calibration.get_ref(), &model);
         }
-        let (stage, objects) = (bodies.stage(typed.stage.as_ref())?, bodies.objects(&typed.object)?);
+        let (stage, objects) = (bodies.stage(typed.stage.as_ref(), needs_stage)?, bodies.objects(&typed.object)?);
         let first_as_typed = bodies.first_as_typed;
         let names: Vec<String> = objects.iter().map(|o| o.name.clone()).collect();
         let mount = mount(&origin, typed.mount.as_ref(), &names, &mut notes)?;

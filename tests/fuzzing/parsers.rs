@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use stagepose::diagnostics::calibrate::Board;
 use stagepose::diagnostics::capture::{AviReader, MjpegReader, Y4mReader, decode_oriented, ffmpeg_account, picture_size, read_timestamps};
+use stagepose::diagnostics::delay::read_pose_log;
 use stagepose::diagnostics::export::Take;
 use stagepose::diagnostics::web::judge_model;
 use stagepose::protocols::freed::FreedPacket;
@@ -128,6 +129,17 @@ fn packets() {
         decode(&payload).expect("short enough").expect("the seed is good");
         fuzz(name, binary(payload), MAX_OF_TEXT, move |bytes| drop(decode(bytes)));
     }
+}
+
+#[test]
+fn pose_logs() {
+    let read = |bytes: &[u8]| drop(read_pose_log(bytes).map_err(|e| assert!(!e.to_string().is_empty())));
+    read_pose_log(seeds::TUM.as_bytes()).expect("the seed is good");
+    read_pose_log(seeds::RECORD.as_bytes()).expect("the seed is good");
+    fuzz("pose-log", text(&[seeds::TUM, seeds::RECORD]), MAX_OF_TEXT, read);
+    let capture = seeds::freed_capture();
+    assert_eq!(read_pose_log(&capture).expect("the seed is good").rows.len(), 2);
+    fuzz("freed-capture", Mutator::new(seed(), Form::Binary, vec![capture]), MAX_OF_TEXT, read);
 }
 
 #[test]

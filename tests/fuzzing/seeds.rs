@@ -187,3 +187,20 @@ pub fn encoded(picture: &DynamicImage, format: ImageFormat) -> Vec<u8> {
     picture.write_to(&mut bytes, format).expect("a picture that can be encoded");
     bytes.into_inner()
 }
+
+/// A TUM trajectory.
+pub const TUM: &str = "# t tx ty tz qx qy qz qw\n1.5 0.1 -4 1.6 -0.7071068 0 0 0.7071068\n1.54 0.1 -4 1.6 -0.7068 0.02 0.02 0.7068\n";
+/// Pose records.
+pub const RECORD: &str = "{\"sequence\":0,\"timestamp_ns\":0,\"state\":\"searching\",\"pose\":null,\"measured\":null}\n\
+    {\"sequence\":1,\"timestamp_ns\":40000000,\"state\":\"tracking\",\"pose\":{\"position_m\":[0,-4,0],\"orientation_xyzw\":[0,0,0,1]}}\n";
+
+/// Two FreeD packets in a capture file of libpcap.
+pub fn freed_capture() -> Vec<u8> {
+    let mut bytes = [0xA1B2_C3D4_u32.to_le_bytes().as_slice(), &[0; 20]].concat();
+    for seconds in [5_u32, 6] {
+        [seconds, 40_000, 71, 71].iter().for_each(|n| bytes.extend(n.to_le_bytes()));
+        bytes.extend([0; 42]);
+        bytes.extend(stagepose::protocols::freed::FreedPacket::default().encode().0);
+    }
+    bytes
+}

@@ -52,6 +52,7 @@ const ROOMS: [&str; 38] = [
     "compare",
     "diagnose",
     "protocols",
+    "delay",
     "publish",
     "telemetry",
     "config",
