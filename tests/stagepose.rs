@@ -5,6 +5,7 @@ mod calibrate;
 mod cli;
 mod clips;
 mod compare;
+mod delay;
 mod live;
 mod mount;
 mod network;

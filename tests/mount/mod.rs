@@ -1,6 +1,6 @@
 //! `stagepose mount` on rendered pairs of views with exact ground truth.
 
-mod rig;
+pub mod rig;
 
 use std::path::Path;
 use std::process::{Command, Output};
