@@ -9,6 +9,8 @@ The pair is d-delay-a (30 frames a second) and d-delay-b (25). Each case measure
 DELAYS_MS; the columns are the worst error over them, the mean sigma, and the root mean square of
 error / sigma. Cases:
   tracked: both configs have the stage.
+  learnt: as tracked, but neither config states the readout.
+  both fov: both configs have only fov_deg.
   lens: the second config has only the calibration.
   fov: the second config has only fov_deg, rounded to whole degrees.
   half: as tracked, with the first half of the second clip.
@@ -35,7 +37,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 import clips
 
 DELAYS_MS = [7.3, 41.0, 118.0, -23.0]
-CASES = ["tracked", "lens", "fov", "half", "half fov", "upper half", "jitter", "swapped", "tum", "record", "slower", "slow", "slow fov", "still", "still fov", "apart"]
+CASES = ["tracked", "learnt", "both fov", "lens", "fov", "half", "half fov", "upper half", "jitter", "swapped", "tum", "record", "slower", "slow", "slow fov", "still", "still fov", "apart"]
 REFUSED = ["slow", "slow fov", "still", "still fov", "apart"]
 MOST_MS = 1.0  # maximum error of any delay
 HONEST = (0.1, 2.0)  # root mean square of error / sigma; a clip's errors are few, and alike
@@ -135,6 +137,11 @@ def measured(case, delay_ms, chosen):
         a, b = b, a
     folder = chosen.out / "delays" / f"{case.replace(' ', '-')}-{delay_ms}"
     configs = [clip.write_config(folder / name, clip) for name, clip in (("of-a", a), ("of-b", b))]
+    if case == "both fov":
+        configs[0] = without_stage(a, configs[0], case)
+    if case == "learnt":
+        for config in configs:
+            config.write_text("".join(line for line in config.read_text().splitlines(True) if not line.startswith("readout_s")))
     first = shifted(a, folder / "a", 0.0, 1.0 if case == "jitter" else 0.0, 1.0, 1)
     out = folder / "delay.json"
     command = [chosen.binary, "delay", "--config", configs[0], "--clip", first, *second(case, b, configs[1], folder, delay_ms, chosen)]
