@@ -23,7 +23,7 @@ const IMPOSSIBLE_GAIN: f64 = 2.0;
 /// Difference of the delay between the halves of the clip in sigmas, and the least in seconds, that
 /// is no chance. Raised, clocks that drift go unmentioned.
 const ODD_DRIFT: f64 = 4.0;
-const LEAST_DRIFT_S: f64 = 0.001;
+const MIN_DRIFT_S: f64 = 0.001;
 
 /// What to film; ends the sentences of refusals.
 const PAN: &str = "pan to and fro sharply, at 20 degrees per second or more, with halts of different lengths";
@@ -53,7 +53,7 @@ pub fn judge(delay: &Delay) -> (Verdict, Vec<String>) {
         );
         find(gain > IMPOSSIBLE_GAIN, text);
     }
-    if let Some([drift, sigma]) = delay.drift_s.filter(|[drift, sigma]| drift.abs() > LEAST_DRIFT_S.max(ODD_DRIFT * sigma)) {
+    if let Some([drift, sigma]) = delay.drift_s.filter(|[drift, sigma]| drift.abs() > MIN_DRIFT_S.max(ODD_DRIFT * sigma)) {
         let (ms, sigma_ms) = (drift * 1e3, sigma * 1e3);
         let text = format!(
             "the delay changes by {ms:+.1} ms within the clip (sigma {sigma_ms:.1} ms): are frames lost, or are the stamps made from a frame rate?"

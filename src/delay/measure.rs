@@ -9,30 +9,30 @@ use super::turns::{Turn, Turns};
 
 /// Minimum number of intervals that both cameras have at a shift. Lowered, nine numbers of the
 /// matrix explain what is left of them.
-const LEAST_ROWS: usize = 24;
+const MIN_ROWS: usize = 24;
 /// Minimum share of the motion, as a sum of squared rotations, that both cameras have at a shift,
 /// relative to the shift with the most. Lowered, a shift is believed for the sake of a moment of
 /// motion at the end of a clip.
-const LEAST_MOTION: f64 = 0.2;
+const MIN_MOTION: f64 = 0.2;
 /// Time for which a camera must turn fast, seconds, and the least rate, radians per second. Chosen:
 /// at 5 degrees per second a millisecond is 0.005 degrees, as much as the error of a lens or a
 /// moving actor adds within a second. Raised, slower pans are refused; lowered, the tracker's own
 /// errors are taken for motion.
 const FAST_FOR_S: f64 = 1.0;
-const LEAST_RATE: f64 = 5.0 * std::f64::consts::PI / 180.0;
+const MIN_RATE: f64 = 5.0 * std::f64::consts::PI / 180.0;
 /// Step between the shifts that are tried: a share of the frame interval, and at least so many
 /// seconds. Pans and shake vary over tenths of a second. Raised, the best shift is missed.
 const STEP_SHARE: f64 = 0.25;
-const LEAST_STEP_S: f64 = 0.005;
+const MIN_STEP_S: f64 = 0.005;
 /// Half of the window in which the best shift is searched, in steps.
 const WINDOW_STEPS: f64 = 2.0;
 /// Unexplained share of the rotation above which the cameras do not turn together. Chosen: half.
 /// Raised, other motions pass for the same.
-const MOST_UNEXPLAINED: f64 = 0.5;
+const MAX_UNEXPLAINED: f64 = 0.5;
 /// Distance from the best shift, in steps, within which a minimum is the same one.
 const SAME_STEPS: f64 = 4.0;
 /// Maximum number of other shifts that are refined and reported.
-const MOST_RIVALS: usize = 8;
+const MAX_RIVALS: usize = 8;
 /// One of the two cameras.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Side {
@@ -57,7 +57,7 @@ pub enum Undetermined {
         second: [f64; 2],
     },
     /// The clips overlap too little, or are too short.
-    #[error("the cameras have {found} frame intervals in common, {LEAST_ROWS} are needed")]
+    #[error("the cameras have {found} frame intervals in common, {MIN_ROWS} are needed")]
     TooFew {
         /// The most at any shift.
         found: usize,
@@ -142,7 +142,7 @@ pub fn measure_delay(first: &Turns, second: &Turns, range_s: f64) -> Result<Dela
     let found = search(&lagged, range_s)?;
     let window = Window { center_s: found.lag_s, margin_s: found.step_s * WINDOW_STEPS };
     let (lag_s, least) = lagged.least_unexplained(window);
-    if least > MOST_UNEXPLAINED {
+    if least > MAX_UNEXPLAINED {
         return Err(Undetermined::Unlike { unexplained: least });
     }
     if found.lag_s.abs() > range_s - found.step_s {
@@ -177,7 +177,7 @@ fn rates_of(first: &Turns, second: &Turns, range_s: f64) -> Result<[f64; 2], Und
         return Err(Undetermined::Apart { first: spans[0], second: spans[1] });
     }
     let rates = [fast_rate(first.as_slice()), fast_rate(second.as_slice())];
-    let slow = rates.into_iter().zip([Side::First, Side::Second]).find(|(rate, _)| *rate < LEAST_RATE);
+    let slow = rates.into_iter().zip([Side::First, Side::Second]).find(|(rate, _)| *rate < MIN_RATE);
     slow.map_or(Ok(rates), |(rate, side)| Err(Undetermined::TooSlow { side, deg_per_s: rate.to_degrees() }))
 }
 
@@ -185,7 +185,7 @@ fn rates_of(first: &Turns, second: &Turns, range_s: f64) -> Result<[f64; 2], Und
 /// the best one.
 fn rivals(lagged: &Lagged<'_>, found: &Found, window: Window, least: f64, sign: f64) -> Vec<Rival> {
     let refined = found.rivals.iter().map(|lag_s| lagged.least_unexplained(Window { center_s: *lag_s, ..window }));
-    let alike = refined.filter(|(_, unexplained)| *unexplained < MOST_UNEXPLAINED);
+    let alike = refined.filter(|(_, unexplained)| *unexplained < MAX_UNEXPLAINED);
     let mut rivals: Vec<Rival> =
         alike.map(|(lag_s, left)| Rival { delay_s: sign * lag_s, factor: left / least.max(f64::MIN_POSITIVE) }).collect();
     rivals.sort_by(|a, b| a.factor.total_cmp(&b.factor));
@@ -239,7 +239,7 @@ impl Tried {
 }
 
 fn search(lagged: &Lagged<'_>, range_s: f64) -> Result<Found, Undetermined> {
-    let step_s = (lagged.turns.typical_s() * STEP_SHARE).max(LEAST_STEP_S).min(0.25 * range_s);
+    let step_s = (lagged.turns.typical_s() * STEP_SHARE).max(MIN_STEP_S).min(0.25 * range_s);
     let steps = (range_s / step_s).floor() as i64;
     let tried: Vec<Tried> = (-steps..=steps)
         .map(|k| {
@@ -252,7 +252,7 @@ fn search(lagged: &Lagged<'_>, range_s: f64) -> Result<Found, Undetermined> {
         .collect();
     let most_rows = tried.iter().map(|tried| tried.rows).max().unwrap_or(0);
     let most_motion = tried.iter().map(|tried| tried.motion).fold(0.0, f64::max);
-    let counts = |tried: &Tried| tried.rows >= LEAST_ROWS && tried.motion >= LEAST_MOTION * most_motion;
+    let counts = |tried: &Tried| tried.rows >= MIN_ROWS && tried.motion >= MIN_MOTION * most_motion;
     let best = tried.iter().filter(|tried| counts(tried)).max_by(|a, b| a.evidence().total_cmp(&b.evidence()));
     let Some(best) = best.copied() else { return Err(Undetermined::TooFew { found: most_rows }) };
     let is_rival = |three: &&[Tried]| {
@@ -261,7 +261,7 @@ fn search(lagged: &Lagged<'_>, range_s: f64) -> Result<Found, Undetermined> {
     };
     let mut rivals: Vec<Tried> = tried.windows(3).filter(is_rival).map(|three| three[1]).collect();
     rivals.sort_by(|a, b| a.unexplained.total_cmp(&b.unexplained));
-    let rivals = rivals.into_iter().take(MOST_RIVALS).map(|rival| rival.lag_s).collect();
+    let rivals = rivals.into_iter().take(MAX_RIVALS).map(|rival| rival.lag_s).collect();
     Ok(Found { lag_s: best.lag_s, step_s, rivals })
 }
 
@@ -279,7 +279,7 @@ fn drift(lagged: &Lagged<'_>, window: Window, middle_s: f64) -> Option<[f64; 2]>
         let fit = half.fit(window);
         let rows = half.rows(fit.lag_s, window).len();
         let sigma_s = fit.regression.sigma_s();
-        (rows >= LEAST_ROWS && sigma_s.is_finite()).then_some((fit.lag_s, sigma_s))
+        (rows >= MIN_ROWS && sigma_s.is_finite()).then_some((fit.lag_s, sigma_s))
     };
     let ((early, early_sigma), (late, late_sigma)) = (half(false)?, half(true)?);
     Some([late - early, early_sigma.hypot(late_sigma)])

@@ -148,9 +148,9 @@ fn a_steady_turn_determines_no_delay() {
     // Half a period of 40 seconds, close to its middle.
     let path = Path::swaying(170.0, 0.025);
     let filming = |fps, delay_s, seed| Filming { span_s: [36.0, 42.0], ..Filming::new(fps, delay_s, 5.0 * NOISE, seed) };
-    let told = measure_delay(&filming(30.0, 0.0, 1).turns(&path), &filming(25.0, 0.041, 2).turns(&path), RANGE_S);
-    let is_refused = told.as_ref().map_or(true, |delay| judge(delay).0 == Verdict::DoNotUse);
-    assert!(is_refused, "{told:?}");
+    let measured = measure_delay(&filming(30.0, 0.0, 1).turns(&path), &filming(25.0, 0.041, 2).turns(&path), RANGE_S);
+    let is_refused = measured.as_ref().map_or(true, |delay| judge(delay).0 == Verdict::DoNotUse);
+    assert!(is_refused, "{measured:?}");
 }
 
 #[test]

@@ -25,7 +25,7 @@ const LEVELS: usize = 6;
 const RATIO: f32 = 0.8;
 /// Minimum number of matches that agree with the rotation. Chosen: far more than chance brings
 /// together within [`NEAR_PX`]. Lowered, pictures without detail yield rotations.
-const LEAST_MATCHES: usize = 20;
+const MIN_MATCHES: usize = 20;
 /// Distance within which a match agrees, pixels of a picture 1000 pixels wide: the noise of corners
 /// on coarse levels, plus parallax. Raised, moving people agree.
 const NEAR_PX: f64 = 4.0;
@@ -129,7 +129,7 @@ fn seen(camera: &CameraModel, before: &[Feature], now: &[Feature], matches: &[Ma
 /// Returns the rotation from the second picture's rays to the first's that most pairs agree with to
 /// `near` radians, and which those are.
 fn rotation_between(rays: &[RayPair], near: f64) -> Option<(UnitQuaternion<f64>, Vec<usize>)> {
-    if rays.len() < LEAST_MATCHES {
+    if rays.len() < MIN_MATCHES {
         return None;
     }
     let off = |rotation: &UnitQuaternion<f64>, [before, now]: &RayPair| (before - rotation * now).norm_squared() / (near * near);
@@ -147,7 +147,7 @@ fn rotation_between(rays: &[RayPair], near: f64) -> Option<(UnitQuaternion<f64>,
         best = refined(&best, rays, |pair| 1.0 / (1.0 + 4.0 * off(&best, pair)))?;
     }
     let agreeing: Vec<usize> = (0..rays.len()).filter(|k| off(&best, &rays[*k]) < 1.0).collect();
-    (agreeing.len() >= LEAST_MATCHES).then_some((best, agreeing))
+    (agreeing.len() >= MIN_MATCHES).then_some((best, agreeing))
 }
 
 /// Returns the rotation that maps two directions to two others: exactly the first one and the plane

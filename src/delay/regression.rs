@@ -11,24 +11,24 @@ use crate::geometry::pose::quaternion;
 
 /// Smallest standard deviation that residuals may show, radians: 0.2 seconds of arc, below the
 /// error of any interpolation. Raised, delays of exact poses get larger sigmas.
-const LEAST_SIGMA_RAD: f64 = 1e-6;
+const MIN_SIGMA_RAD: f64 = 1e-6;
 /// Smallest eigenvalue of the rotations' second moments that is used, as a share of the largest:
 /// about axes with less motion the matrix is undetermined. Raised, small rotations are not
 /// compared.
-const LEAST_SHARE: f64 = 1e-5;
+const MIN_SHARE: f64 = 1e-5;
 /// Smallest motion about a second axis, as a share of the moment about the first, that determines
 /// the rotation between the cameras. Chosen: a fifth of the rate. Raised, fewer pans determine it;
 /// lowered, noise does.
-const LEAST_SECOND_AXIS: f64 = 0.04;
+const MIN_SECOND_AXIS: f64 = 0.04;
 /// Squared residual over the median one, above which a row contradicts the others: 7 to 8 sigma.
 /// Stamps that jitter have residuals in proportion to the rate, so lower values cost good frames;
 /// raised, wrong poses pull the delay.
 const OUTLIER: f64 = 25.0;
 /// Residual below which no row does, radians: a hundredth of a degree. Raised, small wrong
 /// rotations stay; lowered, frames of exact clips are left out.
-const LEAST_OUTLIER_RAD: f64 = 2e-4;
+const MIN_OUTLIER_RAD: f64 = 2e-4;
 /// Maximum share of rows that contradict the others: more are no outliers.
-const MOST_OUTLIERS: f64 = 0.1;
+const MAX_OUTLIERS: f64 = 0.1;
 /// Number of times that they are chosen again with the better fit. Raised, it only takes longer.
 const TRIMS: usize = 3;
 
@@ -96,7 +96,7 @@ fn whitened(rows: &[Row], of_poses: f64) -> (Vec<Row>, f64) {
 /// Returns the pseudo-inverse of second moments, without directions of hardly any motion.
 fn inverse(moments: &Matrix3<f64>) -> Matrix3<f64> {
     let eigen = moments.symmetric_eigen();
-    let least = eigen.eigenvalues.max() * LEAST_SHARE;
+    let least = eigen.eigenvalues.max() * MIN_SHARE;
     let inverted = eigen.eigenvalues.map(|v| if v > least { 1.0 / v } else { 0.0 });
     eigen.eigenvectors * Matrix3::from_diagonal(&inverted) * eigen.eigenvectors.transpose()
 }
@@ -111,9 +111,9 @@ impl Regression {
             let mut sorted: Vec<f64> = rows.iter().map(square).collect();
             sorted.sort_by(f64::total_cmp);
             let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-            let limit = (OUTLIER * median).max(LEAST_OUTLIER_RAD * LEAST_OUTLIER_RAD);
+            let limit = (OUTLIER * median).max(MIN_OUTLIER_RAD * MIN_OUTLIER_RAD);
             let (kept, far): (Vec<Row>, Vec<Row>) = rows.iter().partition(|row| square(row) <= limit);
-            if far.len() as f64 > MOST_OUTLIERS * rows.len() as f64 {
+            if far.len() as f64 > MAX_OUTLIERS * rows.len() as f64 {
                 return (Self::of(rows, 0.0), Vec::new());
             }
             (fit, left_out) = (Self::of(&kept, 0.0), far);
@@ -134,7 +134,7 @@ impl Regression {
     /// Returns the variance of the residuals about each axis.
     pub fn variances(&self) -> Vector3<f64> {
         let freedom = (self.rows.len() as f64 - 3.0).max(1.0);
-        self.squares.map(|v| (v / freedom).max(LEAST_SIGMA_RAD * LEAST_SIGMA_RAD))
+        self.squares.map(|v| (v / freedom).max(MIN_SIGMA_RAD * MIN_SIGMA_RAD))
     }
 
     /// Returns -2 ln of the likelihood per row, with the variance about each axis as the residuals
@@ -166,7 +166,7 @@ impl Regression {
         let (u, v_t) = (svd.u?, svd.v_t?);
         let mut sizes = svd.singular_values;
         sizes.as_mut_slice().sort_by(|a, b| b.total_cmp(a));
-        if sizes[1] <= LEAST_SECOND_AXIS * sizes[0] {
+        if sizes[1] <= MIN_SECOND_AXIS * sizes[0] {
             return None;
         }
         let mut signs = Vector3::repeat(1.0);

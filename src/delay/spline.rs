@@ -10,7 +10,7 @@ use super::turns::Turns;
 
 /// Minimum number of successive intervals for a spline. Lowered, its curvature at the ends is a
 /// guess for most of it.
-const LEAST_INTERVALS: usize = 4;
+const MIN_INTERVALS: usize = 4;
 
 /// The rotation over an interval, and how it changes if the interval moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,7 +44,7 @@ impl AngleSpline {
             let joined = rest.windows(2).take_while(|pair| pair[0].to_s == pair[1].from_s).count() + 1;
             let (run, later) = rest.split_at(joined);
             rest = later;
-            if run.len() < LEAST_INTERVALS {
+            if run.len() < MIN_INTERVALS {
                 continue;
             }
             let times_s = run[..1].iter().map(|turn| turn.from_s).chain(run.iter().map(|turn| turn.to_s)).collect();
