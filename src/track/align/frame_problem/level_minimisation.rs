@@ -69,9 +69,9 @@ impl<'p, 'a> LevelMinimisation<'p, 'a> {
     }
 
     /// Returns the last solution if its step was short enough to be reported. At the finest level,
-    /// the frame keeps what the steps say of the slopes.
-    pub fn finish(self) -> Option<Corrected> {
-        if self.spec.level == FINEST && self.use_of == Use::Descent {
+    /// the frame keeps what the steps of a descent say of the slopes.
+    pub fn finish_descent(self) -> Option<Corrected> {
+        if self.spec.level == FINEST {
             self.frame.updates.changes = self.changes;
         }
         self.solved.filter(|_| self.frame.progress.last_moved_px < TUNING.max_last_step_px)
@@ -161,7 +161,7 @@ impl LeastSquares for LevelMinimisation<'_, '_> {
         Some(std::mem::replace(&mut self.is_same, true) && spec.level == FINEST)
     }
 
-    fn cost(&mut self, _: &Step<Motion>) -> f64 {
+    fn cost(&mut self) -> f64 {
         let Self { frame, spec, prior, solved, .. } = self;
         let (problem, ..) = frame.buffers.at_level(spec.level);
         solved.and_then(|solved| problem.cost(spec, prior, solved.residual_sigma)).unwrap_or(f64::NAN)
@@ -194,7 +194,7 @@ impl LeastSquares for LevelMinimisation<'_, '_> {
         from.corrected(&(problem.change_light_by_step(change, light) * fraction))
     }
 
-    fn end(&mut self, _: &Step<Motion>) -> Option<End> {
+    fn end(&mut self) -> Option<End> {
         let moved_px = self.frame.progress.last_moved_px;
         match self.use_of {
             Use::Settling => (moved_px < TUNING.fine_converged_px).then_some(End::Converged),
@@ -293,7 +293,7 @@ mod tests {
                 let step = problem.solve(&from).expect("determined");
                 let at = problem.at_fraction(&from, 0.1);
                 problem.predict(&at);
-                let ratio = (step.cost - problem.cost(&step)) / (0.19 * step.decrease);
+                let ratio = (step.cost - problem.cost()) / (0.19 * step.decrease);
                 println!("level {level}: {:.1} of {:.1}, {ratio:.3}", step.decrease, step.cost);
                 assert!((0.9..1.1).contains(&ratio), "{ratio}");
             });

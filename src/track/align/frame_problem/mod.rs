@@ -204,7 +204,7 @@ impl<'a> FrameProblem<'a> {
         let prior = self.known;
         let mut level = LevelMinimisation::new(self, *spec, prior, Use::Descent, start, is_first);
         let Minimum { state: motion, end } = minimise(&mut level, start, max_rounds);
-        let converged = level.finish();
+        let converged = level.finish_descent();
         matches!(end, End::Converged | End::OutOfRounds).then_some(Iterated { motion, converged })
     }
 
@@ -280,7 +280,6 @@ impl<'a> FrameProblem<'a> {
         let spec = self.spec(FINEST, &motion);
         let mut level = LevelMinimisation::new(self, spec, *known, Use::Settling, motion, false);
         let Minimum { end, .. } = minimise(&mut level, motion, TUNING.max_settling_steps);
-        level.finish();
         matches!(end, End::Converged | End::OutOfRounds).then_some(())
     }
 

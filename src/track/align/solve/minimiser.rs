@@ -17,8 +17,8 @@ pub trait LeastSquares {
     /// of the same observations as before.
     fn predict(&mut self, at: &Self::State) -> Option<bool>;
 
-    /// Returns the cost of the prediction by the weights of a step that was solved before it.
-    fn cost(&mut self, by: &Step<Self::State>) -> f64;
+    /// Returns the cost of the prediction by the weights of the last step that was solved.
+    fn cost(&mut self) -> f64;
 
     /// Weighs the residuals and solves for a step from the predicted state. `None` where a
     /// direction is undetermined.
@@ -28,8 +28,8 @@ pub trait LeastSquares {
     /// along with it.
     fn at_fraction(&mut self, from: &Self::State, fraction: f64) -> Self::State;
 
-    /// Returns why to end with a step, if so.
-    fn end(&mut self, step: &Step<Self::State>) -> Option<End>;
+    /// Returns why to end with the last step, if so.
+    fn end(&mut self) -> Option<End>;
 }
 
 /// A step of the linearised problem.
@@ -100,7 +100,7 @@ pub fn minimise<P: LeastSquares>(problem: &mut P, start: P::State, max_rounds: u
         let Some(is_same) = problem.predict(&state) else { return Minimum { state, end: End::Undetermined } };
         // The last round is left for a solution.
         if let Some(taken) = taken.as_mut().filter(|_| is_same && round + 1 < max_rounds) {
-            let cost = problem.cost(&taken.step);
+            let cost = problem.cost();
             if let Some(fraction) = taken.shortened(cost) {
                 tracing::trace!(cost, before = taken.step.cost, fraction, "a step raised the cost");
                 taken.fraction = fraction;
@@ -109,7 +109,7 @@ pub fn minimise<P: LeastSquares>(problem: &mut P, start: P::State, max_rounds: u
             }
         }
         let Some(step) = problem.solve(&state) else { return Minimum { state, end: End::Undetermined } };
-        let end = problem.end(&step);
+        let end = problem.end();
         let from = std::mem::replace(&mut state, step.to);
         if let Some(end) = end {
             return Minimum { state, end };
@@ -151,7 +151,7 @@ mod tests {
             at.is_finite().then_some(true)
         }
 
-        fn cost(&mut self, _: &Step<f64>) -> f64 {
+        fn cost(&mut self) -> f64 {
             self.half_square()
         }
 
@@ -166,7 +166,7 @@ mod tests {
             from + fraction * self.last_step
         }
 
-        fn end(&mut self, _: &Step<f64>) -> Option<End> {
+        fn end(&mut self) -> Option<End> {
             (self.last_step.abs() < 1e-9).then_some(End::Converged)
         }
     }
