@@ -7,6 +7,7 @@ mod angles;
 mod board;
 mod calibrate;
 mod check;
+mod clip_rows;
 mod compare;
 mod completions;
 mod delay;

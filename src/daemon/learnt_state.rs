@@ -75,11 +75,24 @@ impl LearntFile {
 /// # Errors
 /// Why its statement cannot be used.
 pub fn learnt_of_clip(clip: &Path) -> Result<LearntCamera, String> {
-    let Ok(bytes) = safe_file::read(&clip.join("clip.toml"), MAX_ABOUT) else { return Ok(LearntCamera::default()) };
-    let about: Option<toml::Table> = String::from_utf8(bytes).ok().and_then(|text| text.parse().ok());
+    let about = about_clip(clip);
     let Some(text) = about.as_ref().and_then(|about| about.get("learnt")) else { return Ok(LearntCamera::default()) };
     let learnt = LearntCamera::from_bytes(text.as_str().unwrap_or_default().as_bytes());
     learnt.map_err(|e| format!("`learnt` in {}: {e}", clip.join("clip.toml").display()))
+}
+
+/// Returns how far UTC is ahead of a recording's clock, nanoseconds; `None` if its clip.toml does
+/// not say.
+pub fn utc_ahead_of_clip_ns(clip: &Path) -> Option<i64> {
+    let about = about_clip(clip)?;
+    let clock = about.get("clock")?;
+    clock.get("utc_ns")?.as_integer()?.checked_sub(clock.get("monotonic_ns")?.as_integer()?)
+}
+
+/// Reads a recording's clip.toml; `None` if there is none, or it cannot be read.
+fn about_clip(clip: &Path) -> Option<toml::Table> {
+    let bytes = safe_file::read(&clip.join("clip.toml"), MAX_ABOUT).ok()?;
+    String::from_utf8(bytes).ok()?.parse().ok()
 }
 
 #[cfg(test)]

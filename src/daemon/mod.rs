@@ -25,7 +25,7 @@ pub use entries::track_entry;
 pub use free_memory::give_back;
 pub use jobs::Progress;
 pub use kept_views::kept_views;
-pub use learnt_state::{LearntFile, learnt_of_clip};
+pub use learnt_state::{LearntFile, learnt_of_clip, utc_ahead_of_clip_ns};
 pub use own_folders::{Keeping, state_folder};
 #[cfg(test)]
 pub use retrack::nothing_compared;

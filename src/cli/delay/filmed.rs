@@ -4,12 +4,12 @@ use std::path::Path;
 
 use nalgebra::UnitQuaternion;
 
-use crate::capture::{ClipEntry, ClipOptions, EntryContent, open_clip};
+use crate::capture::{ClipEntry, EntryContent};
+use crate::cli::clip_rows::{self, RowCount};
 use crate::cli::failure::Failure;
-use crate::cli::interrupt;
 use crate::cli::replay::tracker_setup;
 use crate::config::Settings;
-use crate::daemon::{learnt_of_clip, track_entry};
+use crate::daemon::{learnt_of_clip, track_entry, utc_ahead_of_clip_ns};
 use crate::delay::{Panorama, RowMean, Turn, Turns, log};
 use crate::frame::Timestamp;
 use crate::record::State;
@@ -20,8 +20,6 @@ use crate::tracker::{Tracker, TrackerSetup};
 /// Maximum size of a log, bytes: days at 200 lines a second. Raised, a wrong file takes more
 /// memory.
 const MAX_LOG: u64 = 1 << 30;
-/// Maximum size of a `clip.toml`, bytes. Raised, a foreign file takes more memory.
-const MAX_ABOUT: u64 = 1 << 20;
 /// Readout of a rolling shutter of unknown readout, seconds: the usual webcam's. Raised, delays of
 /// cameras that film detail only above or below the middle are less certain.
 const USUAL_READOUT_S: f64 = 0.02;
@@ -129,27 +127,14 @@ fn pass(
     mut origin: Option<Timestamp>,
     make: impl FnOnce(TrackerSetup) -> Result<Measuring, Failure>,
 ) -> Result<Pass, Failure> {
-    let calibrated = settings.lens.size(&settings.camera);
-    let mut source = open_clip(clip, ClipOptions { calibrated, is_stopped: Some(interrupt::is_interrupted), ..ClipOptions::default() })?;
-    source.notes().iter().for_each(|note| tracing::warn!("{note}"));
+    let mut source = clip_rows::open(settings, clip)?;
     let mut measuring = make(tracker_setup(settings, source.size(), None)?)?;
-    let (mut rows, mut readable, mut first_reason) = (0, 0_u64, None);
+    let mut count = RowCount::default();
     while let Some(row) = source.next_entry() {
-        if interrupt::is_interrupted() {
-            return Err(Failure::Interrupted);
-        }
-        rows += 1;
-        match &row.content {
-            EntryContent::Frame(_) => readable += 1,
-            EntryContent::Undecodable(reason) => drop(first_reason.get_or_insert_with(|| reason.to_string())),
-            EntryContent::Skipped(_) => {}
-        }
+        count.add(&row)?;
         measuring.take(&row, *origin.get_or_insert(row.timestamp));
     }
-    if readable == 0 {
-        return Err(Failure::NoFrame { clip: clip.to_owned(), rows: rows as u64, first: first_reason });
-    }
-    Ok(Pass { measuring, origin: origin.unwrap_or_default(), rows })
+    Ok(Pass { measuring, origin: origin.unwrap_or_default(), rows: count.finish(clip)? })
 }
 
 impl Pass {
@@ -205,7 +190,7 @@ pub(super) fn log_turns(file: &Path, clip: &Path, origin: Timestamp) -> Result<F
     let log = log::read(&bytes).map_err(|e| Failure::Delay(format!("{name}: {e}")))?;
     let mut rows = log.rows;
     if log.is_utc {
-        let ahead_ns = utc_ahead_ns(clip).ok_or_else(|| {
+        let ahead_ns = utc_ahead_of_clip_ns(clip).ok_or_else(|| {
             Failure::Delay(format!(
                 "{name}: its stamps are UTC, and {} has no clip.toml that says how its clock relates to UTC; record the clip with \
                  `stagepose record`",
@@ -217,12 +202,4 @@ pub(super) fn log_turns(file: &Path, clip: &Path, origin: Timestamp) -> Result<F
     let measured = rows.len();
     let turns = Turns::of_orientations(origin, rows);
     Ok(Filmed { turns, means: Means::Log, name, origin, rows: measured, measured, row_mean: RowMean::default(), readout_s: None })
-}
-
-/// Returns how far UTC is ahead of a recording's clock, nanoseconds.
-fn utc_ahead_ns(clip: &Path) -> Option<i64> {
-    let text = String::from_utf8(safe_file::read(&clip.join("clip.toml"), MAX_ABOUT).ok()?).ok()?;
-    let about: toml::Table = text.parse().ok()?;
-    let clock = about.get("clock")?;
-    clock.get("utc_ns")?.as_integer()?.checked_sub(clock.get("monotonic_ns")?.as_integer()?)
 }

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use crate::camera::CameraModel;
-use crate::capture::{ClipEntry, ClipOptions, EntryContent, FrameSource, open_clip};
+use crate::capture::{ClipEntry, EntryContent, FrameSource};
+use crate::cli::clip_rows::{self, RowCount};
 use crate::cli::failure::Failure;
-use crate::cli::interrupt;
 use crate::cli::replay::tracker_setup;
 use crate::config::Settings;
 use crate::daemon::track_entry;
@@ -42,9 +42,7 @@ pub(super) fn measure(settings: &Settings, clip: &Path) -> Result<Measured, Fail
     if clip == Path::new("-") {
         return Err(Failure::Usage("--clip is -; the clips of both cameras must be files or folders".to_owned()));
     }
-    let calibrated = settings.lens.size(&settings.camera);
-    let mut source = open_clip(clip, ClipOptions { calibrated, is_stopped: Some(interrupt::is_interrupted), ..ClipOptions::default() })?;
-    source.notes().iter().for_each(|note| tracing::warn!("{note}"));
+    let mut source = clip_rows::open(settings, clip)?;
     let setup = tracker_setup(settings, source.size(), None)?;
     let camera = setup.camera;
     // Objects say nothing about the mount.
@@ -52,23 +50,12 @@ pub(super) fn measure(settings: &Settings, clip: &Path) -> Result<Measured, Fail
     let setup = TrackerSetup { settings, objects: Vec::new(), ..setup };
     let (first, is_stills) = beginning(source.as_mut());
     let mut tracker = Tracker::new(setup)?;
-    let (mut rows, mut readable, mut first_reason) = (Vec::new(), 0_u64, None);
+    let (mut rows, mut count) = (Vec::new(), RowCount::default());
     for row in first.into_iter().chain(std::iter::from_fn(|| source.next_entry())) {
-        if interrupt::is_interrupted() {
-            return Err(Failure::Interrupted);
-        }
-        match &row.content {
-            EntryContent::Frame(_) => readable += 1,
-            EntryContent::Undecodable(reason) => {
-                first_reason.get_or_insert_with(|| reason.to_string());
-            }
-            EntryContent::Skipped(_) => {}
-        }
+        count.add(&row)?;
         rows.push(if is_stills { still(&mut tracker, &row, rows.len()) } else { view(&mut tracker, &row) });
     }
-    if readable == 0 {
-        return Err(Failure::NoFrame { clip: clip.to_owned(), rows: rows.len() as u64, first: first_reason });
-    }
+    count.finish(clip)?;
     Ok(Measured { camera, rows })
 }
 
