@@ -22,6 +22,7 @@ use crate::export::shot::Shot;
 use crate::export::take::Take;
 use crate::export::{after_effects, blender, chan, gltf, mcap, obj, usd};
 use crate::printable::printable_lines;
+use crate::track::BodySpec;
 use input::Input;
 
 /// Write the poses of a take, or the stage itself, for another program.
@@ -109,6 +110,11 @@ impl Format {
         matches!(self, Self::Usd | Self::Blender | Self::Obj)
     }
 
+    /// Whether it holds the artwork, beside it or inside.
+    fn holds_artwork(self) -> bool {
+        self.has_pictures_beside() || self == Self::Gltf
+    }
+
     /// Whether its poses stand at the rows of the clip, not at their stamps.
     fn counts_rows(self) -> bool {
         matches!(self, Self::Chan | Self::Blender | Self::Ae)
@@ -122,7 +128,7 @@ impl Format {
 pub(super) fn run(arguments: &ExportArguments) -> Result<(), Failure> {
     refuse_ending(arguments)?;
     let input = Input::read(arguments)?;
-    let scenery = input.settings.as_ref().map_or_else(|| Ok(Scenery::default()), |settings| scenery(settings, &arguments.output))?;
+    let scenery = input.settings.as_ref().map_or_else(|| Ok(Scenery::default()), |settings| scenery(settings, arguments))?;
     let mut spared = Spared::default()
         .with_files(input.poses.iter(), "the poses")
         .with_files(input.settings.iter().flat_map(|settings| &settings.files), "a file of the config");
@@ -196,8 +202,20 @@ fn of_stage(arguments: &ExportArguments, scenery: &Scenery, materials: &Path) ->
     }
 }
 
-/// Builds the meshes of a config, with their artwork in colour.
-fn scenery(settings: &Settings, output: &Path) -> Result<Scenery, Failure> {
+/// Builds the meshes of a config, with their artwork in colour where the format holds it.
+fn scenery(settings: &Settings, arguments: &ExportArguments) -> Result<Scenery, Failure> {
+    let ExportArguments { output, to, .. } = arguments;
+    let stem = output.file_stem().unwrap_or_default().to_string_lossy();
+    if !to.holds_artwork() {
+        let none = |body: &BodySpec| vec![Vec::new(); body.surfaces.len()];
+        return Ok(Scenery::new(
+            &settings.stage,
+            &settings.objects,
+            none(&settings.stage),
+            settings.objects.iter().map(none).collect(),
+            &stem,
+        ));
+    }
     let artwork = settings.artwork();
     let png = |picture: &DynamicImage| -> Result<Vec<u8>, Failure> {
         let mut bytes = Cursor::new(Vec::new());
@@ -206,7 +224,6 @@ fn scenery(settings: &Settings, output: &Path) -> Result<Scenery, Failure> {
     };
     let stage = artwork.stage.iter().map(png).collect::<Result<Vec<_>, _>>()?;
     let objects = artwork.objects.iter().map(|object| object.iter().map(png).collect()).collect::<Result<Vec<Vec<_>>, _>>()?;
-    let stem = output.file_stem().unwrap_or_default().to_string_lossy();
     Ok(Scenery::new(&settings.stage, &settings.objects, stage, objects, &stem))
 }
 
