@@ -7,8 +7,8 @@ use super::lagged::{Lagged, Window};
 use super::regression::Regression;
 use super::turns::{Turn, Turns};
 
-/// Minimum number of intervals that both cameras have at a shift. Lowered, nine numbers of the
-/// matrix explain what is left of them.
+/// Minimum number of intervals that both cameras have at a shift. Lowered, the
+/// nine numbers of the matrix fit the noise.
 const MIN_ROWS: usize = 24;
 /// Minimum share of the motion, as a sum of squared rotations, that both cameras have at a shift,
 /// relative to the shift with the most. Lowered, a shift is believed for the sake of a moment of
@@ -20,7 +20,7 @@ const MIN_MOTION: f64 = 0.2;
 /// errors are taken for motion.
 const FAST_FOR_S: f64 = 1.0;
 const MIN_RATE: f64 = 5.0 * std::f64::consts::PI / 180.0;
-/// Step between the shifts that are tried: a share of the frame interval, and at least so many
+/// Step between the shifts that are tried: as a share of the frame interval, and its minimum in
 /// seconds. Pans and shake vary over tenths of a second. Raised, the best shift is missed.
 const STEP_SHARE: f64 = 0.25;
 const MIN_STEP_S: f64 = 0.005;

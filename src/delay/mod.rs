@@ -1,8 +1,8 @@
 //! How much later one camera's stamps are than another's, measured from their turn rates.
 //!
-//! Two cameras on one rig turn together. While somebody pans to and fro, the rotations of both are
-//! measured, and the delay is the shift in time at which they agree. The mount need not be known:
-//! a constant 3x3 matrix, fitted together with the delay, maps one camera's turn rate to the
+//! Two cameras on one rig turn together. While somebody pans back and forth, the rotations of both
+//! are measured, and the delay is the shift in time at which they agree. The mount need not be
+//! known: a constant 3x3 matrix, fitted together with the delay, maps one camera's turn rate to the
 //! other's.
 //!
 //! [`Turns`] are the rotations of a camera over successive intervals: from poses, from a log of

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-/// Names that were given away.
+/// Names that are already in use.
 #[derive(Debug, Default)]
 pub struct Identifiers(HashSet<String>);
 

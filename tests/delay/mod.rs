@@ -22,7 +22,7 @@ fn tracking_camera() -> CameraModel {
     CameraModel::pinhole(480, 360, 400.0, 400.0, 239.5, 179.5).unwrap()
 }
 
-/// Sees 61.9 degrees across; the other camera is 25 degrees aside.
+/// Sees 61.9 degrees across; the other camera is turned by 25 degrees.
 fn filming_camera() -> CameraModel {
     CameraModel::pinhole(480, 270, 400.0, 400.0, 239.5, 134.5).unwrap()
 }

@@ -22,10 +22,10 @@ use report::{Configured, DelayReport, refused_json};
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:\n  stagepose delay --config tracking.toml --clip a --with filming.toml --with-clip b\n\nBolt both cameras to \
-                        one rig and let both record, with stamps of one clock, while somebody pans to and fro for five to ten seconds: \
-                        sharply, with halts of different lengths. A config with a stage and a calibration is tracked; \
-                        one with only a lens (a calibration or fov_deg) may film anything. --with-log compares with the log of another tracker instead: a TUM trajectory \
-                        (t tx ty tz qx qy qz qw), a pose record (.jsonl), or FreeD packets captured by tcpdump (.pcap).\nPrints the \
+                        one rig and let both record, with stamps of one clock, while somebody pans back and forth for five to ten seconds: \
+                        sharply, with halts of different lengths. A config with a stage and a calibration is tracked; one with only a \
+                        lens (a calibration or fov_deg) may film anything. --with-log compares with the log of another tracker instead: \
+                        a TUM trajectory (t tx ty tz qx qy qz qw), a pose record (.jsonl), or FreeD packets captured by tcpdump (.pcap).\nPrints the \
                         delay, its uncertainty, and the lines for the configs."
 )]
 pub(super) struct DelayArguments {
@@ -144,7 +144,7 @@ fn of_middle_rows(delay: Delay, first: &Filmed, second: &Filmed) -> Delay {
 fn refusal(why: Undetermined, first: &Filmed, second: &Filmed, arguments: &DelayArguments) -> Failure {
     let of = |side: Side| if side == Side::First { first } else { second };
     let sharply = "pan the rig to and fro sharply for five to ten seconds, at 20 degrees per second or more";
-    let mend = match why {
+    let fix = match why {
         Undetermined::Nothing(side) => format!("{}; {}", of(side).seen(), of(side).hint()),
         Undetermined::Apart { .. } => "record both with stamps of one clock, at the same time".to_owned(),
         Undetermined::TooFew { .. } => format!("{}; {}; let both record the same five to ten seconds", first.seen(), second.seen()),
@@ -154,7 +154,7 @@ fn refusal(why: Undetermined, first: &Filmed, second: &Filmed, arguments: &Delay
             .to_owned(),
         Undetermined::AtTheEnd(_) => "give a larger --range-s".to_owned(),
     };
-    let sentence = format!("{why}; {mend}");
+    let sentence = format!("{why}; {fix}");
     let written = arguments.json.as_ref().map_or(Ok(()), |file| write_whole(file, refused_json(&sentence)));
     written.map_or_else(|failure| failure, |()| Failure::Delay(sentence))
 }
