@@ -79,6 +79,12 @@ const INSTANTS: u32 = 8;
 /// Renders what a moving camera sees of a surface: each row is the mean over instants of its own
 /// exposure.
 pub fn moving_view(surface: &SurfaceSpec, motion: &Motion, shutter: &Shutter, lens: &CameraModel) -> GrayImage {
+    view_along(surface, |t| motion.after(t).pose, shutter, lens)
+}
+
+/// Renders a surface as a camera sees it that moves along a path: its pose at a time in seconds
+/// from the stamp.
+pub fn view_along(surface: &SurfaceSpec, pose_at: impl Fn(f64) -> Pose<Body, Camera>, shutter: &Shutter, lens: &CameraModel) -> GrayImage {
     let (width, height) = (lens.width(), lens.height());
     let reach_s = 0.5 * (shutter.readout_s + shutter.exposure_s);
     let step_s = shutter.exposure_s / f64::from(INSTANTS);
@@ -86,7 +92,7 @@ pub fn moving_view(surface: &SurfaceSpec, motion: &Motion, shutter: &Shutter, le
     let count = (2.0 * reach_s / step_s).round() as u32;
     for k in 0..count {
         let t = (f64::from(k) + 0.5) * step_s - reach_s;
-        let seen = view(surface, &motion.after(t).pose.inverse(), lens);
+        let seen = view(surface, &pose_at(t).inverse(), lens);
         for (row, (sums, seen)) in sums.chunks_mut(width as usize).zip(seen.chunks(width as usize)).enumerate() {
             if (t - shutter.delay_s(row as f64 + 0.5, height)).abs() < 0.5 * shutter.exposure_s {
                 sums.iter_mut().zip(seen).for_each(|(sum, grey)| *sum = [sum[0] + light_of(f64::from(*grey)), sum[1] + 1.0]);

@@ -19,7 +19,7 @@ use crate::track::scene::shape::tests::folds;
 #[cfg(feature = "cli")]
 use crate::track::scene::shape::{BentShape, SurfaceShape};
 use crate::track::scene::surface::SurfaceSpec;
-use crate::track::synthetic::{cloth, facing, grey_of, lens, light_of, prepared, texture, view};
+use crate::track::synthetic::{cloth, facing, grey_of, lens, light_of, prepared, texture, view, view_along};
 
 fn truth() -> Pose<Camera, Body> {
     facing(0.2, -0.3, Vector3::new(0.1, 0.05, 3.4))
@@ -405,4 +405,33 @@ fn a_far_start_needs_the_coarser_levels() {
         found.is_some_and(|solution| solution.alignment.pose.inverse().angle_to(&truth()) < 1e-3 && solution.alignment.is_credible(false))
     };
     assert!(is_found(false) && !is_found(true) && is_found(false));
+}
+
+/// A camera that starts while the first frame of a body is read: the upper rows show it at rest.
+/// Without a jump in the model, the pose would be off by many sigmas.
+#[test]
+fn a_start_within_the_first_frame_is_in_its_covariance() {
+    let shutter = Shutter { readout_s: 0.012, exposure_s: 0.004 };
+    let rays = CameraRays::new(lens(480, 360), None);
+    let still = Motion::still(truth().inverse());
+    let starts = [0.3, 0.8].map(|speed| (still.with_twist(&Vector6::new(0.0, 0.0, 0.0, 0.1 * speed, speed, 0.0)), speed));
+    for instant_s in [-0.003, 0.0] {
+        for (moving, speed) in starts {
+            let pose_at = |t: f64| if t < instant_s { still.pose } else { moving.after(t - instant_s).pose };
+            let mut frame = FrameLevels::default();
+            frame.update(&view_along(&cloth(1), pose_at, &shutter, &lens(480, 360)));
+            let mut aligner = Aligner::new(&prepared(vec![cloth(1)]), shutter);
+            let expected = MotionEstimate::unseen(pose_at(0.0), 3.4, 0.02, 0.006);
+            let found = aligner.align(&mut frame, &rays, &AlignRequest::new(Start::found(&expected), true)).expect("the picture agrees");
+            let error: Vector6<f64> =
+                Motion::still(found.alignment.pose).error_to(&Motion::still(pose_at(0.0))).fixed_rows::<6>(0).into_owned();
+            let nees = error.dot(&found.alignment.covariance.cholesky().expect("positive").solve(&error)) / 6.0;
+            println!(
+                "{instant_s} s, {speed} rad/s: {:.3} mm, {:.3} mrad, NEES/6 {nees:.1}",
+                1e3 * error.fixed_rows::<3>(0).norm(),
+                1e3 * error.fixed_rows::<3>(3).norm()
+            );
+            assert!(nees < 6.0, "{instant_s} s, {speed} rad/s: {nees}");
+        }
+    }
 }

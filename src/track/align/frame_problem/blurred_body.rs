@@ -58,6 +58,7 @@ impl FrameProblem<'_> {
         of_velocity += by_blur.information;
         expected = expected.with_twist(&of_velocity.clone_owned().cholesky()?.solve(&score));
         self.has_opposite = by_blur.has_opposite;
+        self.by_blur = Some((expected, information));
         self.settle(by_blur.motion, &LevelPrior { motion: &expected, information: &information, ..self.known })?;
         Some(true)
     }

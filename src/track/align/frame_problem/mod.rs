@@ -95,6 +95,8 @@ pub struct FrameProblem<'a> {
     wanders: bool,
     /// See [`Alignment::has_opposite`].
     has_opposite: bool,
+    /// The expected motion, with its information, once blur has shown a velocity.
+    by_blur: Option<(Motion, MotionMatrix)>,
     updates: Updates,
 }
 
@@ -157,6 +159,7 @@ impl<'a> FrameProblem<'a> {
             progress: Progress { last_step: Vector6::zeros(), last_moved_px: 0.0, above: None },
             wanders: false,
             has_opposite: false,
+            by_blur: None,
             updates,
         };
         let spec = frame.spec(FINEST, motion);
@@ -367,8 +370,7 @@ impl<'a> FrameProblem<'a> {
         let shutter = &self.slow.shutter;
         let Some(since_s) = since_s else {
             self.updates.line = Some(UniformMotion::new(found.pose));
-            found.covariance += by_start(&found.estimate, shutter);
-            return;
+            return self.allow_for_jump_within_first(found);
         };
         let Alignment { estimate, pose, covariance, .. } = found;
         let distance_m = distance_m(self.surfaces, pose);
@@ -393,9 +395,28 @@ impl<'a> FrameProblem<'a> {
             })
         });
         if let Some(mixture) = self.bands.mixture([Some(with_jerk), on_line], since_s, distance_m) {
-            *pose = estimate.motion.with_pose_corrected(&mixture.pose);
-            *covariance += mixture.pose_covariance;
-            *estimate = MotionEstimate { motion: estimate.motion.corrected(&mixture.motion), covariance: mixture.motion_covariance };
+            found.take_mixture(&mixture);
+        }
+    }
+
+    /// Adds the uncertainty from a velocity jump within the first frame of a body, and corrects the
+    /// pose by one that the rows of a rolling shutter show. A followed body comes here while the
+    /// readout time is in question; a jump would absorb the effect of a wrong one.
+    fn allow_for_jump_within_first(&self, found: &mut Alignment) {
+        let shutter = &self.slow.shutter;
+        found.covariance += by_start(&found.estimate, shutter);
+        if shutter.is_global() || self.is_followed {
+            return;
+        }
+        let (expected, information) = self.by_blur.unwrap_or((*self.known.motion, *self.known.information));
+        let prior = MotionPrior {
+            information,
+            error: found.estimate.motion.error_to(&expected),
+            likelihood: 1.0,
+            covariance: Some(found.estimate.covariance),
+        };
+        if let Some(mixture) = self.bands.mixture([Some(prior), None], 0.0, distance_m(self.surfaces, &found.pose)) {
+            found.take_mixture(&mixture);
         }
     }
 

@@ -6,6 +6,7 @@ use crate::track::align::tuning::TUNING;
 use nalgebra::Matrix6;
 
 use super::aperture::GradientAgreement;
+use super::jump_instant::Mixture;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::{Motion, MotionEstimate};
 use crate::track::align::kernel::evidence::RunEvidence;
@@ -51,6 +52,14 @@ impl Alignment {
     /// tiles, lowered where residuals exceed the noise.
     pub fn strength(&self) -> f64 {
         self.inlier_ratio() / self.residual_sigma.max(1.0)
+    }
+
+    /// Corrects pose and motion by a mixture over velocity jumps, and adds its uncertainty.
+    pub fn take_mixture(&mut self, mixture: &Mixture) {
+        let Self { estimate, pose, covariance, .. } = self;
+        *pose = estimate.motion.with_pose_corrected(&mixture.pose);
+        *covariance += mixture.pose_covariance;
+        *estimate = MotionEstimate { motion: estimate.motion.corrected(&mixture.motion), covariance: mixture.motion_covariance };
     }
 
     /// Whether the picture alone is conclusive.
