@@ -108,7 +108,7 @@ const TRACK: [&str; 15] = [
 ];
 /// The rooms of `track::align`, likewise.
 const ALIGN: [&str; 12] =
-    ["tuning", "lanes", "picture", "learned", "pixels", "kernel", "solve", "hypotheses", "request", "kernels", "frame_problem", "aligner"];
+    ["tuning", "lanes", "picture", "learned", "pixels", "kernel", "solve", "request", "kernels", "frame_problem", "hypotheses", "aligner"];
 
 /// Holds the modules directly inside `parent` to an order.
 fn assert_order(parent: &[&str], order: &[&str]) {

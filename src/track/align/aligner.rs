@@ -5,17 +5,20 @@
 //! [`Aligner::align`] processes one frame in this order. Pixels are selected where the reference is
 //! steep (`selection`). Their intensity is predicted with its derivatives (`appearance`). Tiles
 //! that show something else are excluded (`tile_correlation`). Pose, motion, light and point spread
-//! are solved for together (`system`), coarse to fine (`frame_problem`). Then the tiles are counted
-//! that agree with the solution (`verdict`). The slow estimates learn from the frame only when the
+//! are solved for together (`system`), coarse to fine (`frame_problem`), with each hypothesis that
+//! the frame calls for (`hypotheses`). Then the tiles are counted that agree with the solution
+//! (`verdict`). The slow estimates learn from the frame only when the
 //! caller accepts the pose with [`Solution::accept`].
 
 use super::frame_problem::{Buffers, FrameProblem};
+use super::hypotheses::jump_within_frame::allow_for_jumps;
+use super::hypotheses::solve_by_hypotheses;
 use super::learned::camera_curve::LearntCurve;
 use super::learned::noise::CameraNoise;
 use super::learned::online_calibration::{OnlineCalibration, Updates};
 use super::picture::surface::{AlignSurface, distance_m};
 use super::pixels::level_spec::LevelSpec;
-use super::request::{AlignRequest, Start};
+use super::request::AlignRequest;
 use super::solve::level_problem::patches::Patch;
 #[cfg(feature = "cli")]
 use super::solve::level_problem::pixel_shifts::PixelShift;
@@ -163,35 +166,12 @@ impl Aligner {
     /// view, nothing converges, or a covariance is singular.
     pub fn align<'a>(&'a mut self, levels: &mut FrameLevels, rays: &'a CameraRays, request: &AlignRequest) -> Option<Solution<'a>> {
         let Self { surfaces, buffers, slow } = &mut *self;
-        let AlignRequest { start: Start { expected, since_s, .. }, was_reported, readout: question } = *request;
-        let is_open = question.is_some_and(|question| question.is_open);
-        // A velocity jump within the frame would absorb the effect of a wrong readout time, and the
-        // readout would seem confirmed.
-        let since_s = since_s.filter(|_| !is_open);
-        let information = expected.covariance.cholesky()?.inverse();
+        let information = request.start.expected.covariance.cholesky()?.inverse();
         let mut frame = FrameProblem::new(surfaces, slow, buffers, levels, rays, request, &information);
-        let found = frame.solve()?;
-        let jumped_since_s = since_s.filter(|_| frame.is_surprising(&found));
-        if let Some(since_s) = jumped_since_s {
-            frame.solve_with_jump(&found, since_s)?;
-        }
-        let may_ask_blur = since_s.is_none() && !is_open;
-        let is_by_blur = may_ask_blur && frame.solve_with_blur()?;
-        if !is_by_blur {
-            frame.settle_rest()?;
-        }
-        let (mut alignment, mut exposure) = frame.verify()?;
-        if was_reported && !frame.is_by_what_fits() && !is_by_blur && alignment.may_be_pulled() {
-            frame.settle_by_what_fits()?;
-            (alignment, exposure) = frame.verify()?;
-        } else if !is_by_blur && frame.settle_uncovered()? {
-            (alignment, exposure) = frame.verify()?;
-        }
-        if may_ask_blur && !is_by_blur && alignment.is_covered_in_part() && frame.solve_covered_with_blur(alignment.residual_sigma)? {
-            (alignment, exposure) = frame.verify()?;
-        }
-        frame.allow_for_jumps(&mut alignment, since_s, jumped_since_s.is_some());
-        let shutter_clue = question.filter(|_| jumped_since_s.is_none()).and_then(|question| frame.shutter_clue(&question, exposure));
+        solve_by_hypotheses(&mut frame)?;
+        let (mut alignment, exposure) = frame.verified()?;
+        allow_for_jumps(&mut frame, &mut alignment);
+        let shutter_clue = request.readout.filter(|_| !frame.has_jumped).and_then(|question| frame.shutter_clue(&question, exposure));
         let updates = frame.into_updates();
         Some(Solution { aligner: self, rays, alignment, updates, shutter_clue })
     }

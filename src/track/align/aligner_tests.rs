@@ -14,6 +14,7 @@ use super::*;
 use crate::geometry::bspline::BicubicSpline;
 use crate::geometry::resection::perturbed;
 use crate::motion::{Motion, MotionEstimate, ProcessNoise};
+use crate::track::align::Start;
 use crate::track::frame::frame_levels::FrameLevels;
 use crate::track::scene::shape::tests::folds;
 #[cfg(feature = "cli")]

@@ -13,11 +13,11 @@
 //! - `pixels`: which pixels are compared, and what they should show
 //! - `kernel`: the inner loops: residuals and their products, per tile
 //! - `solve`: one level: all tiles together
-//! - `hypotheses`: motions that the prediction does not contain
+//! - `frame_problem`: one frame for one body: all levels
+//! - `hypotheses`: the list of what a frame may show
 //!
-//! `request` is what a caller asks for, `frame_problem` takes one frame through all of it,
-//! `aligner` is what the rest of `track` uses, `lanes` has the vector registers of the inner loops,
-//! and `kernels` opens these to benches.
+//! `request` is what a caller asks for, `aligner` is what the rest of `track` uses, `lanes` has the
+//! vector registers of the inner loops, and `kernels` opens these to benches.
 //!
 //! Source: direct alignment in the manner of Lucas and Kanade (1981) and Baker and Matthews (2004),
 //! iteratively reweighted; the joint state follows the continuous-time rolling-shutter literature

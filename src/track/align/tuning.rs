@@ -16,6 +16,49 @@ tuning! {
         /// outliers bias the first step more; lowered, fewer pixels correct a start that is off.
         first_pass_half_weight_sigmas: f32 = 2.7,
 
+        // hypotheses/blurred.rs
+        /// Pixels whose blur is estimated. Raised, the frame that finds a body takes longer;
+        /// lowered, the velocity is less certain.
+        blur_pixels: usize = 1500,
+        /// Minimum ratio of tiles that take part in a pose whose blur is estimated; half always do.
+        /// Raised, strongly blurred bodies are not tried; lowered, wrong poses cost more.
+        min_blur_inlier_ratio: f64 = 0.55,
+        /// Minimum residuals (sigmas) of an occluded body's fitting tiles for blur to be estimated.
+        /// Raised, fast bodies are found later as they reappear; lowered, bodies at rest cost more.
+        min_occluded_blur_sigma: f64 = 1.4,
+
+        // hypotheses/enlargement.rs
+        /// The other enlargement is adopted if it leaves less than this fraction of the misfit.
+        /// Raised to 1, it changes by chance; lowered, a wrong one is kept where pictures have
+        /// little fine detail.
+        max_enlargement_misfit_ratio: f64 = 0.97,
+        /// Pixels in a trial of either enlargement. Raised, the frame of a trial takes longer;
+        /// lowered, the choice changes by chance.
+        enlargement_trial_pixels: usize = 3000,
+
+        // hypotheses/jump_within_frame.rs
+        /// Prior probability that a camera that left its line was shaken (jerk), rather than
+        /// started or stopped. Raised, starts and stops are more often explained by jerk, whose
+        /// prior is wider.
+        jerk_probability: f64 = 0.01,
+
+        // hypotheses/unchanged.rs
+        /// Pixels used while nothing moves; their prediction is kept from frame to frame. Raised,
+        /// only frames of larger cameras cost more; lowered, poses scatter more.
+        still_pixels: usize = 130_000,
+        /// A prediction is kept while nothing moved by more, pixels of the level (the solution:
+        /// twice that). Raised, outdated slopes are used; lowered, pixels are selected anew and
+        /// poses scatter.
+        max_still_motion_px: f64 = 0.05,
+        /// Still frames in a row before all steep pixels are selected, which takes as long as
+        /// several frames. Raised, still cameras scatter for longer; at 1, every pause costs that
+        /// time.
+        still_frames: u32 = 3,
+        /// Still frames in a row after which the prediction is renewed, once. Raised, the first
+        /// prediction's error stays longer; lowered, the filter does not know the pose well enough
+        /// yet.
+        prediction_renewal_frames: u32 = 12,
+
         // hypotheses/velocity_by_blur.rs
         /// Maximum steps. Raised, what does not converge costs more; lowered, long blur is not
         /// reached.
@@ -165,10 +208,7 @@ tuning! {
         /// another lookup.
         tangent_plane_reach_m: f32 = 2e-3,
 
-        // frame_problem/blurred_body.rs
-        /// Pixels whose blur is estimated. Raised, the frame that finds a body takes longer;
-        /// lowered, the velocity is less certain.
-        blur_pixels: usize = 1500,
+        // frame_problem/blur_doubt.rs
         /// Minimum ratio of a blurred body's residuals to the level above's, where blur is half as
         /// long. Raised, blurred bodies are refused where they are found; lowered, wrong poses cost
         /// more.
@@ -180,12 +220,6 @@ tuning! {
         /// Minimum ratio of a blurred body's residuals to those of the level above, where most
         /// tiles fit there. Raised and lowered as `min_blur_residual_ratio`.
         min_blur_residual_ratio_of_coarse_fit: f64 = 0.75,
-        /// Minimum ratio of tiles that take part in a pose whose blur is estimated; half always do.
-        /// Raised, strongly blurred bodies are not tried; lowered, wrong poses cost more.
-        min_blur_inlier_ratio: f64 = 0.55,
-        /// Minimum residuals (sigmas) of an occluded body's fitting tiles for blur to be estimated.
-        /// Raised, fast bodies are found later as they reappear; lowered, bodies at rest cost more.
-        min_occluded_blur_sigma: f64 = 1.4,
 
         // frame_problem/descent.rs
         /// The first descent's search radius, as a multiple of the decaying maximum of the start
@@ -262,37 +296,9 @@ tuning! {
         /// accepted frame's. Raised, more frames are solved twice; lowered, local minima are taken
         /// for the pose.
         clear_fit_inlier_ratio: f64 = 0.8,
-        /// The other enlargement is adopted if it leaves less than this fraction of the misfit.
-        /// Raised to 1, it changes by chance; lowered, a wrong one is kept where pictures have
-        /// little fine detail.
-        max_enlargement_misfit_ratio: f64 = 0.97,
-        /// Pixels in a trial of either enlargement. Raised, the frame of a trial takes longer;
-        /// lowered, the choice changes by chance.
-        enlargement_trial_pixels: usize = 3000,
         /// Maximum steps of a frame whose velocity jumped or is found by blur. Raised, only frames
         /// that do not converge cost more; lowered, the pose may stay short of the solution.
         max_settling_steps: usize = 8,
-        /// Prior probability that a camera that left its line was shaken (jerk), rather than
-        /// started or stopped. Raised, starts and stops are more often explained by jerk, whose
-        /// prior is wider.
-        jerk_probability: f64 = 0.01,
-
-        // frame_problem/still_camera.rs
-        /// Pixels used while nothing moves; their prediction is kept from frame to frame. Raised,
-        /// only frames of larger cameras cost more; lowered, poses scatter more.
-        still_pixels: usize = 130_000,
-        /// A prediction is kept while nothing moved by more, pixels of the level (the solution:
-        /// twice that). Raised, outdated slopes are used; lowered, pixels are selected anew and
-        /// poses scatter.
-        max_still_motion_px: f64 = 0.05,
-        /// Still frames in a row before all steep pixels are selected, which takes as long as
-        /// several frames. Raised, still cameras scatter for longer; at 1, every pause costs that
-        /// time.
-        still_frames: u32 = 3,
-        /// Still frames in a row after which the prediction is renewed, once. Raised, the first
-        /// prediction's error stays longer; lowered, the filter does not know the pose well enough
-        /// yet.
-        prediction_renewal_frames: u32 = 12,
 
         // picture/plane_table.rs
         /// Grid steps per interval of the height's spline, along each axis. Raised, the table grows

@@ -26,7 +26,7 @@ struct Descent {
 impl FrameProblem<'_> {
     /// Aligns from the level whose basin holds the usual start error. If the result is not clearly
     /// right, aligns again from the level that holds the whole uncertainty.
-    pub(super) fn coarse_to_fine(&mut self) -> Option<Corrected> {
+    pub fn coarse_to_fine(&mut self) -> Option<Corrected> {
         let far = level_for(self.uncertain_px()).max(FINEST + 1);
         let near = level_for(TUNING.search_radius_ratio * self.slow.start_error_px).min(far);
         let Descent { mut found, coarsest, .. } = self.descend(near, None);
@@ -44,7 +44,7 @@ impl FrameProblem<'_> {
         let spec = self.spec(FINEST, &found.motion);
         let start_error_px = spec.moved_px(self.known.motion, &found.motion) * spec.frame_px();
         self.updates.start = Some((start_error_px, self.buffers.fine.inlier_tile_ratio()));
-        self.try_enlargement(found)
+        Some(found)
     }
 
     /// Whether a level above `near`, up to `far`, has enough pixels; otherwise the second descent
@@ -54,7 +54,7 @@ impl FrameProblem<'_> {
     }
 
     /// Whether a level has enough pixels at the predicted motion.
-    pub(super) fn has_pixels(&mut self, level: usize) -> bool {
+    pub fn has_pixels(&mut self, level: usize) -> bool {
         let motion = self.known.motion;
         let spec = self.spec(level, motion);
         self.lay_out(&spec, motion)
@@ -126,6 +126,8 @@ mod tests {
     use image::GrayImage;
     use nalgebra::{Vector3, Vector6};
 
+    use super::super::super::hypotheses::Hypothesis;
+    use super::super::super::hypotheses::occluded::Occluded;
     use super::super::super::learned::online_calibration::OnlineCalibration;
     use super::super::super::request::{AlignRequest, Start};
     use super::super::super::{AlignSurface, CameraRays};
@@ -222,9 +224,10 @@ mod tests {
                     found.residual_sigma < TUNING.clear_fit_sigma && (TUNING.fine_converged_px..TUNING.max_last_step_px).contains(&left_px),
                     "{left_px} px"
                 );
-                assert_eq!(problem.settle_uncovered(), Some(true));
+                assert!(Occluded.is_called_for(problem));
+                Occluded.solve(problem).expect("the solution remains");
                 assert!(problem.progress.last_moved_px < TUNING.fine_converged_px, "{} px", problem.progress.last_moved_px);
-                assert_eq!(problem.settle_uncovered(), Some(false));
+                assert!(!Occluded.is_called_for(problem));
             });
         }
     }

@@ -1,22 +1,18 @@
-//! Solves one frame for one body: from the predicted motion to the motion that the frame shows,
-//! coarse to fine.
+//! One frame for one body: what the hypotheses solve, and how.
 //!
-//! If nothing moved, the pixels of the last frame are solved again (`still_camera`). Otherwise each
-//! level's pixels are selected, predicted and solved for in turn (`descent`), from the coarsest
-//! level that the start error requires down to the finest. [`FrameProblem::solve`] runs first. Then
-//! velocity jumps and motion blur are tried where the result calls for them (`blurred_body` for
-//! bodies that were just found), and [`FrameProblem::verify`] judges the result. The slow estimates
-//! do not change here; what a frame would teach them is in its `Updates`.
+//! A descent selects, predicts and solves each level's pixels in turn, from the coarsest level that
+//! the start error requires down to the finest (`descent`). [`FrameProblem::settle`] continues from
+//! a solution with another prior. [`FrameProblem::verified`] says how well the current solution
+//! agrees with the frame. The slow estimates do not change here; what a frame would teach them is
+//! in its `Updates`.
 
-mod blurred_body;
+mod blur_doubt;
 mod descent;
 mod level_minimisation;
-mod still_camera;
 
 use crate::track::align::tuning::TUNING;
 use nalgebra::{Vector2, Vector6};
 
-use super::hypotheses::velocity_jump::{by_bend, by_start, is_unexpected, jumped};
 use super::learned::camera_curve::LearntCurve;
 use super::learned::clue::Clue;
 use super::learned::exposure::{KnownPsfVariance, exposure_clue};
@@ -26,14 +22,14 @@ use super::picture::surface::{AlignSurface, distance_m};
 use super::pixels::level_spec::LevelSpec;
 use super::pixels::selection::Selector;
 use super::request::{AlignRequest, Start};
-use super::solve::jump_instant::{MotionPrior, RowBands};
+use super::solve::jump_instant::RowBands;
 use super::solve::level_problem::solution::Conclusion;
 use super::solve::level_problem::{Corrected, LevelPrior, LevelProblem};
 use super::solve::minimiser::{End, Minimum, minimise};
 use super::solve::shutter_clue::{ReadoutQuestion, ShutterClue};
 use super::solve::system::schur_complement::SchurComplement;
 use super::solve::verdict::{Alignment, squared_mahalanobis};
-use crate::motion::{Continuation, Motion, MotionEstimate, MotionMatrix, UniformMotion};
+use crate::motion::{Motion, MotionEstimate, MotionMatrix};
 use crate::track::frame::frame_levels::{FINEST, FrameLevels, LEVELS};
 use crate::track::frame::rays::CameraRays;
 use level_minimisation::{LevelMinimisation, Use};
@@ -50,10 +46,11 @@ pub struct Buffers {
     /// Whether the finest level holds the pixels of a still camera.
     pub has_kept: bool,
     /// Consecutive frames in which no motion was predicted.
-    still_frames: u32,
+    pub still_frames: u32,
     /// The light of the frame, and of a trial beside it.
     pub light: RememberedLight,
-    trial_light: RememberedLight,
+    /// See `light`.
+    pub trial_light: RememberedLight,
     readout_column: SchurComplement,
     /// Displacement of each tile at the finest level, pixels of the level.
     pub shifts: Vec<Vector2<f64>>,
@@ -66,48 +63,60 @@ impl Buffers {
     }
 
     /// Returns a level's problem, with the selector and the light needed to work on it.
-    fn at_level(&mut self, level: usize) -> (&mut LevelProblem, &mut Selector, &mut RememberedLight) {
+    pub fn at_level(&mut self, level: usize) -> (&mut LevelProblem, &mut Selector, &mut RememberedLight) {
         (if level == FINEST { &mut self.fine } else { &mut self.coarse }, &mut self.selector, &mut self.light)
     }
 }
 
 /// A frame being solved for one body.
 pub struct FrameProblem<'a> {
-    surfaces: &'a [AlignSurface],
-    slow: &'a OnlineCalibration,
-    buffers: &'a mut Buffers,
-    levels: &'a mut FrameLevels,
+    pub(super) surfaces: &'a [AlignSurface],
+    pub(super) slow: &'a OnlineCalibration,
+    pub(super) buffers: &'a mut Buffers,
+    pub(super) levels: &'a mut FrameLevels,
     rays: &'a CameraRays,
-    expected: &'a MotionEstimate,
-    known: LevelPrior<'a>,
+    /// The predicted motion.
+    pub(super) expected: &'a MotionEstimate,
+    /// The prior of a descent.
+    pub(super) known: LevelPrior<'a>,
     /// Whether the body was seen in the frame before.
-    is_followed: bool,
+    pub(super) is_followed: bool,
+    /// Seconds since the last frame in which the velocity may have jumped; `None` for a body that
+    /// was just found, and while the readout time is in question: a jump would absorb the effect of
+    /// a wrong one, and the readout would seem confirmed.
+    pub(super) since_s: Option<f64>,
+    /// Whether the readout time is in question.
+    pub(super) is_readout_open: bool,
     /// Whether a pose of it was reported before. Then whatever differs from the body is in front of
     /// it, wherever it is found.
-    was_reported: bool,
+    pub(super) was_reported: bool,
     /// See [`Start::is_nearby_only`].
     is_nearby_only: bool,
     /// The tiles' equations, gathered by the exposure times of their rows.
-    bands: RowBands,
-    progress: Progress,
+    pub(super) bands: RowBands,
+    pub(super) progress: Progress,
     /// Whether the finest level's pose wandered where little of the body fits; then a coarser start
     /// does not find it either.
     wanders: bool,
     /// See [`Alignment::has_opposite`].
-    has_opposite: bool,
+    pub(super) has_opposite: bool,
+    /// Whether the frame was solved with a prior whose velocity may have jumped.
+    pub(super) has_jumped: bool,
     /// The expected motion, with its information, once blur has shown a velocity.
-    by_blur: Option<(Motion, MotionMatrix)>,
-    updates: Updates,
+    pub(super) by_blur: Option<(Motion, MotionMatrix)>,
+    /// The verdict on the current solution, with the frame's clue on the exposure.
+    verified: Option<(Alignment, Option<Clue>)>,
+    pub(super) updates: Updates,
 }
 
 /// How far the solution has come. A descent that leads to the same solution as an earlier one
 /// restores the earlier one's.
 #[derive(Clone, Copy)]
-struct Progress {
+pub struct Progress {
     /// The pose part of the last step, from where the tiles were predicted.
-    last_step: Vector6<f64>,
+    pub last_step: Vector6<f64>,
     /// The maximum movement of a tile in the finest level's last step, pixels of the level.
-    last_moved_px: f64,
+    pub last_moved_px: f64,
     /// The fit of the level above the finest, where it was solved.
     above: Option<LevelFit>,
 }
@@ -140,7 +149,8 @@ impl<'a> FrameProblem<'a> {
         information: &'a MotionMatrix,
     ) -> Self {
         buffers.light.clone_from(&slow.light);
-        let AlignRequest { start: Start { expected, since_s, is_nearby_only }, was_reported, .. } = *request;
+        let AlignRequest { start: Start { expected, since_s, is_nearby_only }, was_reported, readout } = *request;
+        let is_readout_open = readout.is_some_and(|question| question.is_open);
         let (motion, psf_variance, is_followed) = (&expected.motion, slow.psf_variance, since_s.is_some());
         let known = LevelPrior { motion, information, psf_variance, psf_variance_sigma: TUNING.psf_variance_sigma, is_sure: is_followed };
         let (bands, updates) = (RowBands::new(slow.shutter), Updates::none(slow));
@@ -153,13 +163,17 @@ impl<'a> FrameProblem<'a> {
             expected,
             known,
             is_followed,
+            since_s: since_s.filter(|_| !is_readout_open),
+            is_readout_open,
             was_reported,
             is_nearby_only,
             bands,
             progress: Progress { last_step: Vector6::zeros(), last_moved_px: 0.0, above: None },
             wanders: false,
             has_opposite: false,
+            has_jumped: false,
             by_blur: None,
+            verified: None,
             updates,
         };
         let spec = frame.spec(FINEST, motion);
@@ -169,7 +183,8 @@ impl<'a> FrameProblem<'a> {
         frame
     }
 
-    fn spec(&self, level: usize, motion: &Motion) -> LevelSpec<'a> {
+    /// Returns how a level is solved around a motion.
+    pub fn spec(&self, level: usize, motion: &Motion) -> LevelSpec<'a> {
         let spec = LevelSpec::new(self.surfaces, self.slow, self.rays, self.updates.is_enlarged, level, motion);
         // A start found by features may lead nowhere. Filling up the pixels would then take as long
         // as several frames, in vain.
@@ -177,18 +192,17 @@ impl<'a> FrameProblem<'a> {
     }
 
     /// Whether the body was reported before but not seen in the frame before.
-    fn is_found_again(&self) -> bool {
+    pub fn is_found_again(&self) -> bool {
         self.was_reported && !self.is_followed
     }
 
-    /// Finds the motion that the frame shows. `None` where too little of the body is in view or
-    /// nothing converges.
-    pub fn solve(&mut self) -> Option<Corrected> {
-        self.same_again().or_else(|| self.coarse_to_fine())
+    /// Returns the current solution of the finest level.
+    pub fn found(&mut self) -> Option<Corrected> {
+        self.buffers.fine.solution().map(|solution| solution.found)
     }
 
     /// Selects the pixels of a level; false if there are too few.
-    fn lay_out(&mut self, spec: &LevelSpec, motion: &Motion) -> bool {
+    pub fn lay_out(&mut self, spec: &LevelSpec, motion: &Motion) -> bool {
         let (problem, selector, light) = self.buffers.at_level(spec.level);
         problem.lay_out(spec, self.levels, motion, selector, light)
     }
@@ -211,49 +225,8 @@ impl<'a> FrameProblem<'a> {
         matches!(end, End::Converged | End::OutOfRounds).then_some(Iterated { motion, converged })
     }
 
-    /// Between its pixels the picture may be smooth, as the enlarged copies have it, or linear (a
-    /// projector or LED wall that scales it, a print of exactly these pixels). The frame shows
-    /// which. From time to time both are tried beside the solution, which is kept unless the other
-    /// is clearly better.
-    fn try_enlargement(&mut self, found: Corrected) -> Option<Corrected> {
-        let has_copies = self.surfaces.iter().any(|s| s.texture.own_level() > 0);
-        if !self.slow.is_trial_due() || !has_copies {
-            return Some(found);
-        }
-        self.updates.has_tried = true;
-        let was = self.updates.is_enlarged;
-        let [misfit, other] = [was, !was].map(|is_enlarged| self.misfit_of_trial(is_enlarged, &found));
-        self.updates.is_enlarged = was;
-        tracing::debug!(was, misfit, other, "enlargement");
-        if other >= TUNING.max_enlargement_misfit_ratio * misfit {
-            return Some(found);
-        }
-        self.buffers.trial_light.clone_from(&self.buffers.light);
-        self.updates.is_enlarged = !was;
-        self.solve_again(&found).or_else(|| {
-            self.updates.is_enlarged = was;
-            self.buffers.light.clone_from(&self.buffers.trial_light);
-            self.solve_again(&found)
-        })
-    }
-
-    /// Returns the finest level's misfit with or without the enlarged copies, solved in separate
-    /// buffers; infinite where it cannot be solved.
-    fn misfit_of_trial(&mut self, is_enlarged: bool, found: &Corrected) -> f64 {
-        self.updates.is_enlarged = is_enlarged;
-        let spec = LevelSpec { count: TUNING.enlargement_trial_pixels, ..self.spec(FINEST, &found.motion) };
-        // The coarse levels are finished, so their buffers are free.
-        let Buffers { coarse: aside, selector, light, trial_light, .. } = &mut *self.buffers;
-        trial_light.clone_from(light);
-        if !aside.lay_out(&spec, self.levels, &found.motion, selector, trial_light) {
-            return f64::INFINITY;
-        }
-        aside.predict(&spec, &found.motion);
-        aside.solve(&spec, &self.known, trial_light, false, 2).and_then(|_| aside.solution()).map_or(f64::INFINITY, |mut s| s.misfit())
-    }
-
     /// Solves the finest level once more from the solution.
-    fn solve_again(&mut self, found: &Corrected) -> Option<Corrected> {
+    pub fn solve_again(&mut self, found: &Corrected) -> Option<Corrected> {
         let spec = self.spec(FINEST, &found.motion);
         let (fine, _, light) = self.buffers.at_level(FINEST);
         fine.recall_light(light);
@@ -261,44 +234,19 @@ impl<'a> FrameProblem<'a> {
         fine.solve(&spec, &self.known, light, false, 2)
     }
 
-    /// Whether the velocity may have jumped. A small picture has few pixels. Where they contradict
-    /// the prediction, their residuals are large and weigh little beside the prior: the pose stays
-    /// where it was predicted, and only the residuals show the jump.
-    pub fn is_surprising(&self, found: &Corrected) -> bool {
-        found.residual_sigma > TUNING.clear_fit_sigma || is_unexpected(squared_mahalanobis(self.expected, &found.motion))
-    }
-
-    /// Solves the finest level once more from the solution, with a prior whose velocity may have
-    /// jumped since the last frame, `since_s` seconds ago. `None` if that fails.
-    pub fn solve_with_jump(&mut self, found: &Corrected, since_s: f64) -> Option<()> {
-        let with_jump = jumped(self.expected, since_s, &self.slow.shutter, distance_m(self.surfaces, &self.expected.motion.pose));
-        let information = with_jump.covariance.cholesky()?.inverse();
-        let known = LevelPrior { information: &information, ..self.known };
-        self.settle(found.motion, &known)
-    }
-
     /// Solves the finest level's pixels from a motion until a step is small.
-    fn settle(&mut self, motion: Motion, known: &LevelPrior) -> Option<()> {
+    pub fn settle(&mut self, motion: Motion, known: &LevelPrior) -> Option<()> {
         self.buffers.has_kept = false;
+        self.verified = None;
         let spec = self.spec(FINEST, &motion);
         let mut level = LevelMinimisation::new(self, spec, *known, Use::Settling, motion, false);
         let Minimum { end, .. } = minimise(&mut level, motion, TUNING.max_settling_steps);
         matches!(end, End::Converged | End::OutOfRounds).then_some(())
     }
 
-    /// Finishes the iterations that [`Self::solve`] left to [`Self::solve_with_blur`], where that
-    /// was not tried or showed no velocity. `None` if no solution remains.
-    pub fn settle_rest(&mut self) -> Option<()> {
-        if !self.may_ask_blur() || self.progress.last_moved_px < TUNING.fine_converged_px {
-            return Some(());
-        }
-        self.settle_found()
-    }
-
     /// Continues from the solution to convergence, with the usual prior.
-    fn settle_found(&mut self) -> Option<()> {
-        let found = self.buffers.fine.solution()?.found.motion;
-        let known = self.known;
+    pub fn settle_found(&mut self) -> Option<()> {
+        let (found, known) = (self.found()?.motion, self.known);
         self.settle(found, &known)
     }
 
@@ -308,28 +256,20 @@ impl<'a> FrameProblem<'a> {
     pub fn settle_by_what_fits(&mut self) -> Option<Corrected> {
         self.known.is_sure = true;
         self.settle_found()?;
-        self.buffers.fine.solution().map(|solution| solution.found).filter(|_| self.progress.last_moved_px < TUNING.max_last_step_px)
+        self.found().filter(|_| self.progress.last_moved_px < TUNING.max_last_step_px)
     }
 
-    /// Finishes the iterations that [`Self::solve`] skipped because the body looked occluded;
-    /// returns whether any ran. `None` if no solution remains.
-    pub fn settle_uncovered(&mut self) -> Option<bool> {
-        let is_unsettled = self.is_found_again() && !self.may_ask_blur() && self.progress.last_moved_px >= TUNING.fine_converged_px;
-        if is_unsettled {
-            self.settle_found()?;
+    /// Returns the verdict on the current solution: how well its tiles agree, and its covariance;
+    /// with the frame's clue on the exposure. `None` where there is no solution or the covariance
+    /// is singular.
+    pub fn verified(&mut self) -> Option<(Alignment, Option<Clue>)> {
+        if self.verified.is_none() {
+            self.verified = self.verify();
         }
-        Some(is_unsettled)
+        self.verified
     }
 
-    /// Whether tiles that do not fit are excluded even where they are the majority.
-    pub fn is_by_what_fits(&self) -> bool {
-        self.known.is_sure
-    }
-
-    /// Verifies the solution: how well its tiles agree, and its covariance. Returns it with the
-    /// frame's clue on the exposure. `None` where there is no solution or the covariance is
-    /// singular.
-    pub fn verify(&mut self) -> Option<(Alignment, Option<Clue>)> {
+    fn verify(&mut self) -> Option<(Alignment, Option<Clue>)> {
         self.bands = RowBands::new(self.slow.shutter);
         let Corrected { motion, residual_sigma, .. } = self.buffers.fine.solution()?.found;
         let spec = self.spec(FINEST, &motion);
@@ -363,63 +303,6 @@ impl<'a> FrameProblem<'a> {
         Some((found, exposure))
     }
 
-    /// Adds the uncertainty from velocity jumps since the last frame, `since_s` seconds ago, or
-    /// within this one, and corrects pose and motion by the jumps that the rows show. `has_jumped`:
-    /// whether the frame was solved with the wider prior.
-    pub fn allow_for_jumps(&mut self, found: &mut Alignment, since_s: Option<f64>, has_jumped: bool) {
-        let shutter = &self.slow.shutter;
-        let Some(since_s) = since_s else {
-            self.updates.line = Some(UniformMotion::new(found.pose));
-            return self.allow_for_jump_within_first(found);
-        };
-        let Alignment { estimate, pose, covariance, .. } = found;
-        let distance_m = distance_m(self.surfaces, pose);
-        let mut line = self.slow.line;
-        let led = line.as_mut().filter(|_| since_s > 0.0).and_then(|line| line.add(pose, covariance, since_s, distance_m));
-        self.updates.line = Some(line.unwrap_or(UniformMotion::new(*pose)));
-        *covariance += by_bend(self.expected, estimate, led.as_ref(), shutter, distance_m);
-        let with_jerk = MotionPrior {
-            information: *self.known.information,
-            error: estimate.motion.error_to(self.known.motion),
-            likelihood: TUNING.jerk_probability,
-            // A frame solved with the wider prior has a covariance that does not belong to this
-            // one.
-            covariance: (!has_jumped).then_some(estimate.covariance),
-        };
-        let on_line = led.filter(|led| led.has_left && !shutter.is_global()).and_then(|Continuation { expected, .. }| {
-            Some(MotionPrior {
-                information: expected.covariance.cholesky()?.inverse(),
-                error: estimate.motion.error_to(&expected.motion),
-                likelihood: 1.0 - TUNING.jerk_probability,
-                covariance: None,
-            })
-        });
-        if let Some(mixture) = self.bands.mixture([Some(with_jerk), on_line], since_s, distance_m) {
-            found.take_mixture(&mixture);
-        }
-    }
-
-    /// Adds the uncertainty from a velocity jump within the first frame of a body, and corrects the
-    /// pose by one that the rows of a rolling shutter show. A followed body comes here while the
-    /// readout time is in question; a jump would absorb the effect of a wrong one.
-    fn allow_for_jump_within_first(&self, found: &mut Alignment) {
-        let shutter = &self.slow.shutter;
-        found.covariance += by_start(&found.estimate, shutter);
-        if shutter.is_global() || self.is_followed {
-            return;
-        }
-        let (expected, information) = self.by_blur.unwrap_or((*self.known.motion, *self.known.information));
-        let prior = MotionPrior {
-            information,
-            error: found.estimate.motion.error_to(&expected),
-            likelihood: 1.0,
-            covariance: Some(found.estimate.covariance),
-        };
-        if let Some(mixture) = self.bands.mixture([Some(prior), None], 0.0, distance_m(self.surfaces, &found.pose)) {
-            found.take_mixture(&mixture);
-        }
-    }
-
     /// Returns the frame's clues on the shutter, with the clue on the exposure passed through.
     /// `None` where there is no solution or the picture moves too slowly.
     pub fn shutter_clue(&mut self, question: &ReadoutQuestion, exposure: Option<Clue>) -> Option<ShutterClue> {
@@ -441,7 +324,7 @@ impl<'a> FrameProblem<'a> {
     }
 
     /// Returns the uncertainty of the start in the frame: two sigma, pixels.
-    fn uncertain_px(&self) -> f64 {
+    pub fn uncertain_px(&self) -> f64 {
         let focal = self.rays.camera().intrinsics().fx;
         let c = &self.expected.covariance;
         let sigma = |k: usize| (c[(k, k)] + c[(k + 1, k + 1)] + c[(k + 2, k + 2)]).max(0.0).sqrt();
@@ -451,7 +334,7 @@ impl<'a> FrameProblem<'a> {
 
 /// Returns the finest level whose basin holds a start error of `off_px` frame pixels; the coarsest
 /// if none does.
-fn level_for(off_px: f64) -> usize {
+pub fn level_for(off_px: f64) -> usize {
     if off_px < TUNING.reselection_px * f64::from(1u32 << FINEST) {
         return FINEST;
     }

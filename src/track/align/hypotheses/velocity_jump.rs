@@ -7,20 +7,49 @@
 //! tested for when its velocity jumped, and by how much (`solve::jump_instant`). [`by_bend`] and
 //! [`by_start`] return the uncertainty that remains.
 
-use crate::track::align::tuning::TUNING;
 use nalgebra::{Matrix6, Vector6};
 
+use super::Hypothesis;
 use crate::camera::Shutter;
-use crate::motion::{Continuation, MotionEstimate, unseen};
+use crate::motion::{Continuation, Motion, MotionEstimate, unseen};
+use crate::track::align::frame_problem::FrameProblem;
+use crate::track::align::picture::surface::distance_m;
+use crate::track::align::solve::level_problem::LevelPrior;
+use crate::track::align::solve::verdict::squared_mahalanobis;
+use crate::track::align::tuning::TUNING;
 
 /// Mean square, over all s, of s (1 - s) / 2: the error, per exposure and unit of speed, of a
 /// camera that starts or stops at the fraction s of the exposure. Not a setting.
 const START_STOP_MEAN_SQUARE: f64 = 1.0 / 120.0;
 
-/// Whether a pose is too far from the prediction (squared Mahalanobis distance) for jerk to explain
-/// it.
-pub fn is_unexpected(squared_mahalanobis: f64) -> bool {
-    squared_mahalanobis >= TUNING.min_jump_squared_mahalanobis
+/// The velocity jumped since the last frame. A small picture has few pixels. Where they contradict
+/// the prediction, their residuals are large and weigh little beside the prior: the pose stays
+/// where it was predicted, and only the residuals show the jump.
+pub struct VelocityJump;
+
+impl Hypothesis for VelocityJump {
+    fn name(&self) -> &'static str {
+        "velocity jump"
+    }
+
+    fn is_called_for(&self, frame: &mut FrameProblem) -> bool {
+        let expected = frame.expected;
+        frame.since_s.is_some()
+            && frame.found().is_some_and(|found| found.residual_sigma > TUNING.clear_fit_sigma || is_unexpected(expected, &found.motion))
+    }
+
+    fn solve(&self, frame: &mut FrameProblem) -> Option<()> {
+        let (found, expected) = (frame.found()?.motion, frame.expected);
+        let with_jump = jumped(expected, frame.since_s?, &frame.slow.shutter, distance_m(frame.surfaces, &expected.motion.pose));
+        let information = with_jump.covariance.cholesky()?.inverse();
+        frame.has_jumped = true;
+        frame.settle(found, &LevelPrior { information: &information, ..frame.known })
+    }
+}
+
+/// Whether a pose is too far from the prediction for jerk to explain it.
+fn is_unexpected(expected: &MotionEstimate, found: &Motion) -> bool {
+    squared_mahalanobis(expected, found) >= TUNING.min_jump_squared_mahalanobis
 }
 
 /// Returns the prior after `dt_s` seconds if the velocity may have jumped meanwhile. `expected`:

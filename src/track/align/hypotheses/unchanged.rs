@@ -1,21 +1,40 @@
-//! Frames of a still camera: more pixels are used, and their prediction is kept from frame to
-//! frame.
+//! The frame shows what the last one did: a still camera. More pixels are used then, and their
+//! prediction is kept from frame to frame.
 //!
 //! Selecting that many pixels takes as long as several frames, so the camera must have been still
 //! for some frames first. Each frame is still solved on its own; only the observed intensities are
 //! updated.
 
-use super::super::pixels::level_spec::LevelSpec;
-use super::super::solve::level_problem::Corrected;
-use super::{FrameProblem, level_for};
+use super::Hypothesis;
+use crate::track::align::frame_problem::{FrameProblem, level_for};
+use crate::track::align::pixels::level_spec::LevelSpec;
+use crate::track::align::solve::level_problem::Corrected;
 use crate::track::align::tuning::TUNING;
 use crate::track::frame::frame_levels::{FINEST, LEVELS};
+
+/// The same picture as in the frame before. Leaves the frame unsolved where something moved.
+pub struct Unchanged;
+
+impl Hypothesis for Unchanged {
+    fn name(&self) -> &'static str {
+        "unchanged"
+    }
+
+    fn is_called_for(&self, _: &mut FrameProblem) -> bool {
+        true
+    }
+
+    fn solve(&self, frame: &mut FrameProblem) -> Option<()> {
+        frame.buffers.has_kept = frame.same_again().is_some();
+        Some(())
+    }
+}
 
 impl FrameProblem<'_> {
     /// Tries whether the frame shows what the last one did. Then the prediction still holds, and it
     /// pays to use more pixels. `None` if something moved, or the camera has not been still for
     /// long enough.
-    pub(super) fn same_again(&mut self) -> Option<Corrected> {
+    fn same_again(&mut self) -> Option<Corrected> {
         let motion = self.known.motion;
         let noise = self.slow.noise.of_still();
         let spec = LevelSpec { count: TUNING.still_pixels, is_dense: true, noise, ..self.spec(FINEST, motion) };
