@@ -107,10 +107,6 @@ tuning! {
         min_depth_ratio: f64 = 0.2,
 
         // hypotheses/velocity_jump.rs
-        /// Squared Mahalanobis distance from the prediction (6 dimensions) above which a jump is
-        /// tried. Raised, the prior pulls poses after jumps; lowered, shaken frames know less of
-        /// their motion.
-        min_jump_squared_mahalanobis: f64 = 24.0,
         /// Sigma of the acceleration for which rows take a jump, times the usual velocity over a
         /// frame's time. Raised, the acceleration is less certain after jumps; lowered, the bend
         /// shifts the pose.

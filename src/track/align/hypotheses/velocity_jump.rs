@@ -1,21 +1,20 @@
 //! Cameras that are started, stopped or pushed: their velocity jumps, at any instant, also while a
 //! frame is exposed and read.
 //!
-//! The motion filter models white jerk, which has no jumps. Where a pose is too far from the
-//! prediction for jerk to explain it, the frame is solved with a second prior, whose velocity
-//! jumped at some time since the last frame or within this one ([`jumped`]). Then every frame is
-//! tested for when its velocity jumped, and by how much (`solve::jump_instant`). [`by_bend`] and
-//! [`by_start`] return the uncertainty that remains.
+//! The motion filter models white jerk, which has no jumps. Where a jump explains the frame better,
+//! by its marginal likelihood and the odds against it, the frame is solved with a second prior,
+//! whose velocity jumped at some time since the last frame or within this one ([`jumped`]). Then
+//! every frame is tested for when its velocity jumped, and by how much (`solve::jump_instant`).
+//! [`by_bend`] and [`by_start`] return the uncertainty that remains.
 
 use nalgebra::{Matrix6, Vector6};
 
 use super::Hypothesis;
 use crate::camera::Shutter;
-use crate::motion::{Continuation, Motion, MotionEstimate, unseen};
+use crate::motion::{Continuation, MotionEstimate, MotionMatrix, unseen};
 use crate::track::align::frame_problem::FrameProblem;
 use crate::track::align::picture::surface::distance_m;
 use crate::track::align::solve::level_problem::LevelPrior;
-use crate::track::align::solve::verdict::squared_mahalanobis;
 use crate::track::align::tuning::TUNING;
 
 /// Mean square, over all s, of s (1 - s) / 2: the error, per exposure and unit of speed, of a
@@ -33,23 +32,43 @@ impl Hypothesis for VelocityJump {
     }
 
     fn is_called_for(&self, frame: &mut FrameProblem) -> bool {
-        let expected = frame.expected;
-        frame.since_s.is_some()
-            && frame.found().is_some_and(|found| found.residual_sigma > TUNING.clear_fit_sigma || is_unexpected(expected, &found.motion))
+        let (Some(with_jump), Some(mut solution)) = (prior(frame), frame.buffers.fine.solution()) else { return false };
+        let found = solution.estimate();
+        let log_odds = (TUNING.jump_probability / (1.0 - TUNING.jump_probability)).ln()
+            + log_evidence_ratio(&found, frame.expected, [frame.known.information, &with_jump]).unwrap_or(f64::NEG_INFINITY);
+        solution.found.residual_sigma > TUNING.clear_fit_sigma || log_odds > 0.0
     }
 
     fn solve(&self, frame: &mut FrameProblem) -> Option<()> {
-        let (found, expected) = (frame.found()?.motion, frame.expected);
-        let with_jump = jumped(expected, frame.since_s?, &frame.slow.shutter, distance_m(frame.surfaces, &expected.motion.pose));
-        let information = with_jump.covariance.cholesky()?.inverse();
+        let (found, information) = (frame.found()?.motion, prior(frame)?);
         frame.has_jumped = true;
         frame.settle(found, &LevelPrior { information: &information, ..frame.known })
     }
 }
 
-/// Whether a pose is too far from the prediction for jerk to explain it.
-fn is_unexpected(expected: &MotionEstimate, found: &Motion) -> bool {
-    squared_mahalanobis(expected, found) >= TUNING.min_jump_squared_mahalanobis
+/// Returns the information of the prior whose velocity jumped since the last frame; `None` for a
+/// body that was just found.
+fn prior(frame: &FrameProblem) -> Option<MotionMatrix> {
+    let expected = frame.expected;
+    let with_jump = jumped(expected, frame.since_s?, &frame.slow.shutter, distance_m(frame.surfaces, &expected.motion.pose));
+    Some(with_jump.covariance.cholesky()?.inverse())
+}
+
+/// Returns the logarithm of the ratio of two priors' marginal likelihoods (Laplace's approximation;
+/// MacKay 2003, chapter 28), without solving with the second one. `found`: the motion solved with
+/// the first prior; `expected`: the mean of both; `information`: of the first and the second.
+/// `None` where a matrix is not positive.
+fn log_evidence_ratio(found: &MotionEstimate, expected: &MotionEstimate, information: [&MotionMatrix; 2]) -> Option<f64> {
+    let [first, second] = information;
+    let posterior = found.covariance.cholesky()?.inverse();
+    let error = expected.motion.error_to(&found.motion);
+    let log_root = |matrix: &MotionMatrix| Some(matrix.cholesky()?.l().diagonal().iter().map(|pivot| pivot.ln()).sum::<f64>());
+    // The data's cost is quadratic about the solution, where its slope cancels that of the prior.
+    let pull = (first - second) * error;
+    let other_posterior = posterior - first + second;
+    let other_cost = error.dot(&(second * error)) - pull.dot(&other_posterior.cholesky()?.solve(&pull));
+    let log_likelihoods = 0.5 * (error.dot(&(first * error)) - other_cost);
+    Some(log_likelihoods + log_root(second)? - log_root(first)? - log_root(&other_posterior)? + log_root(&posterior)?)
 }
 
 /// Returns the prior after `dt_s` seconds if the velocity may have jumped meanwhile. `expected`:
@@ -115,7 +134,7 @@ mod tests {
 
     use super::*;
     use crate::geometry::Pose;
-    use crate::motion::{Motion, MotionMatrix};
+    use crate::motion::{Motion, MotionError};
 
     const DISTANCE_M: f64 = 4.0;
     const GLOBAL: Shutter = Shutter { readout_s: 0.0, exposure_s: 0.012 };
@@ -124,6 +143,33 @@ mod tests {
     fn rest(variance: f64) -> MotionEstimate {
         let pose = Pose::new(UnitQuaternion::identity(), Vector3::zeros());
         MotionEstimate { motion: Motion::still(pose), covariance: MotionMatrix::identity() * variance }
+    }
+
+    /// The ratio of evidences of a linear problem, against the definition: the density of the
+    /// data's estimate under each prior.
+    #[test]
+    fn the_evidence_ratio_is_that_of_the_definition() {
+        let mut random = Pcg64Mcg::seed_from_u64(5);
+        let mut matrix = |scale: f64| {
+            let root = MotionMatrix::from_fn(|i, j| random.random_range(-1.0..1.0) + if i == j { 3.0 } else { 0.0 });
+            root * root.transpose() * scale
+        };
+        for scale in [0.3, 3.0, 30.0] {
+            let (by_data, first, second) = (matrix(2.0), matrix(1.0), matrix(scale));
+            let seen = MotionError::from_fn(|i, _| 0.02 * (i as f64 - 7.0));
+            let expected = MotionEstimate { covariance: first, ..rest(1.0) };
+            let information = [first, second].map(|covariance| covariance.cholesky().expect("positive").inverse());
+            let data_information = by_data.cholesky().expect("positive").inverse();
+            let posterior = (data_information + information[0]).cholesky().expect("positive").inverse();
+            let found = MotionEstimate { motion: expected.motion.corrected(&(posterior * data_information * seen)), covariance: posterior };
+            let log_density = |prior: &MotionMatrix| {
+                let both = (prior + by_data).cholesky().expect("positive");
+                -0.5 * seen.dot(&both.solve(&seen)) - both.l().diagonal().iter().map(|pivot| pivot.ln()).sum::<f64>()
+            };
+            let by_definition = log_density(&second) - log_density(&first);
+            let ratio = log_evidence_ratio(&found, &expected, [&information[0], &information[1]]).expect("positive");
+            assert!((ratio - by_definition).abs() < 1e-3 * by_definition.abs().max(1.0), "{ratio} {by_definition}");
+        }
     }
 
     #[test]
