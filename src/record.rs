@@ -39,6 +39,9 @@ pub struct Measurement {
     pub pose: Pose<Stage, Camera>,
     /// Covariance of [δp, δθ] in stage axes, m and rad: p_true = p + δp, R_true = Exp(δθ) R.
     pub covariance: Matrix6<f64>,
+    /// The part of `covariance` that is the same error in all frames (lens, layout, map, shutter);
+    /// the rest is noise, new in every frame. Not in the record.
+    pub common: Matrix6<f64>,
     /// The better two-view model.
     pub model: TwoViewModel,
     /// Maps reference pixels of the first stage surface to undistorted frame pixels, h33 = 1.
@@ -63,12 +66,14 @@ pub struct ObjectSample {
     pub pose: Option<Pose<Stage, Body>>,
     /// Covariance of the object's pose, as in [`Measurement::covariance`]; present while tracking.
     pub covariance: Option<Matrix6<f64>>,
+    /// As in [`Measurement::common`]; present with the covariance.
+    pub common: Option<Matrix6<f64>>,
 }
 
 impl ObjectSample {
     /// Creates a sample without a pose.
     pub fn new(name: impl Into<String>, state: State) -> Self {
-        Self { name: name.into(), state, pose: None, covariance: None }
+        Self { name: name.into(), state, pose: None, covariance: None, common: None }
     }
 }
 
@@ -112,6 +117,36 @@ pub struct PoseSample {
     pub learnt: LearntCamera,
     /// Compute times; not written.
     pub times: StageTimes,
+}
+
+/// What a covariance is made of, row by row; nulls without a covariance.
+#[derive(Serialize)]
+struct CovarianceParts {
+    noise: Option<Vec<f64>>,
+    common: Option<Vec<f64>>,
+}
+
+impl CovarianceParts {
+    fn of(covariance: Option<&Matrix6<f64>>, common: Option<&Matrix6<f64>>) -> Self {
+        let noise = covariance.zip(common).map(|(covariance, common)| row_major(&(covariance - common)));
+        Self { noise, common: common.map(row_major) }
+    }
+}
+
+#[derive(Serialize)]
+struct ObjectParts {
+    name: String,
+    #[serde(flatten)]
+    parts: CovarianceParts,
+}
+
+#[derive(Serialize)]
+struct PartsLine {
+    sequence: u64,
+    timestamp_ns: Timestamp,
+    #[serde(flatten)]
+    parts: CovarianceParts,
+    objects: Vec<ObjectParts>,
 }
 
 struct Numbers<'a>(&'a [f64]);
@@ -170,9 +205,28 @@ impl Serialize for PoseSample {
             map.serialize_field("age_ms", &self.times.age_ms)?;
             return map.end();
         }
+        self.serialize_with(self.measurement.as_ref().map(|m| &m.covariance), serializer)
+    }
+}
+
+/// A record whose covariance is of its pose, not of the measurement.
+struct RefinedRecord<'a> {
+    sample: &'a PoseSample,
+    covariance: Option<&'a Matrix6<f64>>,
+}
+
+impl Serialize for RefinedRecord<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.sample.serialize_with(self.covariance, serializer)
+    }
+}
+
+impl PoseSample {
+    /// Serialises the record of a frame with this covariance.
+    fn serialize_with<S: Serializer>(&self, covariance: Option<&Matrix6<f64>>, serializer: S) -> Result<S::Ok, S::Error> {
         let m = self.measurement.as_ref();
         let homography = m.and_then(|m| m.homography.as_ref()).map(row_major);
-        let covariance = m.map(|m| row_major(&m.covariance));
+        let covariance = covariance.map(row_major);
         let mut map = serializer.serialize_struct("PoseSample", 12)?;
         map.serialize_field("sequence", &self.sequence)?;
         map.serialize_field("timestamp_ns", &self.timestamp)?;
@@ -188,9 +242,7 @@ impl Serialize for PoseSample {
         map.serialize_field("objects", &self.objects)?;
         map.end()
     }
-}
 
-impl PoseSample {
     /// Creates a sample without a pose.
     pub fn new(sequence: u64, timestamp: Timestamp, state: State) -> Self {
         let times = StageTimes::default();
@@ -218,6 +270,29 @@ impl PoseSample {
     pub fn to_json_line(&self) -> String {
         // Serialising to a string fails only for non-string map keys, and there are none.
         serde_json::to_string(self).expect("a pose record has only string keys")
+    }
+
+    /// Returns the record as one line of JSON, without the line end, with the covariance of its
+    /// pose instead of the measurement's: a pose that later frames have refined, or bridged
+    /// (contract C14).
+    pub fn to_refined_line(&self, covariance: Option<&Matrix6<f64>>) -> String {
+        // As in `to_json_line`.
+        serde_json::to_string(&RefinedRecord { sample: self, covariance }).expect("a pose record has only string keys")
+    }
+
+    /// Returns what the record's covariances are made of, as one line of JSON without the line end:
+    /// `noise`, new in every frame, and `common`, the same error in all frames (contract C14).
+    pub fn to_parts_line(&self) -> String {
+        let m = self.measurement.as_ref();
+        let parts = CovarianceParts::of(m.map(|m| &m.covariance), m.map(|m| &m.common));
+        let of_object = |object: &ObjectSample| ObjectParts {
+            name: object.name.clone(),
+            parts: CovarianceParts::of(object.covariance.as_ref(), object.common.as_ref()),
+        };
+        let objects = self.objects.iter().map(of_object).collect();
+        let line = PartsLine { sequence: self.sequence, timestamp_ns: self.timestamp, parts, objects };
+        // As in `to_json_line`.
+        serde_json::to_string(&line).expect("a line of parts has only string keys")
     }
 
     /// Returns the line of a TUM trajectory (seconds, position, quaternion); only for `tracking`

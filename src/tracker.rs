@@ -249,7 +249,7 @@ impl PoseRecorder {
 }
 
 fn measurement(observation: &FrameObservation, camera: &BodyEstimate<crate::geometry::Camera>) -> Option<Measurement> {
-    let (pose, covariance) = camera.measured.map(|m| (m.pose, m.covariance()))?;
+    let measured = camera.measured?;
     let verified = observation.stage.verified.as_ref()?;
     let two_view = observation.two_view.as_ref()?;
     let essential = two_view.essential.map(|(motion, inliers)| EssentialMotion {
@@ -258,8 +258,9 @@ fn measurement(observation: &FrameObservation, camera: &BodyEstimate<crate::geom
         inliers,
     });
     Some(Measurement {
-        pose,
-        covariance,
+        pose: measured.pose,
+        covariance: measured.covariance(),
+        common: measured.common(),
         model: if two_view.has_depth { TwoViewModel::Essential } else { TwoViewModel::Homography },
         homography: two_view.homography,
         essential,
@@ -274,5 +275,6 @@ fn object_sample(name: &str, estimate: BodyEstimate<crate::geometry::Body>) -> O
         state: estimate.state,
         pose: estimate.pose,
         covariance: estimate.measured.map(|m| m.covariance()),
+        common: estimate.measured.map(|m| m.common()),
     }
 }

@@ -117,6 +117,7 @@ fn test_sample(sequence: u64, seconds: f64, objects: &[String]) -> PoseSample {
         state: State::Tracking,
         pose: Some(Pose::new(UnitQuaternion::identity(), Vector3::new(index as f64, 0.5 * (seconds / 3.0).sin(), 0.5))),
         covariance: None,
+        common: None,
     };
     PoseSample {
         sequence,

@@ -37,6 +37,11 @@ impl<From> Measured<From> {
     pub fn covariance(&self) -> Matrix6<f64> {
         self.by_model.map_or(self.noise, |by_model| self.noise + by_model)
     }
+
+    /// Returns the part of the covariance that persists over frames; zero if there is none.
+    pub fn common(&self) -> Matrix6<f64> {
+        self.by_model.unwrap_or_else(Matrix6::zeros)
+    }
 }
 
 /// The estimates of the camera and the objects after a frame.

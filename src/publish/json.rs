@@ -101,7 +101,8 @@ impl JsonEncoder {
             return Some(measurement);
         }
         let pose = to_camera_axes(&self.placement.apply(&to_body_axes(&measurement.pose)));
-        Some(Measurement { pose, covariance: self.placed_covariance(&measurement.covariance)?, ..measurement })
+        let [covariance, common] = [&measurement.covariance, &measurement.common].map(|part| self.placed_covariance(part));
+        Some(Measurement { pose, covariance: covariance?, common: common?, ..measurement })
     }
 
     fn placed_covariance(&self, covariance: &Matrix6<f64>) -> Option<Matrix6<f64>> {

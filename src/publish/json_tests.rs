@@ -18,6 +18,7 @@ fn sample() -> PoseSample {
     let measurement = Measurement {
         pose: golden_camera(),
         covariance: covariance(),
+        common: Matrix6::zeros(),
         model: TwoViewModel::Homography,
         homography: None,
         essential: None,
@@ -29,6 +30,7 @@ fn sample() -> PoseSample {
         state: State::Tracking,
         pose: Some(Pose::new(UnitQuaternion::identity(), Vector3::new(x, 0.0, 0.0))),
         covariance: Some(covariance()),
+        common: None,
     };
     PoseSample {
         sequence: 17,

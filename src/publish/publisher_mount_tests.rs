@@ -83,6 +83,7 @@ fn json_reports_the_mounted_cameras_frame_and_covariance() {
     tracked.measurement = Some(Measurement {
         pose: golden_camera(),
         covariance,
+        common: Matrix6::zeros(),
         model: TwoViewModel::Homography,
         homography: None,
         essential: None,

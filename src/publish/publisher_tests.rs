@@ -112,7 +112,7 @@ fn sample(k: u64, state: State, x: f64) -> PoseSample {
         state,
         pose: is_known.then_some(pose),
         measurement: None,
-        objects: vec![ObjectSample { name: "cart".to_owned(), state, pose: is_known.then_some(cart), covariance: None }],
+        objects: vec![ObjectSample { name: "cart".to_owned(), state, pose: is_known.then_some(cart), covariance: None, common: None }],
         reason: None,
         learnt: Default::default(),
         times: StageTimes::default(),

@@ -74,7 +74,16 @@ mod tests {
     fn sample(at_s: f64, pose: Pose<Stage, Camera>) -> PoseSample {
         let mut sample = PoseSample::new(0, Timestamp::from_ns((at_s * 1e9) as i64), State::Tracking);
         let (covariance, model) = (Matrix6::identity(), TwoViewModel::Homography);
-        sample.measurement = Some(Measurement { pose, covariance, model, homography: None, essential: None, inliers: 0, rms_px: 0.0 });
+        sample.measurement = Some(Measurement {
+            pose,
+            covariance,
+            common: Matrix6::zeros(),
+            model,
+            homography: None,
+            essential: None,
+            inliers: 0,
+            rms_px: 0.0,
+        });
         sample
     }
 

@@ -7,7 +7,7 @@ use std::time::Duration;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
-use super::scene::{Scene, records};
+use super::scene::{CAMERA, Scene, records};
 
 #[test]
 fn replay_without_outputs_prints_the_table() {
@@ -60,6 +60,39 @@ fn a_trajectory_has_the_poses_of_the_frames_that_are_tracked() {
         assert_eq!(found.len(), 7, "{line}");
         assert!(found.iter().zip(wanted).all(|(found, wanted)| (found - wanted).abs() < 1e-9), "{line}\n{record}");
     }
+}
+
+/// With a calibration that states its uncertainty, part of every pose's doubt is the same in all
+/// frames.
+#[test]
+fn covariances_are_written_by_parts() {
+    let scene = Scene::new();
+    let numbers = |value: &serde_json::Value| value.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect::<Vec<_>>();
+    let common_variances = |uncertainty: &str| {
+        scene.write("camera.toml", &format!("{CAMERA}{uncertainty}"));
+        scene.replay(&["--poses", "poses.jsonl", "--parts", "parts.jsonl"]).assert_success();
+        let parts: Vec<serde_json::Value> = scene.read("parts.jsonl").lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        let records = records(&scene);
+        assert_eq!(parts.len(), records.len());
+        let mut variances = Vec::new();
+        for (parts, record) in parts.iter().zip(&records) {
+            assert_eq!((&parts["sequence"], &parts["timestamp_ns"]), (&record["sequence"], &record["timestamp_ns"]));
+            assert_eq!(parts["noise"].is_null(), record["covariance"].is_null());
+            if record["covariance"].is_null() {
+                continue;
+            }
+            let [noise, common, whole] = [&parts["noise"], &parts["common"], &record["covariance"]].map(numbers);
+            assert!(noise.iter().zip(&common).zip(&whole).all(|((n, c), w)| (n + c - w).abs() <= 1e-12 * w.abs()), "{parts}");
+            assert!((0..6).all(|k| noise[7 * k] > 0.0 && common[7 * k] >= 0.0), "{parts}");
+            variances.push(common[14]);
+        }
+        assert!(!variances.is_empty());
+        variances
+    };
+    let exact = common_variances("");
+    let uncertain = common_variances("[uncertainty]\nfx = 3.0\nfy = 3.0\n");
+    // One sigma of the focal length, a third of a percent, is 13 mm in 4 m.
+    assert!(uncertain.iter().zip(&exact).all(|(uncertain, exact)| uncertain - exact > 1e-6), "{uncertain:?} {exact:?}");
 }
 
 #[test]

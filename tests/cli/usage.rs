@@ -63,5 +63,5 @@ fn outputs_without_an_output_section() {
 #[test]
 fn stdout_is_given_to_one_output_only() {
     let scene = Scene::new();
-    scene.replay(&["--poses", "-", "--tum", "-"]).assert_refused(2, &["only one of --poses, --tum and --summary may be `-`"]);
+    scene.replay(&["--poses", "-", "--tum", "-"]).assert_refused(2, &["only one of --poses, --parts, --tum and --summary may be `-`"]);
 }

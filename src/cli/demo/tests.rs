@@ -20,6 +20,7 @@ fn tracked(frame: &Frame, pose: Pose<Stage, Camera>) -> PoseSample {
     let measurement = Measurement {
         pose,
         covariance: Matrix6::identity(),
+        common: Matrix6::zeros(),
         model: TwoViewModel::Homography,
         homography: None,
         essential: None,

@@ -395,7 +395,8 @@ mod tests {
     fn an_object_is_drawn_at_its_own_pose() {
         let mut sample = sample(State::Tracking, -4.0);
         let pose = Some(Pose::new(UnitQuaternion::identity(), Vector3::new(0.5, 0.0, 0.0)));
-        sample.objects = vec![crate::record::ObjectSample { name: "cart".to_owned(), state: State::Tracking, pose, covariance: None }];
+        sample.objects =
+            vec![crate::record::ObjectSample { name: "cart".to_owned(), state: State::Tracking, pose, covariance: None, common: None }];
         let picture = drawn(&sample, 0.0, &[body("cart", [0.4, 0.4])]);
         // The centre is 0.5 m to the right: 75 pixels; half of 0.4 m is 30.
         assert!(is(&picture, (425, 240), CYAN));

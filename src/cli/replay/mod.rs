@@ -37,7 +37,7 @@ use summary::Tally;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  stagepose replay clip --config stage.toml --poses poses.jsonl --summary summary.json\n\n\
     CLIP is a folder with frames/ and timestamps.csv, a folder of pictures, a .y4m, .avi (MJPEG) or .mjpeg file, or - for y4m on stdin.\n\
-    Without --poses, --tum or --summary only the table is printed. OUT may be - for stdout, once.")]
+    Without --poses, --parts, --tum or --summary only the table is printed. OUT may be - for stdout, once.")]
 pub(super) struct ReplayArguments {
     /// The clip
     clip: PathBuf,
@@ -47,6 +47,10 @@ pub(super) struct ReplayArguments {
     /// Write one JSON record per frame
     #[arg(long, value_name = "OUT.jsonl")]
     poses: Option<PathBuf>,
+    /// Write what each record's covariances are made of: noise, new in every frame, and errors that
+    /// are the same in all frames (lens, layout)
+    #[arg(long, value_name = "OUT.jsonl")]
+    parts: Option<PathBuf>,
     /// Write the tracked frames as a TUM trajectory
     #[arg(long, value_name = "OUT.txt")]
     tum: Option<PathBuf>,
@@ -120,12 +124,13 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     // Open all before truncating the first: a wrong name then destroys nothing.
     let mut spared = arguments.spared(&settings);
     let (poses, tum) = (spared.open("--poses", arguments.poses.as_deref())?, spared.open("--tum", arguments.tum.as_deref())?);
+    let parts = spared.open("--parts", arguments.parts.as_deref())?;
     let summary = spared.open("--summary", arguments.summary.as_deref())?;
     arguments.claim_others(&settings, &mut spared)?;
     arguments.overlay.as_deref().map_or(Ok(()), overlays::refuse_foreign)?;
     let outputs =
         arguments.outputs.then(|| Outputs::start(&settings, settings.http.as_ref(), setup.camera, stamps(), arguments.fps)).transpose()?;
-    let mut records = Records::begin(poses, tum, arguments.realtime)?;
+    let mut records = Records::begin(poses, tum, arguments.realtime)?.with_parts(parts)?;
     let mut summary = summary.map(records::Output::begin).transpose()?;
     let overlay = arguments.overlay.as_deref().map(|dir| (dir, setup.clone()));
 
@@ -255,11 +260,11 @@ impl ReplayArguments {
 
     /// Whether an output goes to stdout; two are refused.
     fn one_stdout(&self) -> Result<bool, Failure> {
-        let outputs = [&self.poses, &self.tum, &self.summary];
+        let outputs = [&self.poses, &self.parts, &self.tum, &self.summary];
         match outputs.into_iter().flatten().filter(|file| file.as_path() == Path::new(STDOUT)).count() {
             0 => Ok(false),
             1 => Ok(true),
-            _ => Err(Failure::Usage("only one of --poses, --tum and --summary may be `-`; give the others a file".to_owned())),
+            _ => Err(Failure::Usage("only one of --poses, --parts, --tum and --summary may be `-`; give the others a file".to_owned())),
         }
     }
 }

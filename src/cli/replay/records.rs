@@ -22,13 +22,14 @@ impl Output {
         self.0.get_mut().reopen()
     }
 
-    fn write_line(&mut self, line: &str) -> Result<(), Failure> {
+    /// Writes a line.
+    pub fn write_line(&mut self, line: &str) -> Result<(), Failure> {
         let written = writeln!(self.0, "{line}");
         written.map_err(Failure::output(&self.0.get_ref().name))
     }
 
     /// Flushes to the file: a full disk shows here at the latest.
-    fn flush(&mut self) -> Result<(), Failure> {
+    pub fn flush(&mut self) -> Result<(), Failure> {
         let flushed = self.0.flush();
         flushed.map_err(Failure::output(&self.0.get_ref().name))
     }
@@ -40,9 +41,10 @@ impl Output {
     }
 }
 
-/// The files of `--poses` and `--tum`.
+/// The files of `--poses`, `--parts` and `--tum`.
 pub(in crate::cli) struct Records {
     poses: Option<Output>,
+    parts: Option<Output>,
     tum: Option<Output>,
     /// Flush every line, for a reader that follows in real time.
     every_line: bool,
@@ -53,13 +55,21 @@ impl Records {
     /// Starts the wanted files.
     pub fn begin(poses: Option<OutputFile>, tum: Option<OutputFile>, every_line: bool) -> Result<Self, Failure> {
         let (poses, tum) = (poses.map(Output::begin).transpose()?, tum.map(Output::begin).transpose()?);
-        Ok(Self { poses, tum, every_line, begun: false })
+        Ok(Self { poses, parts: None, tum, every_line, begun: false })
+    }
+
+    /// Also writes what each record's covariances are made of.
+    pub fn with_parts(self, parts: Option<OutputFile>) -> Result<Self, Failure> {
+        Ok(Self { parts: parts.map(Output::begin).transpose()?, ..self })
     }
 
     /// Writes a sample's lines.
     pub fn write(&mut self, sample: &PoseSample) -> Result<(), Failure> {
         if let Some(poses) = &mut self.poses {
             poses.write_line(&sample.to_json_line())?;
+        }
+        if let Some(parts) = &mut self.parts {
+            parts.write_line(&sample.to_parts_line())?;
         }
         if let (Some(tum), Some(line)) = (&mut self.tum, sample.to_tum_line()) {
             tum.write_line(&line)?;
@@ -74,11 +84,11 @@ impl Records {
 
     /// As [`Output::reopen`].
     pub fn reopen(&mut self) -> Result<(), Failure> {
-        self.poses.iter_mut().chain(&mut self.tum).try_for_each(Output::reopen)
+        self.poses.iter_mut().chain(&mut self.parts).chain(&mut self.tum).try_for_each(Output::reopen)
     }
 
     /// Flushes everything to the files.
     pub fn finish(&mut self) -> Result<(), Failure> {
-        self.poses.iter_mut().chain(&mut self.tum).try_for_each(Output::flush)
+        self.poses.iter_mut().chain(&mut self.parts).chain(&mut self.tum).try_for_each(Output::flush)
     }
 }

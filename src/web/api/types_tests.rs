@@ -195,6 +195,7 @@ pub(in crate::web) fn samples() -> [PoseSample; 2] {
     let whole = Measurement {
         pose: golden_camera(),
         covariance: Matrix6::identity(),
+        common: Matrix6::zeros(),
         model: TwoViewModel::Homography,
         homography: Some(Matrix3::identity()),
         essential: Some(essential),
