@@ -49,6 +49,7 @@
 //! - `drop_oldest` (`publish`): the bounded channel that drops its oldest entry
 //! - `utc` (`daemon`): dates and times of day
 //! - `html_page` (`capture`): the page and figures shared by the reports
+//! - `refine` (`cli`): poses of a recorded take, each from the frames before and after it
 //! - `export` (`cli`): takes and stages for other programs: USD, Nuke, Blender, After Effects,
 //!   glTF, MCAP, OBJ
 //! - `capture` (`capture`, V4L2 cameras `live`): `FrameSource`: clips of all formats, the virtual
@@ -131,6 +132,8 @@ mod printable;
 pub mod protocols;
 #[cfg(feature = "publish")]
 mod publish;
+#[cfg(feature = "cli")]
+mod refine;
 #[cfg(any(feature = "capture", feature = "publish"))]
 mod safe_file;
 #[cfg(feature = "simulate")]

@@ -31,6 +31,7 @@ mod pages;
 mod pair;
 mod poster;
 mod record;
+mod refine;
 mod replay;
 mod report;
 mod run;
@@ -84,6 +85,7 @@ enum Command {
     Pair(pair::PairArguments),
     Survey(survey::SurveyArguments),
     Export(export::ExportArguments),
+    Refine(refine::RefineArguments),
     Completions(completions::CompletionsArguments),
     Man(man::ManArguments),
 }
@@ -122,6 +124,7 @@ pub fn run(started: Instant) -> ExitCode {
         Command::Pair(arguments) => pair::run(&arguments),
         Command::Survey(arguments) => survey::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
+        Command::Refine(arguments) => refine::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
         Command::Man(arguments) => man::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments).map_err(Failure::from),

@@ -86,7 +86,12 @@ impl MotionEstimate {
 
     /// Propagates an error of the motion by `dt_s`.
     pub fn error_after(&self, error: &MotionError, dt_s: f64) -> MotionError {
-        self.step_to(&self.motion.after(dt_s), dt_s) * error
+        self.transition(dt_s) * error
+    }
+
+    /// Returns the matrix that propagates errors of this motion by `dt_s`.
+    pub fn transition(&self, dt_s: f64) -> MotionMatrix {
+        self.step_to(&self.motion.after(dt_s), dt_s)
     }
 
     /// Returns the transition matrix of errors from this motion to `motion`, `dt_s` later.

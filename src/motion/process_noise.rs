@@ -62,6 +62,12 @@ impl Default for ProcessNoise {
 }
 
 impl ProcessNoise {
+    /// Creates a known process noise: its densities as factors of the usual ones.
+    #[cfg(feature = "cli")]
+    pub fn with_factors(shift: f64, rotation: f64) -> Self {
+        Self { shift, rotation, frames: UNLEARNT_FRAMES }
+    }
+
     /// Returns the spectral density of the shift's jerk at a distance from the stage, m²/s⁵.
     pub fn of_shift(&self, distance_m: f64) -> f64 {
         self.shift * USUAL_SHIFT * (distance_m / DISTANCE_M).powi(2)

@@ -15,6 +15,7 @@ mod poster;
 mod ratings;
 mod readme;
 mod reasons;
+mod refine;
 mod report;
 pub mod scene;
 mod terminal;

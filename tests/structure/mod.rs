@@ -20,7 +20,7 @@ use modules::{Modules, Name};
 use syn::{Item, Visibility};
 
 /// The rooms from the top. Each uses only those above it.
-const ROOMS: [&str; 39] = [
+const ROOMS: [&str; 40] = [
     // The core.
     "compute_clock",
     "simd",
@@ -44,6 +44,7 @@ const ROOMS: [&str; 39] = [
     "drop_oldest",
     "utc",
     "html_page",
+    "refine",
     "export",
     "capture",
     "calibrate",
