@@ -64,6 +64,14 @@ pub mod delay {
     pub use crate::delay::log::{LogError, PoseLog, read as read_pose_log};
 }
 
+/// Linear timecode, and a generator of it.
+#[cfg(feature = "publish")]
+pub mod timecode {
+    pub use crate::timecode::side_file::TimecodeRows;
+    pub use crate::timecode::synthetic::{LtcSignal, wav};
+    pub use crate::timecode::{LtcDecoder, LtcFrame, RawFormat, Sound, Timecode, TimecodeRate};
+}
+
 /// Outputs, with clocks that the caller passes in.
 #[cfg(feature = "publish")]
 pub mod publish {
@@ -73,7 +81,7 @@ pub mod publish {
     pub use crate::publish::psn::PsnSettings;
     pub use crate::publish::{
         BlendRates, BodyChoice, ClipStart, Clocks, Context, FixedRate, FrameClock, JsonSettings, OnLoss, OutputSettings, Placement,
-        Protocol, Publisher, Rate, Reading, SafetySettings, Stamps, StreamSettings, UdpSettings,
+        Protocol, Publisher, Rate, Reading, SafetySettings, Stamps, StreamSettings, TickPhase, UdpSettings,
     };
 }
 

@@ -48,6 +48,7 @@
 //! - `safe_file`, `contain` (`capture`): reading untrusted files and running decoders on them
 //! - `drop_oldest` (`publish`): the bounded channel that drops its oldest entry
 //! - `utc` (`daemon`): dates and times of day
+//! - `timecode` (`publish`): linear timecode from sound, and which timecode a stamp has
 //! - `html_page` (`capture`): the page and figures shared by the reports
 //! - `refine` (`cli`): poses of a recorded take, each from the frames before and after it
 //! - `export` (`cli`): takes and stages for other programs: USD, Nuke, Blender, After Effects,
@@ -144,6 +145,8 @@ mod survey;
 mod targets;
 #[cfg(feature = "daemon")]
 mod telemetry;
+#[cfg(feature = "publish")]
+mod timecode;
 #[cfg(feature = "daemon")]
 mod utc;
 #[cfg(feature = "daemon")]

@@ -43,6 +43,7 @@ const ROOMS: [&str; 40] = [
     "contain",
     "drop_oldest",
     "utc",
+    "timecode",
     "html_page",
     "refine",
     "export",
