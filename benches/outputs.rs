@@ -91,6 +91,7 @@ fn send(outputs: &[OutputSettings], frames: u64) -> (Vec<Instant>, Vec<Duration>
         mount: None,
         safety: SafetySettings::default(),
         stamps: Stamps::Recorded(ClipStart::default()),
+        timecode: None,
         frame_rate: Some(HZ),
         is_test: false,
     };

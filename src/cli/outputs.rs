@@ -1,11 +1,14 @@
 //! Publishes poses while a command runs: to the config's outputs and to the HTTP server's clients.
 
+use std::sync::Arc;
+
 use super::failure::Failure;
 use super::pages::Pages;
 use crate::camera::CameraModel;
 use crate::config::{HttpSettings, Settings};
 use crate::publish::{Context, OutputSettings, OutputStatistics, PoseWithheld, Publisher, Stamps};
 use crate::record::PoseSample;
+use crate::timecode::TimecodeSource;
 
 /// The running outputs and the HTTP server.
 pub(super) struct Outputs {
@@ -20,11 +23,12 @@ impl Outputs {
         http: Option<&HttpSettings>,
         camera: CameraModel,
         stamps: Stamps,
+        timecode: Option<Arc<TimecodeSource>>,
         frame_rate: Option<f64>,
     ) -> Result<Self, Failure> {
         let objects = settings.objects.iter().map(|object| object.name.clone()).collect();
         let (mount, safety) = (settings.mount.clone(), settings.safety);
-        Self::open(&settings.outputs, http, &Context { camera, objects, mount, safety, stamps, frame_rate, is_test: false })
+        Self::open(&settings.outputs, http, &Context { camera, objects, mount, safety, stamps, timecode, frame_rate, is_test: false })
     }
 
     /// As [`start`](Self::start), from what sending needs.

@@ -66,6 +66,7 @@ pub(super) fn run(arguments: &SendTestArguments) -> Result<(), Failure> {
         mount: settings.mount.clone(),
         safety: settings.safety,
         stamps: Stamps::Recorded(ClipStart::default()),
+        timecode: None,
         frame_rate: Some(arguments.fps),
         is_test: true,
     };

@@ -29,6 +29,8 @@ pub struct Config {
     pub tracker: Option<Tracker>,
     /// `[recorder]`.
     pub recorder: Option<Recorder>,
+    /// `[timecode]`.
+    pub timecode: Option<Spanned<Timecode>>,
     /// `[filter]`.
     pub filter: Option<Filter>,
     /// `[safety]`.
@@ -214,6 +216,29 @@ pub struct Recorder {
     pub ring_s: Option<Spanned<Number>>,
 }
 
+/// `[timecode]`.
+#[derive(Debug, Deserialize)]
+pub struct Timecode {
+    /// A WAV file, a pipe, or `-` for standard input.
+    pub file: Option<Spanned<String>>,
+    /// Or a sound card, by its ALSA name.
+    pub device: Option<Spanned<String>>,
+    /// The channel with the timecode, from 1.
+    pub channel: Option<Spanned<Count>>,
+    /// 23.976, 24, 25, 29.97, 29.97df or 30.
+    pub rate: Option<Spanned<String>>,
+    /// Of raw samples: samples per second.
+    pub sample_rate_hz: Option<Spanned<Count>>,
+    /// Of raw samples: number of channels.
+    pub channels: Option<Spanned<Count>>,
+    /// How long it counts on without timecode, seconds.
+    pub free_wheel_s: Option<Spanned<Number>>,
+    /// How much later the sound arrives than it was made, seconds.
+    pub latency_s: Option<Spanned<Number>>,
+    /// When a clip's sound begins, seconds after its first frame.
+    pub begins_s: Option<Spanned<Number>>,
+}
+
 /// `[filter]`.
 #[derive(Debug, Deserialize)]
 pub struct Filter {
@@ -280,6 +305,8 @@ pub struct Output {
     pub rate_divider: Option<Spanned<Count>>,
     /// Send at its own fixed rate, ticks per second.
     pub rate_hz: Option<Spanned<Number>>,
+    /// Where the ticks lie: free-running, clock.
+    pub ticks: Option<Spanned<String>>,
     /// How far the ticks' poses lag, seconds.
     pub delay_s: Option<Spanned<Number>>,
     /// Behaviour on loss: stop, hold, flag.

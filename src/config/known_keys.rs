@@ -15,7 +15,7 @@ use super::{ConfigError, Problem};
 type Keys = fn() -> &'static [&'static str];
 
 /// Every section of this version: its path, its name in messages, its keys.
-const SECTIONS: [(&[&str], &str, Keys); 18] = [
+const SECTIONS: [(&[&str], &str, Keys); 19] = [
     (&[], "the config", fields::<as_typed::Config>),
     (&["camera"], "[camera]", fields::<as_typed::Camera>),
     (&["stage"], "[stage]", fields::<as_typed::Stage>),
@@ -27,6 +27,7 @@ const SECTIONS: [(&[&str], &str, Keys); 18] = [
     (&["survey", "point"], "[[survey.point]]", fields::<as_typed::SurveyPoint>),
     (&["mount"], "[mount]", fields::<as_typed::Mount>),
     (&["tracker"], "[tracker]", fields::<as_typed::Tracker>),
+    (&["timecode"], "[timecode]", fields::<as_typed::Timecode>),
     (&["filter"], "[filter]", fields::<as_typed::Filter>),
     (&["safety"], "[safety]", fields::<as_typed::Safety>),
     (&["output"], "[[output]]", fields::<as_typed::Output>),

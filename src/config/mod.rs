@@ -36,6 +36,7 @@ mod stage_words_tests;
 pub mod surveyed;
 #[cfg(test)]
 mod tests;
+mod timecode;
 mod transfer;
 mod typed_values;
 mod values;
@@ -46,3 +47,4 @@ pub use lens::LensSource;
 pub use named_files::{FileKind, files_named_in};
 pub use settings::{LOG_LEVELS, LogFormat, LogSettings, RecorderSettings, Settings};
 pub use source::{ConfigSource, read_calibration};
+pub use timecode::{TimecodeInput, TimecodeSettings};

@@ -6,7 +6,7 @@ use std::path::Path;
 use super::settings::SendingSettings;
 use super::*;
 use crate::pose::{FilterKind, FilterSettings};
-use crate::publish::{BodyChoice, Interface, OnLoss, Protocol, Rate, SafetySettings};
+use crate::publish::{BodyChoice, Interface, OnLoss, Protocol, Rate, SafetySettings, TickPhase};
 
 fn load(text: &str) -> Result<SendingSettings, ConfigError> {
     let folder = tempfile::tempdir().unwrap();
@@ -51,7 +51,9 @@ fn every_key_reaches_the_settings() {
     assert_eq!((output.name.as_str(), output.enabled, output.is_guarded, output.on_loss), ("desk", false, false, OnLoss::Flag));
     assert_eq!(output.bodies, [BodyChoice::Object(0), BodyChoice::Camera]);
     assert_eq!((output.udp.ttl, output.udp.interface.clone()), (4, Some(Interface::Address(std::net::Ipv4Addr::LOCALHOST))));
-    assert!(matches!(output.rate, Rate::Fixed { rate, delay } if rate.ticks == 60_000 && delay.as_millis() == 100));
+    assert!(
+        matches!(output.rate, Rate::Fixed { rate, delay, phase: TickPhase::FreeRunning } if rate.ticks == 60_000 && delay.as_millis() == 100)
+    );
     let placement = output.placement;
     assert_eq!((placement.scale, placement.position_signs, placement.angle_signs), (100.0, [-1.0, 1.0, 1.0], [1.0, -1.0, 1.0]));
     assert!(matches!(&output.protocol, Protocol::Psn(psn) if psn.first_tracker == 12 && psn.system == "s"));

@@ -13,7 +13,7 @@ use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::publish::{
     Axes, BlendRates, BodyChoice, FixedRate, Interface, MountSettings, OnLoss, OutputSettings, Placement, Protocol, Rate, SafetySettings,
-    UdpSettings, needs_interface,
+    TickPhase, UdpSettings, needs_interface,
 };
 
 /// The section's name in messages.
@@ -189,6 +189,9 @@ fn rate(section: &Section<'_>, output: &as_typed::Output, mount_delay: Duration)
         if let Some(delay) = &output.delay_s {
             return Err(section.conflict("delay_s", delay, "it belongs to `rate_hz`, which is not there; add one or remove it"));
         }
+        if let Some(ticks) = &output.ticks {
+            return Err(section.conflict("ticks", ticks, "it belongs to `rate_hz`, which is not there; add one or remove it"));
+        }
         return Ok(Rate::Every(u32::try_from(every).unwrap_or(1)));
     };
     if let Some(divider) = &output.rate_divider {
@@ -200,7 +203,9 @@ fn rate(section: &Section<'_>, output: &as_typed::Output, mount_delay: Duration)
     let (_, rate) = found.ok_or_else(|| section.refuse("rate_hz", &typed.span(), problem()))?;
     let default_s = if mount_delay.is_zero() { USUAL_DELAY_S } else { mount_delay.as_secs_f64() };
     let delay = section.number("delay_s", output.delay_s.as_ref(), default_s, |v| (0.0..=0.5).contains(&v), "seconds from 0 to 0.5")?;
-    Ok(Rate::Fixed { rate, delay: Duration::from_secs_f64(delay) })
+    let phases = [("free-running", TickPhase::FreeRunning), ("clock", TickPhase::Clock)];
+    let phase = section.word("ticks", output.ticks.as_ref(), TickPhase::FreeRunning, &phases, "free-running or clock")?;
+    Ok(Rate::Fixed { rate, delay: Duration::from_secs_f64(delay), phase })
 }
 
 /// Returns the named receiver's axes. FreeD, OpenTrackIO and PSN define their own axes, which every

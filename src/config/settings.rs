@@ -23,6 +23,7 @@ use super::outputs::{OUTPUT, OutputReader, safety};
 use super::protocols::address;
 use super::shutter::shutter;
 use super::source::{ConfigSource, read_text};
+use super::timecode::{TimecodeSettings, timecode};
 use super::transfer::transfer;
 use super::values::Section;
 use super::{ConfigError, Problem};
@@ -69,6 +70,8 @@ pub struct Settings {
     pub(crate) mount: Option<MountSettings>,
     /// The tracker's tunables.
     pub tracker: TrackerSettings,
+    /// Where timecode comes from; `None` without `[timecode]`.
+    pub(crate) timecode: Option<TimecodeSettings>,
     /// What is recorded while tracking.
     pub(crate) recorder: RecorderSettings,
     /// How the measured pose is filtered before it is reported.
@@ -256,6 +259,7 @@ impl Settings {
             outputs: outputs.outputs(&typed.output)?,
             mount,
             tracker: tracker(&origin, typed.tracker.as_ref(), transfer)?,
+            timecode: typed.timecode.as_ref().map(|typed| timecode(&origin, typed)).transpose()?,
             recorder: recorder(&origin, typed.recorder.as_ref())?,
             filter: filter(&origin, typed.filter.as_ref())?,
             safety,

@@ -427,6 +427,7 @@ fn the_example_parses_with_every_key_uncommented() {
         "[[output.value]]",
         "[[survey.distance]]",
         "[[survey.point]]",
+        "[timecode]",
     ];
     let keys: Vec<&str> = known_keys().flat_map(|(_, keys)| keys.iter().copied()).collect();
     let opened = |line: &str| {

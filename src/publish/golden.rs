@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::report::{BodyChoice, BodyReport, Report};
+use super::report::{BodyChoice, BodyReport, Report, ReportedTimecode};
 use crate::frame::Timestamp;
 use crate::protocols::golden::golden_camera;
 use crate::protocols::to_body_axes;
@@ -31,6 +31,9 @@ pub(crate) fn golden_report(state: State) -> Report {
         monotonic: Timestamp::from_ns(5_040_000_000),
         sent_monotonic: Timestamp::from_ns(5_052_500_000),
         recorded: None,
+        timecode: ReportedTimecode::TimeOfDay,
+        clock: None,
+        is_on_clock: false,
         rate_hz: 30.0,
         bodies: vec![golden_body(state)],
         sample: None,

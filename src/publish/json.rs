@@ -4,8 +4,9 @@
 //! does not include it. `pose` is the pose that this output sends: placed, limited, held. `state`
 //! refers to that pose. The measurement is included only if it is the tracker's own of this frame,
 //! placed in the same way. After the record's fields come `age_ms` (from mid-exposure to sending),
-//! `unix_ns` (mid-exposure in Unix time), `times_ms`, and the marks that apply: the camera's in the
-//! line, an object's in its entry. A message that is not a record begins with `"event"`:
+//! `unix_ns` (mid-exposure in Unix time), `times_ms`, with `[timecode]` the `timecode` of the stamp
+//! (null if it is not known), and the marks that apply: the camera's in the line, an object's in
+//! its entry. A message that is not a record begins with `"event"`:
 //! `{"event":"stale",…}` if no frame came for too long.
 
 use nalgebra::{Matrix3, Matrix6};
@@ -15,7 +16,7 @@ use serde_json::{Value, json};
 use super::encoder::Encoder;
 use super::mounted::Mount;
 use super::placement::Placement;
-use super::report::{BodyChoice, BodyReport, Report, Withheld};
+use super::report::{BodyChoice, BodyReport, Report, ReportedTimecode, Withheld};
 use super::transport::StreamSettings;
 use crate::geometry::{Body, Pose, Stage};
 use crate::protocols::{to_body_axes, to_camera_axes};
@@ -60,7 +61,8 @@ impl JsonEncoder {
             return format!(r#"{},"objects":{objects}{marks}{}}}"#, opened(event.to_string()), test_mark(report));
         }
         let times = report.sample.as_ref().map(|sample| sample.times);
-        format!("{}{objects}{}{marks}{}}}", self.record(report, camera), ages(report, times), test_mark(report))
+        let (record, ages) = (self.record(report, camera), ages(report, times));
+        format!("{record}{objects}{ages}{}{marks}{}}}", timecode(&report.timecode), test_mark(report))
     }
 
     /// Returns the record's fields up to the objects.
@@ -235,6 +237,15 @@ fn ages(report: &Report, times: Option<StageTimes>) -> String {
     let Some(times) = times else { return more };
     let [decode, acquire, align, pose] = [times.decode_ms, times.acquire_ms, times.align_ms, times.pose_ms].map(rounded);
     more + &format!(r#","times_ms":{{"decode":{decode},"acquire":{acquire},"align":{align},"pose":{pose}}}"#)
+}
+
+/// Returns the timecode, from the comma on; nothing without `[timecode]`.
+fn timecode(timecode: &ReportedTimecode) -> String {
+    match timecode {
+        ReportedTimecode::TimeOfDay => String::new(),
+        ReportedTimecode::Unknown => r#","timecode":null"#.to_owned(),
+        ReportedTimecode::Known(stamped) => format!(r#","timecode":{}"#, stamped.to_json()),
+    }
 }
 
 /// Rounds to a microsecond.

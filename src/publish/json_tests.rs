@@ -9,6 +9,7 @@ use crate::protocols::golden::golden_camera;
 use crate::publish::golden::{golden_body, golden_report};
 use crate::publish::report::Withheld;
 use crate::record::{ObjectSample, TwoViewModel};
+use crate::timecode::{StampedTimecode, TimecodeRate, TimecodeState};
 
 fn covariance() -> Matrix6<f64> {
     Matrix6::from_fn(|r, c| if r == c { 1.0 + r as f64 } else { 0.01 * (r + c) as f64 })
@@ -161,4 +162,21 @@ fn fixed_rate_lines_contain_states_and_poses() {
     assert_eq!((&value["state"], &value["predicted"], &value["measured"]), (&json!("tracking"), &json!(true), &Value::Null));
     assert_eq!(value["pose"]["position_m"], json!([0.0, -4.0, 0.0]));
     assert_eq!((&value["objects"][0]["name"], &value["objects"][0]["state"]), (&json!("cart"), &json!("coasting")));
+}
+
+#[test]
+fn the_timecode_follows_the_ages() {
+    let stamped = StampedTimecode {
+        code: "23:59:59:24".parse().unwrap(),
+        fraction: 0.25,
+        rate: TimecodeRate::Fps25,
+        state: TimecodeState::FreeWheeling { for_s: 1.5 },
+    };
+    let of = |timecode| -> serde_json::Value {
+        serde_json::from_str(&line(Placement::default(), &Report { timecode, ..report(State::Tracking) })).unwrap()
+    };
+    let wanted = json!({"timecode": "23:59:59:24", "fraction": 0.25, "rate": "25", "state": "free-wheeling", "without_s": 1.5});
+    assert_eq!(of(ReportedTimecode::Known(stamped))["timecode"], wanted);
+    assert!(of(ReportedTimecode::Unknown).as_object().unwrap().get("timecode").is_some_and(serde_json::Value::is_null));
+    assert!(of(ReportedTimecode::TimeOfDay).get("timecode").is_none());
 }

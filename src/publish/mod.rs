@@ -28,6 +28,8 @@ mod report;
 mod resample;
 mod settings;
 mod stamps;
+mod system_clock;
+mod ticks;
 mod transport;
 mod worker;
 
@@ -42,6 +44,7 @@ pub use network::{Interface, needs_interface};
 pub use placement::{Axes, Placement};
 pub use publisher::{Context, OutputStatistics, PublishError, Publisher};
 pub use report::BodyChoice;
-pub use settings::{BlendRates, FixedRate, OnLoss, OutputSettings, Protocol, Rate, SafetySettings};
+pub use settings::{BlendRates, FixedRate, OnLoss, OutputSettings, Protocol, Rate, SafetySettings, TickPhase};
 pub use stamps::{ClipStart, Stamps};
+pub use system_clock::ClockQuality;
 pub use transport::{StreamSettings, TransportError, UdpSettings};

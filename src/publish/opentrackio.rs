@@ -11,13 +11,15 @@ use uuid::Builder;
 use super::clocks::{Clocks, SystemClocks};
 use super::complaints::Complaints;
 use super::encoder::Encoder;
-use super::report::{BodyChoice, BodyReport, Report};
+use super::report::{BodyChoice, BodyReport, Report, ReportedTimecode};
+use super::system_clock::ClockQuality;
 use crate::camera::CameraModel;
 use crate::frame::Timestamp;
 use crate::protocols::PanTiltRoll;
 use crate::protocols::opentrackio::{Encoding, ONE_FRAME, datagram};
 use crate::protocols::opentrackio_lens::{PrincipalPoint, lens, sensor};
 use crate::record::State;
+use crate::timecode::{StampedTimecode, TimecodeState};
 
 /// Interval at which the static part of a sample is sent, for receivers that start later. Chosen,
 /// not tuned. Raised, they wait longer for it; lowered, packets are larger.
@@ -150,6 +152,11 @@ fn tracker(report: &Report, body: &BodyReport) -> Value {
     if body.is_held() {
         notes.push("held");
     }
+    match &report.timecode {
+        ReportedTimecode::Unknown => notes.push("no timecode"),
+        ReportedTimecode::Known(StampedTimecode { state: TimecodeState::FreeWheeling { .. }, .. }) => notes.push("timecode free-wheeling"),
+        ReportedTimecode::Known(_) | ReportedTimecode::TimeOfDay => {}
+    }
     if !notes.is_empty() {
         tracker["notes"] = json!(notes.join(", "));
     }
@@ -176,8 +183,16 @@ fn timing(report: &Report) -> Value {
         "sampleTimestamp": timestamp(report.unix),
         // The number wraps.
         "sequenceNumber": report.sequence as u32,
-        "timecode": timecode(report.unix, report.rate_hz),
     });
+    match &report.timecode {
+        // Without a timecode, Unreal shows no time at all.
+        ReportedTimecode::TimeOfDay => timing["timecode"] = time_of_day(report.unix, report.rate_hz),
+        ReportedTimecode::Known(stamped) => timing["timecode"] = timecode(stamped),
+        ReportedTimecode::Unknown => {}
+    }
+    if let Some(clock) = report.clock {
+        timing["synchronization"] = synchronization(report, clock);
+    }
     if let Some(recorded) = report.recorded {
         timing["recordedTimestamp"] = timestamp(recorded);
     }
@@ -203,8 +218,29 @@ fn fraction_of(hz: f64) -> (u32, u32) {
     found.unwrap_or(if in_thousandths.is_multiple_of(1000) { (in_thousandths / 1000, 1) } else { (in_thousandths, 1000) })
 }
 
-/// Returns the time of day (UTC) as a timecode: without one, Unreal shows no time at all.
-fn timecode(unix: Timestamp, rate_hz: f64) -> Value {
+/// Returns what the stamps' clock follows. The format has no word for a clock that follows nothing:
+/// it is not locked. A frequency is stated only if the samples lie on the clock's frames; without
+/// one, they are free-running.
+fn synchronization(report: &Report, clock: ClockQuality) -> Value {
+    // The kernel does not know which service keeps its clock; nearly always it is NTP.
+    let mut synchronization = json!({"locked": clock.is_synchronised, "source": "ntp"});
+    if report.is_on_clock {
+        synchronization["frequency"] = fraction(report.rate_hz);
+    }
+    synchronization
+}
+
+/// Returns the timecode of the production.
+fn timecode(stamped: &StampedTimecode) -> Value {
+    let (code, (num, denom)) = (stamped.code, stamped.rate.fraction());
+    json!({
+        "hours": code.hours, "minutes": code.minutes, "seconds": code.seconds, "frames": code.frames,
+        "frameRate": {"num": num, "denom": denom}, "dropFrame": code.is_drop,
+    })
+}
+
+/// Returns the time of day (UTC) as a timecode.
+fn time_of_day(unix: Timestamp, rate_hz: f64) -> Value {
     let (num, mut denom) = fraction_of(rate_hz);
     // A timecode counts at most 120 frames per second.
     while num > 120 * denom {

@@ -2,6 +2,7 @@ use super::*;
 use crate::protocols::opentrackio::decode;
 use crate::publish::golden::golden_report;
 use crate::publish::report::Withheld;
+use crate::timecode::TimecodeRate;
 
 fn settings(encoding: Encoding) -> OpenTrackIoSettings {
     OpenTrackIoSettings { encoding, source_number: 1, sensor_width_mm: 4.8, principal_point: PrincipalPoint::Projection }
@@ -70,6 +71,36 @@ fn rates_become_fractions() {
         [29.97, 30.0, 59.94, 25.0, 23.976, 14.5].map(fraction_of),
         [(30_000, 1001), (30, 1), (60_000, 1001), (25, 1), (24_000, 1001), (14_500, 1000)]
     );
-    let timecode = timecode(Timestamp::from_ns(999_999_999), 240.0);
+    let timecode = time_of_day(Timestamp::from_ns(999_999_999), 240.0);
     assert!(timecode["frames"].as_u64().unwrap() < 120 && timecode["frameRate"] == json!({"num": 240, "denom": 2}));
+}
+
+#[test]
+fn the_timecode_is_the_productions_and_absent_while_unknown() {
+    let stamped = |state| StampedTimecode { code: "01:02:03;04".parse().unwrap(), fraction: 0.5, rate: TimecodeRate::Fps29_97Drop, state };
+    let wanted =
+        json!({"hours": 1, "minutes": 2, "seconds": 3, "frames": 4, "frameRate": {"num": 30_000, "denom": 1001}, "dropFrame": true});
+    for (timecode, wanted, notes) in [
+        (ReportedTimecode::Known(stamped(TimecodeState::Locked)), &wanted, Value::Null),
+        (ReportedTimecode::Known(stamped(TimecodeState::FreeWheeling { for_s: 2.0 })), &wanted, json!("timecode free-wheeling")),
+        (ReportedTimecode::Unknown, &Value::Null, json!("no timecode")),
+    ] {
+        let report = Report { timecode, ..golden_report(State::Tracking) };
+        let (_, sample) = decode(&datagrams(&mut encoder(Encoding::Json), &report)[0]).unwrap();
+        assert_eq!((&sample["timing"]["timecode"], &sample["tracker"]["notes"]), (wanted, &notes));
+    }
+}
+
+#[test]
+fn the_clock_is_locked_or_not_and_has_a_frequency_only_on_its_frames() {
+    let quality = ClockQuality { is_synchronised: true, max_error_s: 0.002, frequency_ppm: -3.0, tai_offset_s: None };
+    let of = |clock, is_on_clock| {
+        let report = Report { clock, is_on_clock, rate_hz: 59.94, ..golden_report(State::Tracking) };
+        decode(&datagrams(&mut encoder(Encoding::Json), &report)[0]).unwrap().1["timing"]["synchronization"].clone()
+    };
+    assert_eq!(of(None, false), Value::Null);
+    assert_eq!(of(Some(quality), false), json!({"locked": true, "source": "ntp"}));
+    let frequency = json!({"num": 60_000, "denom": 1001});
+    let free = ClockQuality { is_synchronised: false, ..quality };
+    assert_eq!(of(Some(free), true), json!({"locked": false, "source": "ntp", "frequency": frequency}));
 }

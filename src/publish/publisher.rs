@@ -29,6 +29,7 @@ use crate::camera::CameraModel;
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::frame::Timestamp;
 use crate::record::{PoseSample, State};
+use crate::timecode::TimecodeSource;
 
 /// What all outputs share.
 #[derive(Debug, Clone)]
@@ -43,6 +44,8 @@ pub struct Context {
     pub safety: SafetySettings,
     /// Where the samples' stamps come from.
     pub stamps: Stamps,
+    /// Timecode of the samples' stamps; `None` sends the time of day where a format needs one.
+    pub timecode: Option<Arc<TimecodeSource>>,
     /// Frames per second if known; otherwise derived from the stamps.
     pub frame_rate: Option<f64>,
     /// Whether the poses are invented; they are marked as such if the format can.
@@ -109,6 +112,7 @@ pub struct Publisher {
     outputs: Vec<RunningOutput>,
     frame_rate: Option<f64>,
     clock: Arc<FrameClock>,
+    timecode: Option<Arc<TimecodeSource>>,
     order: Mutex<Order>,
     events: Receiver<PoseWithheld>,
 }
@@ -149,7 +153,7 @@ impl Publisher {
         let start = |output| RunningOutput::start(output, context, &clock, &raise);
         let outputs = outputs.iter().filter(|o| o.enabled).map(start).collect::<Result<_, _>>()?;
         let order = Mutex::new(Order { pace: Pace::default(), last: None, foreign: Complaints::new("all") });
-        Ok(Self { outputs, frame_rate: context.frame_rate, clock, order, events })
+        Ok(Self { outputs, frame_rate: context.frame_rate, clock, timecode: context.timecode.clone(), order, events })
     }
 
     /// Opens every enabled output and closes it again, to check whether the addresses, ports and
@@ -178,6 +182,9 @@ impl Publisher {
             order.foreign.say(|| sentence.to_owned());
             return;
         };
+        if let (None, Some(timecode)) = (order.last, &self.timecode) {
+            timecode.begin(stamp);
+        }
         order.last = Some(stamp);
         order.pace.follow(stamp);
         let rate_hz = self.frame_rate.or(order.pace.rate_hz()).unwrap_or(USUAL_RATE_HZ);
@@ -246,8 +253,9 @@ impl RunningOutput {
             stale_after: context.safety.stale_after,
             is_test: context.is_test,
             counters: counters.clone(),
-            memory: Memory::start(clock.now()),
+            memory: Memory::start(clock.now(), settings.rate),
             clock: clock.clone(),
+            timecode: context.timecode.clone(),
         };
         let thread = std::thread::Builder::new().name(format!("out-{name}")).spawn(move || worker.run());
         let thread = thread.map_err(|source| PublishError::Thread { output: name.clone(), source })?;

@@ -8,7 +8,7 @@ use super::super::clocks::stepped::SteppedClocks;
 use super::super::freed::{FreedSettings, Spare};
 use super::super::json::JsonSettings;
 use super::super::osc::{OscMessageKind, OscSettings};
-use super::super::settings::{BlendRates, FixedRate, OnLoss, Rate};
+use super::super::settings::{BlendRates, FixedRate, OnLoss, Rate, TickPhase};
 use super::super::transport::UdpSettings;
 use super::super::{Placement, opentrackio::*};
 use super::*;
@@ -88,6 +88,7 @@ fn context(safety: SafetySettings) -> Context {
         mount: None,
         safety,
         stamps: Stamps::Recorded(ClipStart::default()),
+        timecode: None,
         frame_rate: Some(30.0),
         is_test: false,
     }
@@ -258,7 +259,7 @@ fn all_freed(ear: &Ear) -> Vec<(f64, u16)> {
 
 #[test]
 fn an_old_frame_is_never_sent_as_good() {
-    let fixed = Rate::Fixed { rate: FixedRate { ticks: 50, per_s: 1 }, delay: Duration::ZERO };
+    let fixed = Rate::Fixed { rate: FixedRate { ticks: 50, per_s: 1 }, delay: Duration::ZERO, phase: TickPhase::FreeRunning };
     for rate in [Rate::Every(1), fixed] {
         for suspends in [false, true] {
             let ear = Ear::new();
@@ -333,7 +334,7 @@ fn repeated_or_foreign_stamps_are_ignored() {
 
 #[test]
 fn late_ticks_coast_and_are_sent_only_if_it_can_be_marked() {
-    let rate = Rate::Fixed { rate: FixedRate { ticks: 50, per_s: 1 }, delay: Duration::ZERO };
+    let rate = Rate::Fixed { rate: FixedRate { ticks: 50, per_s: 1 }, delay: Duration::ZERO, phase: TickPhase::FreeRunning };
     let (marked, unmarked) = (Ear::new(), Ear::new());
     let outputs = [
         OutputSettings { rate, ..output(freed(Spare::Quality), &marked) },
@@ -391,7 +392,7 @@ fn poses_out_of_freed_range_are_withheld_not_clamped() {
 #[test]
 fn fixed_rate_samples_are_renumbered_and_interpolated() {
     let ear = Ear::new();
-    let rate = Rate::Fixed { rate: FixedRate { ticks: 50, per_s: 1 }, delay: Duration::from_millis(80) };
+    let rate = Rate::Fixed { rate: FixedRate { ticks: 50, per_s: 1 }, delay: Duration::from_millis(80), phase: TickPhase::FreeRunning };
     let publisher = start(&[OutputSettings { rate, ..output(json(), &ear) }]);
     let begun = Instant::now();
     for k in 0..30_u64 {

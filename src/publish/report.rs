@@ -4,9 +4,11 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::system_clock::ClockQuality;
 use crate::frame::Timestamp;
 use crate::geometry::{Body, Pose, Stage};
 use crate::record::{PoseSample, State};
+use crate::timecode::StampedTimecode;
 
 /// A body that an output reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -103,6 +105,17 @@ impl BodyReport {
     }
 }
 
+/// What is known of an instant's timecode.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ReportedTimecode {
+    /// No timecode is configured; formats that need one send the time of day.
+    TimeOfDay,
+    /// It is configured, but not known at this instant.
+    Unknown,
+    /// The timecode of the instant.
+    Known(StampedTimecode),
+}
+
 /// Everything that one output reports at one instant.
 #[derive(Debug, Clone)]
 pub struct Report {
@@ -116,6 +129,12 @@ pub struct Report {
     pub sent_monotonic: Timestamp,
     /// The same instant on the clip's clock, if a clip is replayed.
     pub recorded: Option<Timestamp>,
+    /// Timecode of the instant.
+    pub timecode: ReportedTimecode,
+    /// What the system's clock is worth, if the kernel tells.
+    pub clock: Option<ClockQuality>,
+    /// Whether the instant is a tick on the clock's frames.
+    pub is_on_clock: bool,
     /// Samples per second, as far as known.
     pub rate_hz: f64,
     /// The output's bodies in its order; the first is the main one.

@@ -86,7 +86,18 @@ pub enum Rate {
         rate: FixedRate,
         /// Delay: the pose sent is the one of this long ago.
         delay: Duration,
+        /// Where the ticks lie.
+        phase: TickPhase,
     },
+}
+
+/// Where the ticks of a fixed rate lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TickPhase {
+    /// They begin with the output.
+    FreeRunning,
+    /// On the frames of the system's clock, counted from 1970 in TAI (SMPTE ST 2059-1).
+    Clock,
 }
 
 impl Rate {

@@ -10,12 +10,15 @@ use super::channel::BodyChannel;
 use super::clocks::Reading;
 use super::encoder::Encoder;
 use super::frame_clock::FrameClock;
-use super::report::Report;
+use super::report::{Report, ReportedTimecode};
 use super::resample::Known;
-use super::settings::{OnLoss, Rate};
+use super::settings::{OnLoss, Rate, TickPhase};
+use super::system_clock::{ClockQuality, tai_offset_s};
+use super::ticks::Ticks;
 use super::transport::Transport;
 use crate::frame::Timestamp;
 use crate::record::{PoseSample, State};
+use crate::timecode::TimecodeSource;
 
 /// A sample with its instant.
 #[derive(Debug)]
@@ -70,18 +73,21 @@ pub(super) struct Worker {
     pub is_test: bool,
     pub counters: Arc<Counters>,
     pub clock: Arc<FrameClock>,
+    pub timecode: Option<Arc<TimecodeSource>>,
     pub memory: Memory,
 }
 
 /// The worker's state; instants are on the boot clock.
 pub(super) struct Memory {
-    begun: Timestamp,
     /// When the newest frame was taken; before the first one, when the output started.
     newest: Timestamp,
     last: Option<Arc<Arrival>>,
     last_sent: Option<Timestamp>,
     next_round: Timestamp,
-    next_tick: u64,
+    /// For `Rate::Fixed`.
+    ticks: Option<Ticks>,
+    /// The system clock's quality, and when it was asked for.
+    quality: Option<(Timestamp, Option<ClockQuality>)>,
     taken: u64,
     /// For how many bodies the last sample had a pose.
     known_bodies: usize,
@@ -89,14 +95,18 @@ pub(super) struct Memory {
 }
 
 impl Memory {
-    pub fn start(now: Reading) -> Self {
+    pub fn start(now: Reading, rate: Rate) -> Self {
+        let ticks = match rate {
+            Rate::Fixed { rate, phase, .. } => Some(Ticks::new(rate, phase, tai_offset_s(), now)),
+            Rate::Every(_) => None,
+        };
         Self {
-            begun: now.boot,
             newest: now.boot,
             last: None,
             last_sent: None,
             next_round: now.boot,
-            next_tick: 0,
+            ticks,
+            quality: None,
             taken: 0,
             known_bodies: 0,
             had_pose: false,
@@ -121,11 +131,9 @@ impl Worker {
     /// Returns the time until something is due, at most one round, since the clock may have jumped
     /// by then.
     fn wait(&self) -> Duration {
-        let due = match self.rate {
-            Rate::Fixed { rate, .. } => self.memory.next_round.min(self.memory.begun.after(rate.tick(self.memory.next_tick))),
-            Rate::Every(_) => self.memory.next_round,
-        };
-        due.duration_since(self.clock.now().boot).min(ROUND)
+        let now = self.clock.now();
+        let until_tick = self.memory.ticks.as_ref().map_or(ROUND, |ticks| ticks.wait(now));
+        self.memory.next_round.duration_since(now.boot).min(until_tick).min(ROUND)
     }
 
     fn take(&mut self, arrival: Arc<Arrival>) {
@@ -162,16 +170,9 @@ impl Worker {
 
     /// Sends what is due on a fixed rate.
     fn tick(&mut self) {
-        let Rate::Fixed { rate, delay } = self.rate else { return };
-        let now = self.clock.now();
-        let elapsed = now.boot.duration_since(self.memory.begun);
-        if elapsed < rate.tick(self.memory.next_tick) {
-            return;
-        }
-        // When late, skip ticks instead of sending a burst.
-        let tick = rate.tick_at(elapsed).max(self.memory.next_tick);
-        self.memory.next_tick = tick + 1;
-        let at = self.memory.begun.after(rate.tick(tick)).before(delay);
+        let (Rate::Fixed { delay, .. }, now) = (self.rate, self.clock.now()) else { return };
+        let Some((tick, at)) = self.memory.ticks.as_mut().and_then(|ticks| ticks.due(now)) else { return };
+        let at = at.before(delay);
         let interval = self.memory.last.as_ref().map_or(frame_time(USUAL_RATE_HZ), |last| last.interval);
         let is_stale = self.is_stale(now);
         let known = |body: &BodyChannel| if is_stale { Known::nothing(State::Stale) } else { body.at(at, interval) };
@@ -224,16 +225,24 @@ impl Worker {
             return;
         }
         self.memory.had_pose = has_pose;
-        let latest = arrival.or(self.memory.last.as_ref());
         let since_now_ns = at.ns_since(now.boot);
+        let monotonic = now.monotonic.after_ns(since_now_ns);
+        let clock = self.quality(now);
+        let latest = arrival.or(self.memory.last.as_ref());
+        // A tick has no stamp of its own: it is as far from the last sample on the clip's clock as
+        // on this machine's.
+        let recorded = latest.and_then(|a| Some(a.recorded?.after_ns(at.ns_since(a.at))));
         let report = Report {
             sequence,
             unix: now.unix.after_ns(since_now_ns),
-            monotonic: now.monotonic.after_ns(since_now_ns),
+            monotonic,
             sent_monotonic: now.monotonic,
-            // A tick has no stamp of its own: it is as far from the last sample on the clip's clock
-            // as on this machine's.
-            recorded: latest.and_then(|a| Some(a.recorded?.after_ns(at.ns_since(a.at)))),
+            recorded,
+            timecode: self.timecode.as_ref().map_or(ReportedTimecode::TimeOfDay, |timecode| {
+                timecode.at(recorded.unwrap_or(monotonic)).map_or(ReportedTimecode::Unknown, ReportedTimecode::Known)
+            }),
+            clock,
+            is_on_clock: matches!(self.rate, Rate::Fixed { phase: TickPhase::Clock, .. }),
             rate_hz: self.rate.hz(latest.map_or(USUAL_RATE_HZ, |a| a.rate_hz)),
             bodies,
             sample: arrival.map(|a| a.sample.clone()),
@@ -248,6 +257,14 @@ impl Worker {
             let us = u64::try_from(arrival.arrived.elapsed().as_micros()).unwrap_or(u64::MAX);
             self.counters.latency_us.store(us, Ordering::Relaxed);
             self.counters.greatest_latency_us.fetch_max(us, Ordering::Relaxed);
+        }
+    }
+
+    /// Returns the system clock's quality, which is asked for once a second.
+    fn quality(&mut self, now: Reading) -> Option<ClockQuality> {
+        match self.memory.quality {
+            Some((asked, quality)) if now.boot.duration_since(asked) < REPEAT => quality,
+            _ => self.memory.quality.insert((now.boot, ClockQuality::read())).1,
         }
     }
 
@@ -350,8 +367,9 @@ mod tests {
             stale_after: Duration::from_millis(500),
             is_test: false,
             counters: counters.clone(),
-            memory: Memory::start(clock.now()),
+            memory: Memory::start(clock.now(), settings.rate),
             clock: clock.clone(),
+            timecode: None,
         };
         let sample = PoseSample {
             sequence: 7,

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use stagepose::diagnostics::publish::{BlendRates, Clocks, Context, FixedRate, OnLoss, Publisher, Rate, SafetySettings, Stamps};
+use stagepose::diagnostics::publish::{BlendRates, Clocks, Context, FixedRate, OnLoss, Publisher, Rate, SafetySettings, Stamps, TickPhase};
 use stagepose::{CameraModel, ObjectSample, Pose, PoseSample, State, Timestamp};
 
 use super::clocks::SteppedClocks;
@@ -116,7 +116,11 @@ impl Show {
         let ways = WAYS.into_iter().filter(|(_, way)| story.on_loss() != OnLoss::Flag || way.can_flag());
         let mut places: Vec<Place> = ways.map(|way| Place::new(way, of_object, folder)).collect();
         let is_fixed = story == Story::Predicted;
-        let rate = if is_fixed { Rate::Fixed { rate: FixedRate { ticks: 50, per_s: 1 }, delay: Duration::ZERO } } else { Rate::Every(1) };
+        let rate = if is_fixed {
+            Rate::Fixed { rate: FixedRate { ticks: 50, per_s: 1 }, delay: Duration::ZERO, phase: TickPhase::FreeRunning }
+        } else {
+            Rate::Every(1)
+        };
         let context = Context {
             camera: CameraModel::pinhole(640, 480, 600.0, 600.0, 319.5, 239.5).unwrap(),
             objects: vec!["cart".to_owned()],
@@ -124,6 +128,7 @@ impl Show {
             // In the predicted row, one frame interval has room for many ticks.
             safety: if is_fixed { SafetySettings { stale_after: Duration::from_secs(60), ..safety() } } else { safety() },
             stamps: Stamps::Live,
+            timecode: None,
             frame_rate: Some(if is_fixed { 0.1 } else { 30.0 }),
             is_test: false,
         };

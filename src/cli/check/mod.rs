@@ -16,7 +16,7 @@ use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::config::{LensSource, Settings};
 use crate::diagnose::{self, Finding, Grade};
 use crate::printable::printable_lines;
-use crate::publish::{OnLoss, OutputSettings, Protocol, Rate};
+use crate::publish::{OnLoss, OutputSettings, Protocol, Rate, TickPhase};
 use crate::track::{BodySpec, ReferenceKind, SurfaceSpec};
 use crate::web::{AllowedHosts, page_address};
 
@@ -251,7 +251,10 @@ fn output_line(output: &OutputSettings, settings: &Settings) -> String {
     let rate = match output.rate {
         Rate::Every(1) => "every frame".to_owned(),
         Rate::Every(n) => format!("one frame in {n}"),
-        Rate::Fixed { rate, delay } => format!("{:.2} times a second, {} ms late", rate.hz(), delay.as_millis()),
+        Rate::Fixed { rate, delay, phase } => {
+            let phase = if phase == TickPhase::Clock { "on the clock's frames" } else { "free-running" };
+            format!("{:.2} times a second, {phase}, {} ms late", rate.hz(), delay.as_millis())
+        }
     };
     let on_loss = match output.on_loss {
         OnLoss::Stop => "stops on loss",
