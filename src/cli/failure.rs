@@ -100,6 +100,14 @@ pub enum Failure {
         /// What is wrong with it, and the fix.
         reason: String,
     },
+    /// A sound, or a recording's timecode, cannot be read, or has no timecode.
+    #[error("{}: {reason}", file.display())]
+    Timecode {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it, and the fix.
+        reason: String,
+    },
     /// Two clips yield no mount.
     #[error("{0}")]
     Mount(String),

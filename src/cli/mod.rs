@@ -38,6 +38,7 @@ mod run;
 mod send_test;
 mod spared;
 mod survey;
+mod timecode;
 
 use std::io::{self, Write as _};
 use std::process::ExitCode;
@@ -86,6 +87,7 @@ enum Command {
     Survey(survey::SurveyArguments),
     Export(export::ExportArguments),
     Refine(refine::RefineArguments),
+    Timecode(timecode::TimecodeArguments),
     Completions(completions::CompletionsArguments),
     Man(man::ManArguments),
 }
@@ -125,6 +127,7 @@ pub fn run(started: Instant) -> ExitCode {
         Command::Survey(arguments) => survey::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Refine(arguments) => refine::run(&arguments),
+        Command::Timecode(arguments) => timecode::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
         Command::Man(arguments) => man::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments).map_err(Failure::from),

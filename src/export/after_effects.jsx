@@ -27,6 +27,14 @@
     // the camera saw.
     var picture = app.project.items.addComp("stagepose", TAKE.size[0], TAKE.size[1], 1, duration, TAKE.rate);
     var room = app.project.items.addComp("stagepose room", TAKE.room[0], TAKE.room[1], 1, duration, TAKE.rate);
+    // The timecode of the first row.
+    if (TAKE.start) {
+        var comps = [picture, room];
+        for (var c = 0; c < comps.length; c++) {
+            comps[c].dropFrame = TAKE.start.is_drop;
+            comps[c].displayStartTime = TAKE.start.seconds;
+        }
+    }
     var centre = [TAKE.room[0] / 2, TAKE.room[1] / 2];
     var camera = room.layers.addCamera("stagepose", centre);
     camera.autoOrient = AutoOrientType.NO_AUTO_ORIENT;

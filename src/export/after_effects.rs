@@ -43,7 +43,7 @@ pub fn write(shot: &Shot<'_>, scenery: &Scenery) -> String {
         let corners = sheet.mesh.corners();
         (0..4).map(move |k| corner(&sheet.name, k, &corners[k]))
     });
-    let numbers = json!({
+    let mut numbers = json!({
         "size": [lens.width, lens.height],
         "room": room(lens),
         "zoom": lens.fx,
@@ -57,6 +57,9 @@ pub fn write(shot: &Shot<'_>, scenery: &Scenery) -> String {
         "corners": corners.collect::<Vec<_>>(),
         "objects": objects,
     });
+    if let Some((frames, rate)) = shot.first_frame_of_day() {
+        numbers["start"] = json!({"seconds": f64::from(frames) / shot.rate.fps(), "is_drop": rate.is_drop()});
+    }
     let head = "// Written by stagepose: a take for After Effects; run it by File > Scripts > Run Script File.\n";
     format!("{head}var TAKE = {};\n{STEPS}", ascii(&numbers.to_string()))
 }

@@ -90,6 +90,10 @@ def set_up(scene):
     scene.unit_settings.scale_length = 1.0
     for frame in TAKE["gaps"]:
         scene.timeline_markers.new("no pose", frame=frame)
+    if "timecode" in TAKE:
+        first = TAKE["timecode"]
+        scene.timeline_markers.new(first["code"], frame=first["frame"])
+        scene["timecode"], scene["timecode_frame"], scene["timecode_rate"] = first["code"], first["frame"], first["rate"]
 
 
 def main():

@@ -31,7 +31,7 @@ pub fn write(shot: &Shot<'_>, scenery: &Scenery) -> String {
             object
         })
         .collect();
-    let numbers = json!({
+    let mut numbers = json!({
         "lens": lens(shot),
         "rows": take.rows(),
         // An integer: Blender takes no other number.
@@ -42,6 +42,9 @@ pub fn write(shot: &Shot<'_>, scenery: &Scenery) -> String {
         "stage": scenery.stage.iter().map(sheet).collect::<Vec<_>>(),
         "objects": objects,
     });
+    if let Some((row, _, timecode)) = take.timecodes().next() {
+        numbers["timecode"] = json!({"frame": row + 1, "code": timecode.code.to_string(), "rate": timecode.rate.word()});
+    }
     format!(
         "# Written by stagepose: a take for Blender. Metres, z up.\n# blender --python THIS_FILE -- CLIP\nimport os\nimport sys\n\nimport bpy\n\nTAKE = {numbers}\n{STEPS}"
     )

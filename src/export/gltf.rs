@@ -36,6 +36,11 @@ pub fn write(shot: Option<&Shot<'_>>, scenery: &Scenery) -> String {
     let mut animation = json!({"name": "take", "channels": [], "samplers": []});
     if let Some(shot) = shot {
         let lens = shot.lens;
+        if let Some((_, stamp, timecode)) = shot.take.timecodes().next() {
+            let at_s = stamp.seconds_since(shot.take.stamp(0));
+            let (code, fraction, rate) = (timecode.code.to_string(), timecode.fraction, timecode.rate.word());
+            animation["extras"] = json!({"timecode": code, "fraction": fraction, "rate": rate, "at_s": at_s});
+        }
         let aspect = f64::from(lens.width) / f64::from(lens.height) * lens.fy / lens.fx;
         file.cameras.push(json!({"type": "perspective", "name": "camera",
             "perspective": {"yfov": vertical_fov(lens), "aspectRatio": aspect, "znear": NEAR_M}}));

@@ -2,7 +2,8 @@
 //!
 //! Channels: `/stagepose/record`, each record as it was read; `/tf`, poses as
 //! `foxglove.FrameTransform` from `stage` to `camera` and to each object; with a lens,
-//! `/stagepose/camera`, one `foxglove.CameraCalibration` with its distortion. All are JSON.
+//! `/stagepose/camera`, one `foxglove.CameraCalibration` with its distortion; with timecode,
+//! `/stagepose/timecode`, that of each record. All are JSON.
 //! Foxglove's camera frames have our axes.
 //!
 //! The file has neither chunks nor a summary: readers go through it once. Source: the MCAP format
@@ -29,6 +30,7 @@ const DATA_END: u8 = 0x0F;
 const RECORDS: u16 = 1;
 const TRANSFORMS: u16 = 2;
 const CAMERA: u16 = 3;
+const TIMECODES: u16 = 4;
 
 /// Why a take cannot be written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
@@ -46,7 +48,7 @@ pub enum McapError {
 /// # Errors
 /// A stamp below 0.
 pub fn write(take: &Take, lens: Option<&Intrinsics>) -> Result<Vec<u8>, McapError> {
-    let mut file = Mcap { bytes: MAGIC.to_vec(), sent: [0; 4] };
+    let mut file = Mcap { bytes: MAGIC.to_vec(), sent: [0; 5] };
     file.record(HEADER, &[string(""), string(concat!("stagepose ", env!("CARGO_PKG_VERSION")))]);
     file.channel(RECORDS, "/stagepose/record", "stagepose.PoseRecord", &record_schema());
     file.channel(TRANSFORMS, "/tf", "foxglove.FrameTransform", &transform_schema());
@@ -56,10 +58,17 @@ pub fn write(take: &Take, lens: Option<&Intrinsics>) -> Result<Vec<u8>, McapErro
         let stamp = u64::try_from(first).map_err(|_| McapError::BeforeZero { row: 0 })?;
         file.message(CAMERA, stamp, camera(lens, stamp).to_string().as_bytes());
     }
+    let mut timecodes = take.timecodes().peekable();
+    if timecodes.peek().is_some() {
+        file.channel(TIMECODES, "/stagepose/timecode", "stagepose.Timecode", &timecode_schema());
+    }
     let mut transforms = transforms(take).into_iter().peekable();
     for (row, (line, stamp)) in take.lines().enumerate() {
         let stamp = u64::try_from(stamp.ns()).map_err(|_| McapError::BeforeZero { row })?;
         file.message(RECORDS, stamp, line.as_bytes());
+        if let Some((_, _, timecode)) = timecodes.next_if(|(of_row, ..)| *of_row == row) {
+            file.message(TIMECODES, stamp, timecode.to_json().as_bytes());
+        }
         while let Some((_, mut transform)) = transforms.next_if(|(of_row, _)| *of_row == row) {
             transform["timestamp"] = time(stamp);
             file.message(TRANSFORMS, stamp, transform.to_string().as_bytes());
@@ -90,7 +99,7 @@ fn transforms(take: &Take) -> Vec<(usize, Value)> {
 struct Mcap {
     bytes: Vec<u8>,
     /// Messages per channel so far.
-    sent: [u32; 4],
+    sent: [u32; 5],
 }
 
 impl Mcap {
@@ -166,6 +175,12 @@ fn camera_schema() -> Value {
         json!({"timestamp": time_schema(), "frame_id": {"type": "string"}, "width": whole, "height": whole,
             "distortion_model": {"type": "string"}, "D": list, "K": list, "R": list, "P": list}),
     )
+}
+
+fn timecode_schema() -> Value {
+    let (word, number) = (json!({"type": "string"}), json!({"type": "number"}));
+    json!({"title": "stagepose.Timecode", "type": "object", "required": ["timecode", "fraction", "rate", "state"],
+        "properties": {"timecode": word, "fraction": number, "rate": word, "state": word, "without_s": number}})
 }
 
 /// The record as the README describes it. Only what every record has is required.

@@ -4,6 +4,11 @@ use super::rate::Rate;
 use super::take::{Key, Take};
 use crate::camera::Intrinsics;
 use crate::frame::Timestamp;
+use crate::timecode::TimecodeRate;
+
+/// How close to its end a frame counts as the next one, frames: stamps scatter. Raised, a take
+/// begins a frame too late.
+const WITHIN_FRAME: f64 = 0.05;
 
 /// A take, the lens it was taken with, and its rate.
 #[derive(Debug, Clone, Copy)]
@@ -36,6 +41,16 @@ impl Shot<'_> {
     pub fn last_code(&self) -> f64 {
         let last = self.take.camera.last().map_or(0.0, |key| self.code(key.timestamp));
         last.max(self.code(self.take.stamp(self.take.rows().saturating_sub(1))))
+    }
+
+    /// Returns the timecode of row 0 in whole frames of the take's rate since 00:00:00:00, counted
+    /// back from the first row that has one; `None` without timecode, and before midnight.
+    pub fn first_frame_of_day(&self) -> Option<(u32, TimecodeRate)> {
+        let (_, stamp, timecode) = self.take.timecodes().next()?;
+        let rate = timecode.rate;
+        let of_day_s = (f64::from(timecode.code.number(rate)) + timecode.fraction) / rate.fps();
+        let frames = ((of_day_s - stamp.seconds_since(self.take.stamp(0))) * self.rate.fps() + WITHIN_FRAME).floor();
+        (frames >= 0.0).then_some((frames as u32, rate))
     }
 
     /// Returns where poses begin and end; empty if every row has one.

@@ -13,6 +13,7 @@ use thiserror::Error;
 use crate::frame::Timestamp;
 use crate::geometry::{Body, Camera, Pose, Stage};
 use crate::record::State;
+use crate::timecode::StampedTimecode;
 
 /// Largest coordinate of a position, metres. No stage is that large. Raised, the single precision
 /// of some formats loses millimetres without a message.
@@ -41,6 +42,7 @@ pub struct Key<From> {
 pub struct Take {
     text: String,
     rows: Vec<(Range<usize>, Timestamp)>,
+    timecodes: Vec<Option<StampedTimecode>>,
     /// The camera's poses, one per row that has one; stamps rise.
     pub camera: Vec<Key<Camera>>,
     /// The objects' poses by name; objects that never have one are included.
@@ -164,7 +166,7 @@ impl Take {
             let before = &e.as_bytes()[..e.utf8_error().valid_up_to()];
             TakeError::NotText { line: 1 + before.iter().filter(|b| **b == b'\n').count() }
         })?;
-        let mut take = Self { text: String::new(), rows: Vec::new(), camera: Vec::new(), objects: BTreeMap::new() };
+        let mut take = Self { text: String::new(), rows: Vec::new(), timecodes: Vec::new(), camera: Vec::new(), objects: BTreeMap::new() };
         let mut begin = 0;
         for (k, line) in text.split_inclusive('\n').enumerate() {
             let content = line.trim_end();
@@ -204,6 +206,17 @@ impl Take {
             }
         }
         Ok(())
+    }
+
+    /// Asks for the timecode of every row's stamp.
+    pub fn add_timecode(&mut self, of: impl Fn(Timestamp) -> Option<StampedTimecode>) {
+        self.timecodes = self.rows.iter().map(|(_, stamp)| of(*stamp)).collect();
+    }
+
+    /// Returns the rows that have a timecode, with their stamps.
+    pub fn timecodes(&self) -> impl Iterator<Item = (usize, Timestamp, &StampedTimecode)> {
+        let known = self.timecodes.iter().zip(&self.rows).enumerate();
+        known.filter_map(|(row, (timecode, (_, stamp)))| Some((row, *stamp, timecode.as_ref()?)))
     }
 
     /// Returns the number of rows.

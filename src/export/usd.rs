@@ -14,6 +14,7 @@ use super::identifiers::Identifiers;
 use super::scenery::{Scenery, Sheet};
 use super::shot::Shot;
 use super::take::Key;
+use crate::timecode::StampedTimecode;
 
 /// The root prim.
 const ROOT: &str = "Stagepose";
@@ -110,8 +111,24 @@ impl Usd {
         let [k1, k2, p1, p2, k3] = lens.distortion;
         self.line("# k1, k2, p1, p2, k3 of Brown's model, as OpenCV has them");
         self.line(format_args!("custom double[] stagepose:distortion = [{k1}, {k2}, {p1}, {p2}, {k3}]"));
+        self.timecode(shot);
         self.motion(shot, &shot.take.camera, looking_back_at);
         self.close();
+    }
+
+    /// Writes the timecode of every row that has one.
+    fn timecode(&mut self, shot: &Shot<'_>) {
+        let mut rising: Vec<(f64, &StampedTimecode)> = Vec::new();
+        for (_, stamp, timecode) in shot.take.timecodes() {
+            let code = shot.code(stamp);
+            // Rows without a pose may have stamps out of order.
+            if rising.last().is_none_or(|(last, _)| code > *last) {
+                rising.push((code, timecode));
+            }
+        }
+        let Some((_, first)) = rising.first() else { return };
+        self.line(format_args!("custom string stagepose:timecodeRate = \"{}\"", first.rate));
+        self.samples("custom string stagepose:timecode", rising.iter().map(|(code, timecode)| (*code, format!("\"{}\"", timecode.code))));
     }
 
     /// Writes samples of position and rotation, and where there are none.

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use super::{ExportArguments, Format, lens_of, typed_rate};
 use crate::camera::Intrinsics;
 use crate::cli::failure::Failure;
-use crate::config::Settings;
+use crate::cli::logging;
+use crate::cli::timecode::timecode_of_clip;
+use crate::config::{LogSettings, Settings};
 use crate::export::rate::Rate;
 use crate::export::take::Take;
 use crate::safe_file;
@@ -49,11 +51,16 @@ impl Input {
         let config = arguments.config.clone().or(own);
         refuse_combinations(arguments, config.as_deref())?;
         let settings = config.map(|config| Settings::load(&config)).transpose()?;
+        logging::start(&arguments.log, settings.as_ref().map_or_else(LogSettings::default, |settings| settings.log));
         settings.iter().flat_map(|settings| &settings.warnings).for_each(|warning| tracing::warn!("{warning}"));
         let Some(named) = &arguments.poses else { return Ok(Self { poses: None, take: None, settings, lens: None, rate: None }) };
         let poses = if recording.is_some() { named.join(POSES) } else { named.clone() };
         let lens = settings.as_ref().map(|settings| lens_of(settings, size)).transpose()?;
-        let take = read_take(&poses)?;
+        let mut take = read_take(&poses)?;
+        if let Some(timecode) = timecode_of_clip(settings.as_ref().and_then(|s| s.timecode.as_ref()), poses.parent())? {
+            timecode.begin(take.stamp(0));
+            take.add_timecode(|stamp| timecode.at(stamp));
+        }
         let rate = typed_rate.or_else(|| Rate::of_take(&take));
         Ok(Self { poses: Some(poses), take: Some(take), settings, lens, rate })
     }

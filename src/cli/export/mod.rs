@@ -12,6 +12,7 @@ use image::{DynamicImage, ImageFormat};
 
 use super::calibrate::write_whole;
 use super::failure::Failure;
+use super::logging::LogArguments;
 use super::output_file::print;
 use super::spared::Spared;
 use crate::camera::Intrinsics;
@@ -52,6 +53,8 @@ pub(super) struct ExportArguments {
     /// Size of the clip's pictures [default: the calibration's]
     #[arg(long, value_name = "WxH")]
     size: Option<String>,
+    #[command(flatten)]
+    log: LogArguments,
 }
 
 /// What can be written.

@@ -26,6 +26,11 @@ pub fn text(arguments: &ExportArguments, input: &Input, pictures: &[&Sheet]) -> 
         // MCAP has stamps only.
         let rate = input.rate.filter(|_| arguments.to != Format::Mcap);
         let _ = writeln!(text, "{}", rate.map_or(String::new(), |rate| format!("; {:.3} frames per second", rate.fps())));
+        if let Some((row, _, timecode)) = take.timecodes().next() {
+            let place = if arguments.to == Format::Chan { "; not in it, a .chan has no place for it" } else { "" };
+            let (code, rate, known) = (timecode.code, timecode.rate, take.timecodes().count());
+            let _ = writeln!(text, "  timecode {code} in row {row}, at {rate}; {known} of {rows} frames have one{place}");
+        }
         for (name, keys) in &take.objects {
             let place = if arguments.to == Format::Chan { "left out, a .chan has one camera" } else { "written" };
             let _ = writeln!(text, "  {name}: {} of {rows} frames, {place}", keys.len());

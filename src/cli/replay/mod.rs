@@ -20,6 +20,7 @@ use super::logging::{self, LogArguments};
 use super::output_file::STDOUT;
 use super::outputs::Outputs;
 use super::spared::Spared;
+use super::timecode::timecode_of_clip;
 use crate::capture::{ClipEntry, ClipOptions, EntryContent, FrameSource, open_clip, open_clip_in_colour};
 use crate::config::Settings;
 use crate::daemon::{Daemon, Delivery, kept_views, thread_clock};
@@ -128,8 +129,11 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     let summary = spared.open("--summary", arguments.summary.as_deref())?;
     arguments.claim_others(&settings, &mut spared)?;
     arguments.overlay.as_deref().map_or(Ok(()), overlays::refuse_foreign)?;
-    let outputs =
-        arguments.outputs.then(|| Outputs::start(&settings, settings.http.as_ref(), setup.camera, stamps(), arguments.fps)).transpose()?;
+    let start = || {
+        let timecode = timecode_of_clip(settings.timecode.as_ref(), Some(&arguments.clip))?.map(Arc::new);
+        Outputs::start(&settings, settings.http.as_ref(), setup.camera, stamps(), timecode, arguments.fps)
+    };
+    let outputs = arguments.outputs.then(start).transpose()?;
     let mut records = Records::begin(poses, tum, arguments.realtime)?.with_parts(parts)?;
     let mut summary = summary.map(records::Output::begin).transpose()?;
     let overlay = arguments.overlay.as_deref().map(|dir| (dir, setup.clone()));
