@@ -19,6 +19,7 @@ mod stale;
 mod supervisor;
 mod thread_time;
 mod threads;
+mod timecode;
 mod unwritten;
 
 pub use entries::track_entry;
@@ -33,4 +34,5 @@ pub use retrack::retrack;
 pub use supervisor::{Mode, RecordingWish, Supervisor};
 pub use thread_time::thread_clock;
 pub use threads::{Daemon, DaemonError, Delivery, RunningDaemon};
+pub use timecode::{TimecodeReader, TimecodeWatch};
 pub use unwritten::unwritten;

@@ -4,8 +4,9 @@ use serde::Serialize;
 
 use super::Page;
 use super::statistics::{CameraState, RecorderState, Statistics};
+use super::timecode::TimecodeStatus;
 use crate::printable::printable;
-use crate::publish::FrameClock;
+use crate::publish::{ClockQuality, FrameClock};
 
 #[derive(Serialize)]
 struct Health<'a> {
@@ -19,6 +20,28 @@ struct Health<'a> {
     dropped: u64,
     reconnects: u64,
     recorder: &'a str,
+    /// Null if the kernel does not tell.
+    clock: Option<Clock>,
+    /// Null without `[timecode]`.
+    timecode: Option<TimecodeStatus>,
+}
+
+/// What the system's clock is worth.
+#[derive(Serialize)]
+struct Clock {
+    /// Whether a time service keeps it.
+    synchronised: bool,
+    /// Maximum error, milliseconds.
+    max_error_ms: f64,
+    /// Correction of its rate, parts per million.
+    frequency_ppm: f64,
+}
+
+impl From<ClockQuality> for Clock {
+    fn from(quality: ClockQuality) -> Self {
+        let ClockQuality { is_synchronised, max_error_s, frequency_ppm, .. } = quality;
+        Self { synchronised: is_synchronised, max_error_ms: 1e3 * max_error_s, frequency_ppm }
+    }
 }
 
 /// Returns the page; ages are by `clock`. Only a camera without pictures makes it 503: a dark stage
@@ -46,6 +69,8 @@ pub fn health(statistics: &Statistics, clock: &FrameClock) -> Page {
             RecorderState::Recording => "recording",
             RecorderState::Stopped => "stopped",
         },
+        clock: ClockQuality::read().map(Clock::from),
+        timecode: statistics.timecode().and_then(|source| TimecodeStatus::of(&source, clock.now().monotonic)),
     };
     // Serialising to a string fails only for non-string map keys, and the health has none.
     let body = serde_json::to_string(&health).expect("the health has only string keys");
@@ -64,6 +89,7 @@ mod tests {
     use crate::publish::Stamps;
     use crate::publish::stepped::{START, SteppedClocks};
     use crate::record::{PoseSample, State};
+    use crate::timecode::{Timecode, TimecodeMark, TimecodeRate, TimecodeSource, TimecodeTrack, TrackSettings};
 
     #[test]
     fn health_is_ok_while_pictures_arrive() {
@@ -89,6 +115,37 @@ mod tests {
         let page = health(&statistics, &clock);
         let json: serde_json::Value = serde_json::from_str(&page.body).unwrap();
         assert_eq!((page.status, json["camera"].as_str(), json["state"].as_str()), (503, Some("silent"), Some("stale")));
+    }
+
+    #[test]
+    fn health_and_metrics_have_the_timecode_and_the_clock() {
+        let (statistics, clocks) = (Statistics::default(), SteppedClocks::new());
+        let clock = FrameClock::with(Arc::new(clocks.clone()), Stamps::Live);
+        let timecode = || -> serde_json::Value {
+            serde_json::from_str::<serde_json::Value>(&health(&statistics, &clock).body).unwrap()["timecode"].clone()
+        };
+        let metric = |line: &str| metrics(&statistics, &clock).body.lines().any(|l| l == line);
+        assert!(timecode().is_null() && metric("stagepose_timecode_state{state=\"locked\"} 0"));
+        let settings = TrackSettings { rate: Some(TimecodeRate::Fps30), free_wheel_s: 5.0 };
+        let source = Arc::new(TimecodeSource::live(TimecodeTrack::live(settings)));
+        statistics.set_timecode(Some(source.clone()));
+        assert_eq!(timecode()["state"], "never found");
+        for k in 0..60 {
+            let at = START.monotonic.after_ns(40_000_000 * k);
+            source.with_live(|track| track.push(TimecodeMark { at, code: Timecode::of_number(k, TimecodeRate::Fps25), is_reverse: false }));
+        }
+        clocks.advance_ms(59 * 40);
+        let now = timecode();
+        assert_eq!(
+            (&now["state"], &now["timecode"], &now["rate"], &now["wrong_rate"]),
+            (&"locked".into(), &"00:00:02:09".into(), &"30".into(), &"25".into())
+        );
+        assert!(metric("stagepose_timecode_state{state=\"locked\"} 1") && metric("stagepose_timecode_state{state=\"lost\"} 0"));
+        // It counts on neither at 30 nor at 25, because the two contradict each other.
+        clocks.advance_ms(2_000);
+        assert_eq!(timecode()["state"], "lost");
+        let clock: serde_json::Value = serde_json::from_str(&health(&statistics, &clock).body).unwrap();
+        assert!(clock["clock"]["synchronised"].is_boolean() && clock["clock"]["max_error_ms"].is_number(), "{clock}");
     }
 
     #[test]

@@ -5,7 +5,8 @@ use std::fmt::Write as _;
 use super::Page;
 use super::histogram::{EDGES_S, Histogram};
 use super::statistics::{CameraState, RecorderState, Statistics};
-use crate::publish::FrameClock;
+use super::timecode::{STATES, TimecodeStatus};
+use crate::publish::{ClockQuality, FrameClock};
 use crate::record::State;
 
 /// Returns the page; ages are by `clock`.
@@ -14,6 +15,8 @@ pub fn metrics(statistics: &Statistics, clock: &FrameClock) -> Page {
     states(&mut text, statistics);
     counters(&mut text, statistics);
     gauges(&mut text, statistics, clock);
+    timecode(&mut text, statistics, clock);
+    system_clock(&mut text);
     head(&mut text, "stagepose_stage_seconds", "histogram", "Compute time of a frame by stage.");
     for (stage, histogram) in statistics.stages() {
         buckets(&mut text, "stagepose_stage_seconds", &format!("stage=\"{stage}\""), histogram);
@@ -68,6 +71,27 @@ fn gauges(text: &mut String, s: &Statistics, clock: &FrameClock) {
     one(text, "stagepose_camera_up", "gauge", "1 while the camera gives pictures.", u8::from(s.camera() == CameraState::Streaming));
     one(text, "stagepose_recording", "gauge", "1 while frames are recorded.", u8::from(s.recorder() == RecorderState::Recording));
     one(text, "stagepose_recorder_stopped", "gauge", "1 if recording gave up.", u8::from(s.recorder() == RecorderState::Stopped));
+}
+
+/// Writes the timecode's state: all four are 0 without `[timecode]`.
+fn timecode(text: &mut String, statistics: &Statistics, clock: &FrameClock) {
+    let status = statistics.timecode().and_then(|source| TimecodeStatus::of(&source, clock.now().monotonic));
+    head(text, "stagepose_timecode_state", "gauge", "1 for the state of the timecode.");
+    for state in STATES {
+        let is_state = status.as_ref().is_some_and(|status| status.state == state);
+        let _ = writeln!(text, "stagepose_timecode_state{{state=\"{state}\"}} {}", u8::from(is_state));
+    }
+    let speed = status.and_then(|status| status.speed).map_or("NaN".to_owned(), |speed| speed.to_string());
+    one(text, "stagepose_timecode_speed", "gauge", "Speed of the timecode, 1 for its rate.", speed);
+}
+
+/// Writes what the system's clock is worth; NaN where the kernel does not tell.
+fn system_clock(text: &mut String) {
+    let quality = ClockQuality::read();
+    let is_synchronised = quality.is_some_and(|quality| quality.is_synchronised);
+    one(text, "stagepose_clock_synchronised", "gauge", "1 while a time service keeps the clock.", u8::from(is_synchronised));
+    let error = quality.map_or("NaN".to_owned(), |quality| quality.max_error_s.to_string());
+    one(text, "stagepose_clock_max_error_seconds", "gauge", "Maximum error of the clock.", error);
 }
 
 fn buckets(text: &mut String, name: &str, labels: &str, histogram: &Histogram) {

@@ -8,11 +8,13 @@ mod histogram;
 mod log_tail;
 mod metrics;
 mod statistics;
+mod timecode;
 
 pub use health::health;
 pub use log_tail::{keep_log_line, log_tail};
 pub use metrics::metrics;
 pub use statistics::{CameraState, RecorderState, STAGES, Statistics};
+pub use timecode::TimecodeStatus;
 
 /// A page as a server returns it.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -1,13 +1,14 @@
 //! Statistics of the daemon's threads: atomics, updated at the source and read when shown.
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use super::histogram::Histogram;
 use crate::frame::Timestamp;
 use crate::publish::FrameClock;
 use crate::record::{PoseSample, State};
+use crate::timecode::TimecodeSource;
 use crate::track::LearntCamera;
 
 /// The state of the camera.
@@ -84,6 +85,7 @@ pub struct Statistics {
     camera: Mutex<String>,
     /// What has been learnt of the camera, as of the last sample.
     learnt: Mutex<LearntCamera>,
+    timecode: Mutex<Option<Arc<TimecodeSource>>>,
 }
 
 /// The stages of the latency histograms, in their storage order.
@@ -113,6 +115,16 @@ impl Statistics {
     /// Returns what has been learnt of the camera, as of the last sample.
     pub fn learnt(&self) -> LearntCamera {
         *self.learnt.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Notes where timecode comes from; `None` without `[timecode]`.
+    pub fn set_timecode(&self, source: Option<Arc<TimecodeSource>>) {
+        *self.timecode.lock().unwrap_or_else(PoisonError::into_inner) = source;
+    }
+
+    /// Returns where timecode comes from.
+    pub fn timecode(&self) -> Option<Arc<TimecodeSource>> {
+        self.timecode.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Notes that the camera streams; `again` if it had been open before.

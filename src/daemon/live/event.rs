@@ -138,6 +138,27 @@ pub enum Event {
         /// What they show, and what to do about it.
         text: String,
     },
+    /// The timecode's state changed.
+    Timecode {
+        /// `never found`, `locked`, `free-wheeling` or `lost`.
+        state: Cow<'static, str>,
+        /// The timecode of this moment, if it is known.
+        timecode: Option<String>,
+        /// What it means.
+        text: String,
+    },
+    /// The timecode runs at another rate than configured; reported once for each rate.
+    TimecodeRate {
+        /// The rate as heard.
+        heard: Cow<'static, str>,
+        /// Both rates, with the fix.
+        text: String,
+    },
+    /// The sound with the timecode cannot be used; reading it is tried again.
+    TimecodeWaiting {
+        /// Why, with the fix.
+        reason: String,
+    },
     /// The safety limits started to withhold a pose.
     PoseWithheld {
         /// The output.
@@ -272,6 +293,12 @@ impl Event {
             Self::ShutterLearnt { text } => (Level::INFO, text.clone()),
             Self::ShutterDiffers { text } => (Level::WARN, text.clone()),
             Self::ModelDiffers { text, .. } => (Level::WARN, text.clone()),
+            Self::Timecode { state, text, .. } => {
+                let is_good = matches!(&**state, "locked" | "never found");
+                (if is_good { Level::INFO } else { Level::WARN }, text.clone())
+            }
+            Self::TimecodeRate { text, .. } => (Level::WARN, text.clone()),
+            Self::TimecodeWaiting { reason } => (Level::WARN, format!("no timecode: {reason}")),
             // The output has already logged a warning, at most once a minute.
             Self::PoseWithheld { output, body, reason } => {
                 (Level::DEBUG, format!("output {output}: the pose of {body} is withheld, {reason}"))

@@ -1,5 +1,5 @@
 //! A clip that is being recorded: `frames/` in folders of 10,000, `timestamps.csv`, `poses.jsonl`,
-//! `events.jsonl`, `dropped.csv`.
+//! `events.jsonl`, `dropped.csv`, with timecode `timecode.csv`.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -12,6 +12,7 @@ use super::disk::Disk;
 use crate::daemon::live::{Event, StampedEvent};
 use crate::frame::Timestamp;
 use crate::safe_file::first_taken;
+use crate::timecode::{StampedTimecode, side_file};
 use crate::track::LearntCamera;
 use crate::utc;
 
@@ -24,6 +25,8 @@ pub(super) struct Recorded {
     pub line: String,
     /// What was known of the camera before this row.
     pub learnt: LearntCamera,
+    /// The timecode of its stamp, if there is one.
+    pub timecode: Option<StampedTimecode>,
 }
 
 /// What is stored of a picture.
@@ -56,7 +59,7 @@ const PER_FOLDER: u64 = 10_000;
 pub(super) const INDEX_HEAD: &[u8] = b"#timestamp [ns],filename\n";
 
 /// Names of everything that a recording writes into its folder.
-const PARTS: [&str; 7] = ["frames", "timestamps.csv", "poses.jsonl", "events.jsonl", "dropped.csv", "clip.toml", "config"];
+const PARTS: [&str; 8] = ["frames", "timestamps.csv", "poses.jsonl", side_file::NAME, "events.jsonl", "dropped.csv", "clip.toml", "config"];
 
 /// Returns the files and folders of a recording in a folder.
 pub fn parts(folder: &Path) -> impl Iterator<Item = PathBuf> {
@@ -89,6 +92,7 @@ pub(super) struct ClipFolder {
     pub folder: PathBuf,
     pictures: u64,
     dropped_begun: bool,
+    timecode_begun: bool,
 }
 
 impl ClipFolder {
@@ -105,7 +109,7 @@ impl ClipFolder {
 
     /// Returns the object for an existing folder.
     pub fn of(folder: &Path) -> Self {
-        Self { folder: folder.to_owned(), pictures: 0, dropped_begun: false }
+        Self { folder: folder.to_owned(), pictures: 0, dropped_begun: false, timecode_begun: false }
     }
 
     /// Returns the number of rows written.
@@ -128,7 +132,12 @@ impl ClipFolder {
         disk.write_file(&self.folder.join("frames").join(&name), &bytes)?;
         disk.append(&self.folder.join("timestamps.csv"), format!("{},{name}\n", row.timestamp).as_bytes())?;
         self.pictures += 1;
-        disk.append(&self.folder.join("poses.jsonl"), format!("{}\n", row.line).as_bytes())
+        disk.append(&self.folder.join("poses.jsonl"), format!("{}\n", row.line).as_bytes())?;
+        let Some(timecode) = &row.timecode else { return Ok(()) };
+        let head = if self.timecode_begun { "" } else { side_file::HEAD };
+        self.timecode_begun = true;
+        let line = head.to_owned() + &side_file::line(row.timestamp, timecode);
+        disk.append(&self.folder.join(side_file::NAME), line.as_bytes())
     }
 
     /// Writes an event; dropped frames go to their own index.

@@ -183,7 +183,7 @@ fn recorded(row: &ClipEntry, sample: &PoseSample) -> Recorded {
         (_, EntryContent::Frame(frame)) => Picture::Grey(frame.image.clone()),
         (_, EntryContent::Undecodable(_) | EntryContent::Skipped(_)) => Picture::Nothing,
     };
-    Recorded { timestamp: row.timestamp, picture, line: sample.to_json_line(), learnt: sample.learnt }
+    Recorded { timestamp: row.timestamp, picture, line: sample.to_json_line(), learnt: sample.learnt, timecode: None }
 }
 
 /// The recorder's thread.
@@ -206,7 +206,7 @@ impl Work {
         loop {
             select! {
                 recv(jobs) -> job => match job {
-                    Ok(Job::Entry(row)) => self.row(&row),
+                    Ok(Job::Entry(row)) => self.row(&self.with_timecode(row)),
                     Ok(Job::Save) => self.save(),
                     Ok(Job::Begin(folder)) => self.begin(folder),
                     Ok(Job::End) => self.end(),
@@ -232,6 +232,12 @@ impl Work {
             self.link.statistics.set_recorder(RecorderState::Off);
         }
         self.stopped
+    }
+
+    /// Adds the timecode of a row's stamp: by now, more of it has come than when the row did.
+    fn with_timecode(&self, row: Recorded) -> Recorded {
+        let timecode = self.link.statistics.timecode().and_then(|source| source.at(row.timestamp));
+        Recorded { timecode, ..row }
     }
 
     fn row(&mut self, row: &Recorded) {

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use super::clip_folder::{ClipFolder, INDEX_HEAD, Recorded};
 use super::disk::Disk;
 use crate::frame::Timestamp;
+use crate::timecode::side_file;
 use crate::track::LearntCamera;
 
 struct Segment {
@@ -102,7 +103,7 @@ impl Ring {
     pub fn save(&mut self, clip: &Path, disk: &mut dyn Disk) -> io::Result<(Timestamp, LearntCamera)> {
         disk.make_folder(&clip.join("frames"))?;
         let first = self.segments.front().map(|s| (s.first, s.learnt)).unwrap_or_default();
-        let (mut index, mut poses) = (INDEX_HEAD.to_vec(), Vec::new());
+        let (mut index, mut poses, mut timecode) = (INDEX_HEAD.to_vec(), Vec::new(), Vec::new());
         for segment in std::mem::take(&mut self.segments) {
             let from = &segment.clip.folder;
             disk.let_go(from);
@@ -113,10 +114,18 @@ impl Ring {
                 index.extend_from_slice(format!("{stamp},{name}/{file}\n").as_bytes());
             }
             poses.extend(std::fs::read(from.join("poses.jsonl"))?);
+            match std::fs::read(from.join(side_file::NAME)) {
+                Ok(lines) => timecode.extend(lines),
+                Err(e) if e.kind() == io::ErrorKind::NotFound => {}
+                Err(e) => return Err(e),
+            }
             std::fs::remove_dir_all(from)?;
         }
         disk.write_file(&clip.join("timestamps.csv"), &index)?;
         disk.write_file(&clip.join("poses.jsonl"), &poses)?;
+        if !timecode.is_empty() {
+            disk.write_file(&clip.join(side_file::NAME), &timecode)?;
+        }
         Ok(first)
     }
 }

@@ -9,6 +9,8 @@ use super::*;
 use crate::capture::camera::{CameraMode, PixelLayout};
 use crate::capture::{ClipOptions, open_clip};
 use crate::frame::{Frame, Timestamp};
+use crate::timecode::side_file::TimecodeRows;
+use crate::timecode::{Timecode, TimecodeMark, TimecodeRate, TimecodeSource, TimecodeTrack, TrackSettings};
 
 /// A disk with room for a number of bytes.
 struct SmallDisk {
@@ -352,4 +354,42 @@ fn only_a_ring_of_its_own_is_moved_and_removed() {
         std::fs::write(folder.path().join("ring/left"), round.to_string()).unwrap();
     }
     assert_eq!(std::fs::read_to_string(folder.path().join("ring-before/left")).unwrap(), "1");
+}
+
+#[test]
+fn a_recording_has_the_timecode_of_its_rows() {
+    let folder = tempfile::tempdir().unwrap();
+    let (clip, link) = (folder.path().join("take"), LiveLink::default());
+    let settings = TrackSettings { rate: None, free_wheel_s: 1.0 };
+    let source = Arc::new(TimecodeSource::live(TimecodeTrack::live(settings)));
+    // From row 4 on.
+    let begin = row(4).0.timestamp;
+    for k in 0..50 {
+        let at = begin.after_ns(40_000_000 * k);
+        source.with_live(|track| track.push(TimecodeMark { at, code: Timecode::of_number(k, TimecodeRate::Fps25), is_reverse: false }));
+    }
+    link.statistics.set_timecode(Some(source.clone()));
+    let plan = RecorderPlan { clip: Some(clip.clone()), ring: Some((folder.path().to_owned(), 60.0)), about: about() };
+    let recorder = Recorder::start(plan, &link, Box::<RealDisk>::default()).unwrap();
+    let mut observe = recorder.observer();
+    for n in 0..20 {
+        let (row, sample) = row(n);
+        observe(&row, &sample);
+    }
+    recorder.saver()();
+    drop(observe);
+    recorder.finish();
+    let saved = std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path());
+    let saved = saved.filter(|path| path.file_name().unwrap().to_string_lossy().starts_with("clip-"));
+    let clips: Vec<_> = saved.chain([clip]).collect();
+    assert_eq!(clips.len(), 2);
+    for clip in clips {
+        let rows = TimecodeRows::parse(&std::fs::read(clip.join("timecode.csv")).unwrap()).unwrap();
+        for n in 0..20 {
+            let stamp = row(n).0.timestamp;
+            let code = |stamped: Option<crate::timecode::StampedTimecode>| stamped.map(|stamped| stamped.code);
+            assert_eq!(code(rows.at(stamp)), code(source.at(stamp)), "row {n}");
+        }
+        assert!(rows.at(row(3).0.timestamp).is_none() && rows.at(row(4).0.timestamp).is_some());
+    }
 }

@@ -12,12 +12,13 @@ use serde_json::{Value, json};
 
 use super::findings::of_refused;
 use crate::camera::KnownShutter;
+use crate::capture::timestamping::monotonic_now;
 use crate::daemon::{Mode, Supervisor};
 use crate::printable::printable;
 use crate::protocols::{freed::FreedPacket, opentrackio, psn::PsnPacket};
-use crate::publish::{FrameClock, OutputStatistics, Stamps};
+use crate::publish::{ClockQuality, FrameClock, OutputStatistics, Stamps};
 use crate::record::State;
-use crate::telemetry::{CameraState, Page, RecorderState, Statistics, health, log_tail, metrics};
+use crate::telemetry::{CameraState, Page, RecorderState, Statistics, TimecodeStatus, health, log_tail, metrics};
 use crate::track::{LearntCamera, LearntTime};
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
@@ -95,6 +96,8 @@ fn parts(supervisor: &Supervisor) -> Vec<Part> {
     let folder = supervisor.settings().map(|settings| settings.recorder.folder.clone());
     parts.push(disk(folder.as_deref().unwrap_or(&supervisor.keeping().folder())));
     parts.push(clock(statistics));
+    parts.extend(ClockQuality::read().map(system_clock));
+    parts.extend(timecode(statistics));
     parts
 }
 
@@ -212,6 +215,37 @@ fn clock(statistics: &Statistics) -> Part {
             part("clock", "good", format!("frames have the camera's stamps; the newest is {:.0} ms old", age.as_secs_f64() * 1e3), None)
         }
     }
+}
+
+/// Reports whether a time service keeps the system's clock, and how far it may be off.
+fn system_clock(quality: ClockQuality) -> Part {
+    let ClockQuality { is_synchronised, max_error_s, frequency_ppm, .. } = quality;
+    if is_synchronised {
+        let sentence = format!("a time service keeps the system's clock, to {:.1} ms ({frequency_ppm:+.1} ppm)", 1e3 * max_error_s);
+        return part("system clock", "good", sentence, None);
+    }
+    let hint = "for stamps that other machines can use, install chrony or a PTP service, and let it set the system's clock";
+    part("system clock", "off", "no time service keeps the system's clock: times of day are this machine's own", Some(hint))
+}
+
+/// Reports the timecode's state; nothing without `[timecode]`.
+fn timecode(statistics: &Statistics) -> Option<Part> {
+    let status = TimecodeStatus::of(&*statistics.timecode()?, monotonic_now())?;
+    let (code, rate) = (status.timecode.unwrap_or_default(), status.rate.unwrap_or_default());
+    let cable = Some("check the cable, `channel` and `file` in [timecode], and the generator's level");
+    Some(match (status.state, status.wrong_rate) {
+        ("locked", Some(heard)) => {
+            let sentence = format!("timecode runs at {heard}, but `rate` in [timecode] is {rate}");
+            part("timecode", "warn", sentence, Some("set the generator or the config"))
+        }
+        ("locked", None) => part("timecode", "good", format!("timecode is locked: {code} at {rate}"), None),
+        ("free-wheeling", _) => {
+            let sentence = format!("no timecode for {:.1} s; it counts on: {code} at {rate}", status.without_s.unwrap_or_default());
+            part("timecode", "warn", sentence, cable)
+        }
+        ("never found", _) => part("timecode", "bad", "no timecode has come yet", cable),
+        _ => part("timecode", "bad", "timecode is lost", cable),
+    })
 }
 
 /// Packets per second of each output, from two readings of its counter.
