@@ -19,4 +19,5 @@ mod refine;
 mod report;
 pub mod scene;
 mod terminal;
+mod timecode;
 mod usage;

@@ -10,6 +10,7 @@ use stagepose::diagnostics::calibrate::Board;
 use stagepose::diagnostics::capture::{AviReader, MjpegReader, Y4mReader, decode_oriented, ffmpeg_account, picture_size, read_timestamps};
 use stagepose::diagnostics::delay::read_pose_log;
 use stagepose::diagnostics::export::Take;
+use stagepose::diagnostics::timecode::{LtcDecoder, LtcSignal, RawFormat, Sound, TimecodeRate, TimecodeRows, wav};
 use stagepose::diagnostics::web::judge_model;
 use stagepose::protocols::freed::FreedPacket;
 use stagepose::protocols::opentrackio::{self, Encoding};
@@ -140,6 +141,46 @@ fn pose_logs() {
     let capture = seeds::freed_capture();
     assert_eq!(read_pose_log(&capture).expect("the seed is good").rows.len(), 2);
     fuzz("freed-capture", Mutator::new(seed(), Form::Binary, vec![capture]), MAX_OF_TEXT, read);
+}
+
+/// Decodes all samples of a sound; every frame lies in it, and is a possible one.
+fn decode_sound(bytes: &[u8], raw: Option<RawFormat>) {
+    let Ok(mut sound) = Sound::open(bytes, raw, 1).map_err(|e| assert!(!e.to_string().is_empty())) else { return };
+    let (mut decoder, mut samples, mut count) = (LtcDecoder::new(sound.sample_rate()), Vec::new(), 0);
+    while sound.read(&mut samples).expect("memory can be read") {
+        count += samples.len();
+        decoder.push(&samples, &mut |frame| {
+            assert!(frame.code.is_valid() && frame.length > 0.0 && (-9.0..=count as f64).contains(&frame.edge), "{frame:?}");
+        });
+        samples.clear();
+    }
+}
+
+#[test]
+fn sounds() {
+    let signal = LtcSignal {
+        sample_rate: 8_000,
+        rate: TimecodeRate::Fps24,
+        speed: 1.0,
+        first: "00:00:59:20".parse().expect("a timecode"),
+        frames: 4,
+        amplitude: 0.5,
+        noise: 0.0,
+        lead: 20.0,
+        seed: 1,
+    };
+    let file = wav(8_000, &signal.samples().0);
+    let binary = |seed_bytes: Vec<u8>| Mutator::new(seed(), Form::Binary, vec![seed_bytes]);
+    fuzz("wav", binary(file.clone()), MAX_OF_TEXT, |bytes| decode_sound(bytes, None));
+    let raw = RawFormat { sample_rate: 8_000, channels: 1 };
+    fuzz("ltc", binary(file[44..].to_vec()), MAX_OF_TEXT, move |bytes| decode_sound(bytes, Some(raw)));
+}
+
+#[test]
+fn timecode_files() {
+    let read = |bytes: &[u8]| drop(TimecodeRows::parse(bytes).map_err(|e| assert!(!e.to_string().is_empty())));
+    TimecodeRows::parse(seeds::TIMECODE.as_bytes()).expect("the seed is good");
+    fuzz("timecode-file", text(&[seeds::TIMECODE]), MAX_OF_TEXT, read);
 }
 
 #[test]

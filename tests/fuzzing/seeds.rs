@@ -9,7 +9,8 @@ pub const STAGE: &str = "[camera]\ncalibration = \"camera.toml\"\nexposure_s = 0
     [[stage.surface]]\nimage = \"art.png\"\nsize_m = [4.0, 3.0]\nposition_m = [0, 0, 1.5]\norientation_xyzw = [0.7071068, 0, 0, 0.7071068]\n\
     [[object]]\nname = \"cart\"\n[[object.surface]]\nphoto = \"art.png\"\ncorners_px = [[9, 9], [110, 9], [110, 80], [9, 80]]\nsize_m = [0.7, 0.7]\n\
     [tracker]\nthreads = 2\nfeatures = 800\ncoast_s = 0.2\n[filter]\nkind = \"kalman\"\npredict_s = 0.02\n[safety]\nmax_speed_m_s = 3\n\
-    permitted_box_m = [[-5, -5, 0], [5, 5, 3]]\n[[output]]\nkind = \"freed\"\nto = [\"127.0.0.1:40000\"]\nrate_hz = 50\n\
+    permitted_box_m = [[-5, -5, 0], [5, 5, 3]]\n[[output]]\nkind = \"freed\"\nto = [\"127.0.0.1:40000\"]\nrate_hz = 50\nticks = \"clock\"\n\
+    [timecode]\nfile = \"ltc.wav\"\nchannel = 2\nrate = \"29.97df\"\nfree_wheel_s = 30.0\n\
     [[output]]\nkind = \"osc\"\nto = [\"127.0.0.1:9000\"]\n[[output.value]]\naddress = \"/x\"\nquantity = \"x\"\nclamp = [0, 1]\n\
     [recorder]\nring_s = 10\n[http]\nlisten = \"127.0.0.1:8080\"\n[log]\nlevel = \"off\"\n";
 pub const CAMERA: &str = "width = 120\nheight = 90\nfx = 110.5\nfy = 111\ncx = 60.25\ncy = 44.0\nskew = 0.001\n\
@@ -48,6 +49,9 @@ pub const POSES: &str = "{\"sequence\":0,\"timestamp_ns\":0,\"state\":\"searchin
     \"measured\":null,\"covariance\":null,\"objects\":[{\"name\":\"prop\",\"state\":\"tracking\",\"pose\":{\"position_m\":[0,0,0],\
     \"orientation_xyzw\":[0,0,0,1]},\"covariance\":null}]}\n\
     {\"sequence\":2,\"timestamp_ns\":66666666,\"state\":\"coasting\",\"pose\":{\"position_m\":[0.2,-4.0,1.5],\"orientation_xyzw\":[-0.6,0.0,0.0,0.8]}}\n";
+/// The timecode of a recording.
+pub const TIMECODE: &str = "#timestamp [ns],timecode,fraction of the frame,rate,state,seconds without\n\
+    0,01:02:03:04,0.250000,25,locked,0.000\n33333333,01:02:03;05,0.083333,29.97df,free-wheeling,1.250\n";
 /// What was learnt about a camera.
 pub const LEARNT: &str = "stagepose learnt camera 2\nreadout_s 0.0201 0.0002\nexposure_s 0.012 0.001\ncurve 0.5 1.0 2.0 3.0 2.0 1.0 -1.0\n";
 /// Log of ffmpeg for a video with a rotation, and for its first picture.
