@@ -8,6 +8,7 @@ mod board;
 mod calibrate;
 mod check;
 mod clip_rows;
+mod clip_timecode;
 mod compare;
 mod completions;
 mod delay;

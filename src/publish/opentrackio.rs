@@ -187,7 +187,7 @@ fn timing(report: &Report) -> Value {
     match &report.timecode {
         // Without a timecode, Unreal shows no time at all.
         ReportedTimecode::TimeOfDay => timing["timecode"] = time_of_day(report.unix, report.rate_hz),
-        ReportedTimecode::Known(stamped) => timing["timecode"] = timecode(stamped),
+        ReportedTimecode::Known(stamped) => timing["timecode"] = timecode(stamped, report.rate_hz),
         ReportedTimecode::Unknown => {}
     }
     if let Some(clock) = report.clock {
@@ -230,13 +230,19 @@ fn synchronization(report: &Report, clock: ClockQuality) -> Value {
     synchronization
 }
 
-/// Returns the timecode of the production.
-fn timecode(stamped: &StampedTimecode) -> Value {
+/// Returns the timecode of the production; with a sub-frame, from 0, if several samples share a
+/// frame of it.
+fn timecode(stamped: &StampedTimecode, rate_hz: f64) -> Value {
     let (code, (num, denom)) = (stamped.code, stamped.rate.fraction());
-    json!({
+    let mut timecode = json!({
         "hours": code.hours, "minutes": code.minutes, "seconds": code.seconds, "frames": code.frames,
         "frameRate": {"num": num, "denom": denom}, "dropFrame": code.is_drop,
-    })
+    });
+    let per_frame = (rate_hz / stamped.rate.fps()).round();
+    if per_frame >= 2.0 {
+        timecode["subFrame"] = json!((stamped.fraction * per_frame).floor() as u32);
+    }
+    timecode
 }
 
 /// Returns the time of day (UTC) as a timecode.

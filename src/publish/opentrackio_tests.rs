@@ -89,6 +89,11 @@ fn the_timecode_is_the_productions_and_absent_while_unknown() {
         let (_, sample) = decode(&datagrams(&mut encoder(Encoding::Json), &report)[0]).unwrap();
         assert_eq!((&sample["timing"]["timecode"], &sample["tracker"]["notes"]), (wanted, &notes));
     }
+    // At twice its rate, the second half of a frame is its sub-frame 1.
+    let timecode = ReportedTimecode::Known(stamped(TimecodeState::Locked));
+    let report = Report { timecode, rate_hz: 59.94, ..golden_report(State::Tracking) };
+    let (_, sample) = decode(&datagrams(&mut encoder(Encoding::Json), &report)[0]).unwrap();
+    assert_eq!(sample["timing"]["timecode"]["subFrame"], 1);
 }
 
 #[test]

@@ -1,5 +1,5 @@
-//! What the system's clock is worth, as the kernel knows it (adjtimex): whether a time service keeps
-//! it, and how far it may be off.
+//! What the system's clock is worth, as the kernel knows it (adjtimex): whether a time service
+//! keeps it, and how far it may be off.
 
 use std::mem::MaybeUninit;
 

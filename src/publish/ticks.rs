@@ -96,8 +96,8 @@ mod tests {
             for (k, (number, at)) in found.iter().enumerate() {
                 let now = clocks.read();
                 let tai_ns = now.unix.after_ns(at.ns_since(now.boot) + 37_000_000_000).ns();
-                let frames = tai_ns as f64 * 1e-9 * rate.hz();
-                assert!((frames - frames.round()).abs() < 1e-5, "{frames}");
+                let tai = Duration::from_nanos(tai_ns.unsigned_abs());
+                assert_eq!(rate.tick(rate.tick_at(tai)), tai);
                 assert_eq!(*number, k as u64);
             }
         }

@@ -1,8 +1,8 @@
 //! The decoder of linear timecode: samples in, frames out.
 //!
-//! A word of timecode has no checksum. So a frame is reported only if the word that touches it, just
-//! before or just after, is its neighbour in count: a damaged word is absent, never wrong. The first
-//! frame of a run is therefore reported one frame later than the others.
+//! A word of timecode has no checksum. So a frame is reported only if the word that touches it,
+//! just before or just after, is its neighbour in count: a damaged word is absent, never wrong. The
+//! first frame of a run is therefore reported one frame later than the others.
 
 use super::bits::{BitReader, Step};
 use super::code::Timecode;

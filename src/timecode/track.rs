@@ -2,8 +2,8 @@
 //!
 //! Decoded frames are marks on the clock of the camera's stamps. Between two marks that follow each
 //! other the timecode is theirs. After the last one, and in a gap, it counts on at the timecode's
-//! rate, by the camera's clock (jam-sync): free-wheeling, for a configured time at most. A tape that
-//! does not run at its speed cannot be continued, so there a gap is lost at once.
+//! rate, by the camera's clock (jam-sync): free-wheeling, for a configured time at most. A tape
+//! that does not run at its speed cannot be continued, so there a gap is lost at once.
 
 use std::collections::VecDeque;
 
@@ -113,8 +113,8 @@ pub struct StampedTimecode {
 }
 
 impl StampedTimecode {
-    /// Returns it as a JSON object: `timecode`, `fraction`, `rate`, `state`, and `without_s` while it
-    /// free-wheels.
+    /// Returns it as a JSON object: `timecode`, `fraction`, `rate`, `state`, and `without_s` while
+    /// it free-wheels.
     pub fn to_json(&self) -> String {
         let Self { code, fraction, rate, state } = self;
         let without = match state {
@@ -236,8 +236,8 @@ impl TimecodeTrack {
         self.heard.filter(|_| self.measured(self.marks.len()).is_some_and(|(_, frames)| frames >= MIN_RATE_FRAMES))
     }
 
-    /// Returns how fast the timecode runs now, 1 for its rate, negative backwards; `None` before two
-    /// frames.
+    /// Returns how fast the timecode runs now, 1 for its rate, negative backwards; `None` before
+    /// two frames.
     pub fn speed(&self) -> Option<f64> {
         let speed = self.measured(self.marks.len())?.0 / self.rate()?.fps();
         Some(if self.marks.back()?.mark.is_reverse { -speed } else { speed })

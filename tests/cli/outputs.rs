@@ -59,7 +59,7 @@ fn check_names_the_outputs_and_refuses_a_port_in_use() {
     scene.write("stage.toml", &format!("{CONFIG}{freed}"));
     let run = scene.run(&["check", "--config", "stage.toml"]);
     run.assert_success();
-    let wanted = "output      studio: freed to 127.0.0.1:40000, 50.00 times a second, 80 ms late, stops on loss";
+    let wanted = "output      studio: freed to 127.0.0.1:40000, 50.00 times a second, free-running, 80 ms late, stops on loss";
     assert!(run.stdout.contains(wanted), "{}", run.stdout);
     scene.write("stage.toml", &format!("{CONFIG}{freed}[[output]]\nkind = \"json\"\ntcp_listen = \"{at}\"\n"));
     let parts = ["`tcp_listen` in [[output]], line 13: cannot wait for clients on", &at.to_string(), "give a free port"];

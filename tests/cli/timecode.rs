@@ -107,3 +107,21 @@ fn what_a_recording_has_beside_its_rows_comes_before_the_config() {
     run.assert_success();
     assert!(!run.stdout.contains("timecode") && run.stderr.contains("gone.fifo"), "{}", run.stderr);
 }
+
+#[test]
+fn check_says_what_the_timecode_is() {
+    let scene = Scene::new();
+    write_sound(&scene, "ltc.wav", &signal(TimecodeRate::Fps25, "10:00:00:00"));
+    for (keys, wanted) in [
+        ("file = \"ltc.wav\"", "timecode    ltc.wav: 10:00:00:01 to 10:00:02:09 at 25\n"),
+        ("file = \"ltc.wav\"\nrate = \"30\"", "at 30; it runs at 25, correct `rate`\n"),
+        ("file = \"ltc.wav\"\nchannel = 2", "channel 2 is not there"),
+        ("file = \"ltc.fifo\"", "timecode    ltc.fifo is not there yet; `run` waits for it\n"),
+        ("file = \"-\"", "timecode    standard input, read while the camera runs\n"),
+    ] {
+        scene.write("stage.toml", &format!("{CONFIG}[timecode]\n{keys}\n"));
+        let run = scene.run(&["check", "--config", "stage.toml", "--no-device"]);
+        run.assert_success();
+        assert!(run.stdout.contains(wanted), "{keys}: {}", run.stdout);
+    }
+}

@@ -13,6 +13,7 @@ fn every_command_has_help_with_an_example() {
         "board",
         "poster",
         "export",
+        "timecode",
         "mount",
         "delay",
         "devices",

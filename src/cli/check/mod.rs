@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use image::GrayImage;
 
 use super::angles::surface_angles;
+use super::clip_timecode::timecode_in_words;
 use super::failure::Failure;
 use super::learnt::LearntArguments;
 use super::logging::{self, LogArguments};
@@ -94,6 +95,9 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     let mut report = report(&settings, &camera, &verdict, &findings, &ratings, place);
     for (k, line) in shutter_lines.iter().enumerate() {
         let _ = write!(report, "\n{:<11} {line}", if k == 0 { "shutter" } else { "" });
+    }
+    if let Some(settings) = &settings.timecode {
+        let _ = write!(report, "\n{:<11} {}", "timecode", timecode_in_words(settings));
     }
     print(printable_lines(&(report + "\n")).as_bytes())?;
     let file = match verdict {

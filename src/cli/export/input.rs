@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use super::{ExportArguments, Format, lens_of, typed_rate};
 use crate::camera::Intrinsics;
+use crate::cli::clip_timecode::timecode_of_clip;
 use crate::cli::failure::Failure;
 use crate::cli::logging;
-use crate::cli::timecode::timecode_of_clip;
 use crate::config::{LogSettings, Settings};
 use crate::export::rate::Rate;
 use crate::export::take::Take;

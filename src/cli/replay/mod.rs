@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 
+use super::clip_timecode::timecode_of_clip;
 use super::failure::Failure;
 use super::interrupt;
 use super::learnt::LearntArguments;
@@ -20,7 +21,6 @@ use super::logging::{self, LogArguments};
 use super::output_file::STDOUT;
 use super::outputs::Outputs;
 use super::spared::Spared;
-use super::timecode::timecode_of_clip;
 use crate::capture::{ClipEntry, ClipOptions, EntryContent, FrameSource, open_clip, open_clip_in_colour};
 use crate::config::Settings;
 use crate::daemon::{Daemon, Delivery, kept_views, thread_clock};

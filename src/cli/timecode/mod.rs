@@ -1,21 +1,17 @@
 //! `timecode`: reads linear timecode from a sound and says what is in it.
 
-mod clip;
 mod report;
 
-use std::fs::File;
-use std::io::{self, Read};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::calibrate::write_whole;
+use super::clip_timecode::{no_timecode, read_timecode};
 use super::failure::Failure;
-use super::output_file::{STDOUT, print};
+use super::output_file::print;
 use super::spared::Spared;
-use crate::frame::Timestamp;
 use crate::printable::printable_lines;
-use crate::timecode::{RawFormat, Sound, SoundError, TimecodeRate, TimecodeTrack, TrackSettings};
+use crate::timecode::{RawFormat, TimecodeRate, TrackSettings};
 
-pub(super) use clip::timecode_of_clip;
 use report::{Decoded, frames_csv};
 
 /// Read linear timecode (LTC) from a sound, and say what is in it.
@@ -65,7 +61,7 @@ pub(super) fn run(arguments: &TimecodeArguments) -> Result<(), Failure> {
     }
     // The rate in the report is the one heard.
     let settings = TrackSettings { rate: None, free_wheel_s: 0.0 };
-    let (track, length_s, unconfirmed) = read(file, *raw, *channel, settings)?;
+    let (track, length_s, unconfirmed) = read_timecode(file, *raw, *channel, settings)?;
     let decoded = Decoded { file, track: &track, length_s, unconfirmed, wanted: *rate };
     if let Some(frames) = frames {
         write_whole(frames, frames_csv(&track))?;
@@ -74,23 +70,7 @@ pub(super) fn run(arguments: &TimecodeArguments) -> Result<(), Failure> {
         write_whole(json, decoded.json())?;
     }
     if track.marks().next().is_none() {
-        return Err(nothing(file, *channel));
+        return Err(no_timecode(file, *channel));
     }
     print(printable_lines(&decoded.text()).as_bytes())
-}
-
-/// Reads a sound; its first sample is at 0.
-fn read(file: &Path, raw: Option<RawFormat>, channel: u16, settings: TrackSettings) -> Result<(TimecodeTrack, f64, u64), Failure> {
-    let refuse = |error: SoundError| Failure::Timecode { file: file.to_owned(), reason: error.to_string() };
-    let input: Box<dyn Read> =
-        if file == Path::new(STDOUT) { Box::new(io::stdin()) } else { Box::new(File::open(file).map_err(|e| refuse(e.into()))?) };
-    let sound = Sound::open(input, raw, channel).map_err(refuse)?;
-    TimecodeTrack::of_sound(sound, Timestamp::default(), settings).map_err(refuse)
-}
-
-fn nothing(file: &Path, channel: u16) -> Failure {
-    let reason = format!(
-        "there is no timecode in channel {channel}; give the channel with --channel N, and record at half of full scale, without compression"
-    );
-    Failure::Timecode { file: file.to_owned(), reason }
 }

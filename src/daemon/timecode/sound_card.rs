@@ -30,6 +30,8 @@ impl SoundCard {
     /// # Errors
     /// It is not there, is in use, or does not record like that.
     pub fn open(name: &str, format: RawFormat, stop: Arc<AtomicBool>) -> io::Result<Self> {
+        // Otherwise the library writes to stderr at every attempt.
+        let _kept = alsa::Output::local_error_handler();
         Self::start(name, format).map(|pcm| Self { pcm, stop }).map_err(of_alsa)
     }
 

@@ -333,14 +333,36 @@ pub(super) fn diagnostics(supervisor: &Supervisor) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::timecode::{Timecode, TimecodeMark, TimecodeRate, TimecodeSource, TimecodeTrack, TrackSettings};
     use crate::web::api::tests::{respond, supervised};
+
+    #[test]
+    fn timecode_is_a_part_once_it_is_configured() {
+        let folder = tempfile::tempdir().unwrap();
+        let supervisor = supervised(folder.path());
+        let of_timecode = || parts(&supervisor).into_iter().find(|part| part.part == "timecode");
+        assert_eq!(of_timecode(), None);
+        let settings = TrackSettings { rate: None, free_wheel_s: 60.0 };
+        let source = Arc::new(TimecodeSource::live(TimecodeTrack::live(settings)));
+        supervisor.link.statistics.set_timecode(Some(source.clone()));
+        assert_eq!(of_timecode().unwrap().level, "bad");
+        let now = monotonic_now();
+        for k in 0..75 {
+            let (at, code) = (now.after_s(0.04 * (k - 100) as f64), Timecode::of_number(k, TimecodeRate::Fps25));
+            source.with_live(|track| track.push(TimecodeMark { at, code, is_reverse: false }));
+        }
+        let part = of_timecode().unwrap();
+        assert!(part.level == "warn" && part.sentence.contains("it counts on: 00:00:04:"), "{part:?}");
+    }
 
     #[test]
     fn each_part_reports_its_health() {
         let folder = tempfile::tempdir().unwrap();
         let supervisor = supervised(folder.path());
         let levels = |supervisor: &Supervisor| -> Vec<(String, &'static str)> {
-            parts(supervisor).into_iter().filter(|part| part.part != "disk").map(|part| (part.part, part.level)).collect()
+            // These two are the machine's.
+            let is_own = |part: &Part| !["disk", "system clock"].contains(&part.part.as_str());
+            parts(supervisor).into_iter().filter(is_own).map(|part| (part.part, part.level)).collect()
         };
         let expected = |all: [(&str, &'static str); 5]| all.map(|(part, level)| (part.to_owned(), level)).to_vec();
         let off = ["tracker", "shutter", "recorder", "clock"].map(|part| (part, "off"));
