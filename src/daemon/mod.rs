@@ -34,5 +34,5 @@ pub use retrack::retrack;
 pub use supervisor::{Mode, RecordingWish, Supervisor};
 pub use thread_time::thread_clock;
 pub use threads::{Daemon, DaemonError, Delivery, RunningDaemon};
-pub use timecode::{TimecodeReader, TimecodeWatch};
+pub use timecode::TimecodeReader;
 pub use unwritten::unwritten;

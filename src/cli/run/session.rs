@@ -24,7 +24,7 @@ use crate::cli::replay::tracker_setup;
 use crate::config::{ConfigError, LogFormat, LogSettings, RecorderSettings, Settings};
 use crate::daemon::live::{Event, EventListener, LiveLink, LiveSource, Patience, exposure_of};
 use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan};
-use crate::daemon::{Daemon, LearntFile, Mode, RecordingWish, RunningDaemon, Supervisor, TimecodeReader, TimecodeWatch, unwritten};
+use crate::daemon::{Daemon, LearntFile, Mode, RecordingWish, RunningDaemon, Supervisor, TimecodeReader, unwritten};
 use crate::frame::Timestamp;
 use crate::publish::{PoseWithheld, Stamps};
 use crate::record::{PoseSample, State};
@@ -57,6 +57,8 @@ pub(super) struct Session<'a> {
     pub link: &'a LiveLink,
     pub supervisor: &'a Arc<Supervisor>,
     pub pages: &'a Pages,
+    /// The timecode of the camera's stamps.
+    pub timecode: Option<&'a TimecodeReader>,
     /// A new config that is being read and tried.
     pub reading: RefCell<Option<JoinHandle<Result<Settings, ConfigError>>>>,
 }
@@ -74,8 +76,6 @@ impl Drop for Session<'_> {
 struct Listening<'a> {
     samples: &'a Receiver<PoseSample>,
     running: &'a RunningDaemon,
-    /// The timecode of its stamps.
-    timecode: Option<&'a TimecodeReader>,
     /// Saves the ring.
     saver: Option<&'a dyn Fn()>,
     recorder: Option<&'a Recorder>,
@@ -99,7 +99,6 @@ impl Session<'_> {
         pages.use_limits(&self.settings.safety);
         let opener = camera::camera(self.settings, self.arguments.play.as_deref())?;
         let (shutter, latency) = (self.settings.shutter.or_zero(), self.settings.device.latency);
-        let timecode = self.timecode();
         let mut source = LiveSource::start_late(opener, shutter, latency, Patience::default(), self.link.clone());
         let mode = match self.wait(&mut source, pages, service, sinks) {
             Ok(mode) => mode,
@@ -117,8 +116,14 @@ impl Session<'_> {
         setup.learnt = learnt_file.load();
         sinks.learnt = setup.learnt;
         let stopper = source.stopper();
-        let outputs =
-            Outputs::start(self.settings, None, setup.camera, Stamps::Live, timecode.as_ref().map(|t| t.source().clone()), Some(mode.fps))?;
+        let outputs = Outputs::start(
+            self.settings,
+            None,
+            setup.camera,
+            Stamps::Live,
+            self.timecode.map(|timecode| timecode.source().clone()),
+            Some(mode.fps),
+        )?;
         pages.show_scene(&setup);
         let mut tracker = Tracker::new(setup)?.with_filter(self.settings.filter);
         let for_pages = pages.observer(&mut tracker);
@@ -145,7 +150,6 @@ impl Session<'_> {
         let listening = Listening {
             samples: &samples,
             running: &running,
-            timecode: timecode.as_ref(),
             saver: saver.as_ref().map(|s| s as &dyn Fn()),
             recorder: recorder.as_ref(),
             pages,
@@ -172,14 +176,6 @@ impl Session<'_> {
         joined.map(|()| end)
     }
 
-    /// Starts to read the config's timecode. Tracking goes on without.
-    fn timecode(&self) -> Option<TimecodeReader> {
-        self.link.statistics.set_timecode(None);
-        let settings = self.settings.timecode.clone()?;
-        let started = TimecodeReader::start(settings, self.link);
-        started.map_err(|e| tracing::error!("timecode: cannot start its thread ({e}); close other programs")).ok()
-    }
-
     /// Returns the camera's mode once it is there, or why the session ended before that.
     fn wait(&self, source: &mut LiveSource, pages: &Pages, service: &mut Service, sinks: &mut Sinks) -> Result<CameraMode, End> {
         let (mut reload, mut stale_reported_at) = (None, Instant::now());
@@ -201,8 +197,7 @@ impl Session<'_> {
     }
 
     fn follow(&self, listening: &Listening<'_>, service: &mut Service, sinks: &mut Sinks) -> End {
-        let Listening { samples, running, timecode, saver, recorder, pages, outputs } = *listening;
-        let mut watch = TimecodeWatch::default();
+        let Listening { samples, running, saver, recorder, pages, outputs } = *listening;
         service.tracking_begins();
         loop {
             match samples.recv_timeout(Duration::from_millis(50)) {
@@ -215,8 +210,8 @@ impl Session<'_> {
                 Err(RecvTimeoutError::Disconnected) => return End::Stopped,
             }
             service.tick(self.link);
-            if let Some(timecode) = timecode {
-                watch.look(timecode.source(), monotonic_now(), self.link);
+            if let Some(timecode) = self.timecode {
+                timecode.look(self.link);
             }
             for PoseWithheld { output, body, reason } in outputs.withheld() {
                 self.link.events.publish(Event::PoseWithheld { output, body, reason: reason.words().into() });

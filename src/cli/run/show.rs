@@ -14,10 +14,10 @@ use crate::cli::failure::Failure;
 use crate::cli::interrupt;
 use crate::cli::logging;
 use crate::cli::pages::Pages;
-use crate::config::{HttpSettings, LogSettings, Settings};
+use crate::config::{HttpSettings, LogSettings, Settings, TimecodeSettings};
 use crate::contain;
 use crate::daemon::live::{Event, LiveLink};
-use crate::daemon::{Mode, Supervisor, give_back};
+use crate::daemon::{Mode, Supervisor, TimecodeReader, give_back};
 use crate::printable::printable;
 use crate::publish::{SafetySettings, Stamps};
 use crate::web::page_address;
@@ -41,6 +41,7 @@ struct Show<'a> {
     service: Service,
     sinks: Sinks,
     clips: Clips,
+    timecode: Timecode,
     /// The previous config, which worked.
     previous: Option<Settings>,
     /// When stages failed.
@@ -86,6 +87,7 @@ pub(in crate::cli) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> 
         sinks: Sinks::begin(poses, events, &link, log)?,
         service: Service::start(arguments.seconds),
         clips: Clips::new(clip),
+        timecode: Timecode::default(),
         previous: None,
         failures: Vec::new(),
         link,
@@ -131,8 +133,9 @@ impl Show<'_> {
     fn session(&mut self, settings: &Settings) -> Result<End, Failure> {
         let pages = self.server.serve(settings.http.as_ref(), &settings.safety, &self.supervisor, self.arguments)?;
         self.supervisor.use_settings(Some(settings.clone()));
+        let timecode = self.timecode.of(settings.timecode.as_ref(), &self.link);
         let (supervisor, reading) = (&self.supervisor, RefCell::default());
-        let session = Session { settings, arguments: self.arguments, link: &self.link, supervisor, pages, reading };
+        let session = Session { settings, arguments: self.arguments, link: &self.link, supervisor, pages, timecode, reading };
         session.run(&mut self.service, &mut self.sinks, &mut self.clips)
     }
 
@@ -264,5 +267,27 @@ impl Serving {
             }
         };
         Ok(pages)
+    }
+}
+
+/// The reader of timecode, which outlives sessions: a program that writes to a pipe ends if nobody
+/// reads it. It restarts only if the config has another `[timecode]`.
+#[derive(Default)]
+struct Timecode(Option<TimecodeReader>);
+
+impl Timecode {
+    /// Returns the reader for a config. Tracking goes on without one that cannot be started.
+    fn of(&mut self, settings: Option<&TimecodeSettings>, link: &LiveLink) -> Option<&TimecodeReader> {
+        if self.0.as_ref().map(TimecodeReader::settings) != settings {
+            // The old one must let go of its sound first.
+            self.0 = None;
+            link.statistics.set_timecode(None);
+            let started = settings.map(|settings| TimecodeReader::start(settings.clone(), link)).transpose();
+            self.0 = started.unwrap_or_else(|e| {
+                tracing::error!("timecode: cannot start its thread ({e}); close other programs");
+                None
+            });
+        }
+        self.0.as_ref()
     }
 }

@@ -12,8 +12,8 @@ mod watch;
 
 use std::io::{self, Read};
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -25,7 +25,7 @@ use arrival::Arrival;
 use input::Input;
 #[cfg(feature = "sound-card")]
 use sound_card::SoundCard;
-pub use watch::TimecodeWatch;
+use watch::TimecodeWatch;
 
 /// Interval of attempts to open a sound that is not there. Chosen: nobody notices it. Raised, a
 /// sound that comes is heard later.
@@ -34,6 +34,8 @@ const AGAIN_EVERY: Duration = Duration::from_millis(500);
 /// Reads timecode until it is dropped.
 #[derive(Debug)]
 pub struct TimecodeReader {
+    settings: TimecodeSettings,
+    watch: Mutex<TimecodeWatch>,
     source: Arc<TimecodeSource>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -47,10 +49,20 @@ impl TimecodeReader {
     pub fn start(settings: TimecodeSettings, link: &LiveLink) -> io::Result<Self> {
         let source = Arc::new(TimecodeSource::live(TimecodeTrack::live(settings.track)));
         let stop = Arc::new(AtomicBool::new(false));
-        let ear = Ear { settings, source: source.clone(), stop: stop.clone(), link: link.clone() };
+        let ear = Ear { settings: settings.clone(), source: source.clone(), stop: stop.clone(), link: link.clone() };
         let thread = std::thread::Builder::new().name("timecode".to_owned()).spawn(move || ear.run())?;
         link.statistics.set_timecode(Some(source.clone()));
-        Ok(Self { source, stop, thread: Some(thread) })
+        Ok(Self { settings, watch: Mutex::default(), source, stop, thread: Some(thread) })
+    }
+
+    /// Returns what it was started with.
+    pub fn settings(&self) -> &TimecodeSettings {
+        &self.settings
+    }
+
+    /// Publishes what has changed by now; to be called several times a second.
+    pub fn look(&self, link: &LiveLink) {
+        self.watch.lock().unwrap_or_else(PoisonError::into_inner).look(&self.source, monotonic_now(), link);
     }
 
     /// Returns the timecode of stamps.

@@ -27,10 +27,10 @@ fn sound() -> Vec<u8> {
 }
 
 /// Looks at the state until it is the wanted one; returns when it was.
-fn await_state(reader: &TimecodeReader, watch: &mut TimecodeWatch, link: &LiveLink, wanted: &str) -> crate::frame::Timestamp {
+fn await_state(reader: &TimecodeReader, link: &LiveLink, wanted: &str) -> crate::frame::Timestamp {
     for _ in 0..1_000 {
         let now = monotonic_now();
-        watch.look(reader.source(), now, link);
+        reader.look(link);
         if reader.source().with_live(|track| track.state(now).word()) == Some(wanted) {
             return now;
         }
@@ -52,9 +52,9 @@ fn a_file_plays_at_its_speed_and_every_state_is_told() {
     std::fs::write(&file, sound()).unwrap();
     let link = LiveLink::default();
     let events = events_of(&link, || {
-        let (reader, mut watch) = (TimecodeReader::start(settings(file), &link).unwrap(), TimecodeWatch::default());
-        let begun = await_state(&reader, &mut watch, &link, "never found");
-        await_state(&reader, &mut watch, &link, "locked");
+        let reader = TimecodeReader::start(settings(file), &link).unwrap();
+        let begun = await_state(&reader, &link, "never found");
+        await_state(&reader, &link, "locked");
         std::thread::sleep(Duration::from_millis(2_500));
         let now = monotonic_now();
         let stamped = reader.source().at(now).unwrap();
@@ -62,8 +62,8 @@ fn a_file_plays_at_its_speed_and_every_state_is_told() {
         let found_s = f64::from(stamped.code.number(TimecodeRate::Fps25)) / 25.0 - 3600.0;
         // `rate` is 30, but frame numbers are those of the sound up to the last mark.
         assert!((found_s - wanted_s).abs() < 0.3, "{found_s} {wanted_s}");
-        watch.look(reader.source(), now, &link);
-        await_state(&reader, &mut watch, &link, "lost");
+        reader.look(&link);
+        await_state(&reader, &link, "lost");
     });
     let states: Vec<_> = events.iter().filter_map(|e| if let Event::Timecode { state, .. } = e { Some(&**state) } else { None }).collect();
     assert!(states.starts_with(&["never found", "locked"]) && states.ends_with(&["lost"]), "{states:?}");
@@ -78,7 +78,7 @@ fn a_pipe_may_come_go_and_come_again() {
     let mut plain = settings(file.clone());
     (plain.track.rate, plain.track.free_wheel_s) = (None, 30.0);
     let listener = link.events.listen();
-    let (reader, mut watch) = (TimecodeReader::start(plain, &link).unwrap(), TimecodeWatch::default());
+    let reader = TimecodeReader::start(plain, &link).unwrap();
     std::thread::sleep(Duration::from_millis(200));
     assert!(listener.try_iter().any(|e| matches!(&e.event, Event::TimecodeWaiting { reason } if reason.contains("mkfifo"))));
     nix::unistd::mkfifo(&file, nix::sys::stat::Mode::S_IRWXU).unwrap();
@@ -92,8 +92,8 @@ fn a_pipe_may_come_go_and_come_again() {
             std::thread::sleep(Duration::from_millis(100));
         }
         drop(pipe);
-        await_state(&reader, &mut watch, &link, "locked");
-        await_state(&reader, &mut watch, &link, "free-wheeling");
+        await_state(&reader, &link, "locked");
+        await_state(&reader, &link, "free-wheeling");
     }
     let stamped = reader.source().at(monotonic_now()).unwrap();
     assert!(stamped.rate == TimecodeRate::Fps25 && matches!(stamped.state, TimecodeState::FreeWheeling { .. }));
