@@ -62,8 +62,8 @@ pub(super) fn timecode_in_words(settings: &TimecodeSettings) -> String {
         Err(failure) => failure.to_string(),
         Ok((track, ..)) => match (track.marks().next(), track.marks().last(), track.rate()) {
             (Some(first), Some(last), Some(rate)) => {
-                let wrong = track.heard_rate().filter(|heard| *heard != rate);
-                let wrong = wrong.map_or(String::new(), |heard| format!("; it runs at {heard}, correct `rate`"));
+                let wrong = settings.track.rate.filter(|configured| track.heard_rate().is_some_and(|heard| heard != *configured));
+                let wrong = wrong.map_or(String::new(), |configured| format!(", but `rate` is {configured}: correct it"));
                 format!("{name}: {} to {} at {rate}{wrong}", first.code, last.code)
             }
             _ => no_timecode(file, settings.channel).to_string(),

@@ -14,8 +14,8 @@ pub struct TimecodeStatus {
     pub timecode: Option<String>,
     /// Its rate; null before it is known.
     pub rate: Option<&'static str>,
-    /// The rate as heard, if another one is configured.
-    pub wrong_rate: Option<&'static str>,
+    /// The configured rate, if the timecode runs at another one.
+    pub configured_rate: Option<&'static str>,
     /// How fast it runs, 1 for its rate, negative backwards; null before two frames.
     pub speed: Option<f64>,
     /// Time since the last frame of timecode, seconds; null unless it free-wheels.
@@ -30,12 +30,12 @@ impl TimecodeStatus {
     pub fn of(source: &TimecodeSource, now: Timestamp) -> Option<Self> {
         source.with_live(|track| {
             let state = track.state(now);
-            let heard = track.heard_rate().filter(|heard| track.configured_rate().is_some_and(|configured| configured != *heard));
+            let wrong = track.configured_rate().filter(|configured| track.heard_rate().is_some_and(|heard| heard != *configured));
             Self {
                 state: state.word(),
                 timecode: track.at(now).map(|stamped| stamped.code.to_string()),
-                rate: track.rate().map(|rate| rate.word()),
-                wrong_rate: heard.map(|rate| rate.word()),
+                rate: wrong.and(track.heard_rate()).or(track.rate()).map(|rate| rate.word()),
+                configured_rate: wrong.map(|rate| rate.word()),
                 speed: track.speed().filter(|_| state == TimecodeState::Locked).map(|speed| (speed * 1e6).round() / 1e6),
                 without_s: match state {
                     TimecodeState::FreeWheeling { for_s } => Some((for_s * 1e3).round() / 1e3),

@@ -141,6 +141,8 @@ pub struct TimecodeTrack {
     kept: Option<usize>,
     /// How many frame numbers a second has, from where they began again.
     count: Option<u8>,
+    /// The highest frame number of the current run.
+    most: u8,
     /// The rate as heard.
     heard: Option<TimecodeRate>,
 }
@@ -148,7 +150,7 @@ pub struct TimecodeTrack {
 impl TimecodeTrack {
     /// Starts without timecode, for a source that never ends: old marks are forgotten.
     pub fn live(settings: TrackSettings) -> Self {
-        Self { settings, marks: VecDeque::new(), kept: Some(KEPT), count: None, heard: None }
+        Self { settings, marks: VecDeque::new(), kept: Some(KEPT), count: None, most: 0, heard: None }
     }
 
     /// Reads a whole sound whose first sample belongs to the instant `begin`. Also returns its
@@ -191,6 +193,7 @@ impl TimecodeTrack {
             (self.count, self.heard) = (None, None);
         }
         let in_run = before.map_or(0, |before| before.in_run + 1);
+        self.most = mark.code.frames.max(if in_run > 0 { self.most } else { 0 });
         self.marks.push_back(Placed { mark, in_run });
         if self.kept.is_some_and(|kept| self.marks.len() > kept) {
             self.marks.pop_front();
@@ -202,7 +205,8 @@ impl TimecodeTrack {
         let Some((fps, frames)) = self.measured(self.marks.len()) else { return };
         let Some(last) = self.marks.back() else { return };
         let is_drop = last.mark.code.is_drop;
-        let nearest = [24_u8, 25, 30].into_iter().min_by(|a, b| (f64::from(*a) - fps).abs().total_cmp(&(f64::from(*b) - fps).abs()));
+        let counts = [24_u8, 25, 30].into_iter().filter(|count| *count > self.most);
+        let nearest = counts.min_by(|a, b| (f64::from(*a) - fps).abs().total_cmp(&(f64::from(*b) - fps).abs()));
         let Some(count) = self.count.or(nearest).map(|count| if is_drop { 30 } else { count }) else { return };
         if self.heard.is_none_or(|heard| heard.count() != count || heard.is_drop() != is_drop) {
             self.heard = TimecodeRate::nearest(count, is_drop, f64::from(count));
@@ -221,9 +225,12 @@ impl TimecodeTrack {
         (frames > 0).then(|| (frames as f64 / last.mark.at.seconds_since(first.mark.at), frames))
     }
 
-    /// Returns the rate: the configured one, otherwise the one heard.
+    /// Returns the rate: the configured one, unless the timecode counts otherwise; then, and
+    /// without a configured one, the one heard.
     pub fn rate(&self) -> Option<TimecodeRate> {
-        self.settings.rate.or(self.heard)
+        let Some((configured, heard)) = self.settings.rate.zip(self.heard) else { return self.settings.rate.or(self.heard) };
+        let is_counted_out = self.count.is_some_and(|count| count != configured.count()) || self.most >= configured.count();
+        Some(if is_counted_out || heard.is_drop() != configured.is_drop() { heard } else { configured })
     }
 
     /// Returns the configured rate.

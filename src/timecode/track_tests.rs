@@ -78,3 +78,40 @@ fn marks_out_of_order_change_nothing_and_old_ones_are_forgotten() {
     assert_eq!(track.at(at_s(150.01)).unwrap().code.to_string(), "00:02:30:00");
     assert_eq!(track.rate(), Some(TimecodeRate::Fps25));
 }
+
+#[test]
+fn a_wrong_configured_rate_changes_no_timecode() {
+    for (rate, configured) in [
+        (TimecodeRate::Fps29_97Drop, TimecodeRate::Fps25),
+        (TimecodeRate::Fps25, TimecodeRate::Fps30),
+        (TimecodeRate::Fps30, TimecodeRate::Fps24),
+        (TimecodeRate::Fps24, TimecodeRate::Fps29_97Drop),
+    ] {
+        for speed in [0.8, 1.0] {
+            let first = if rate.is_drop() { "00:00:58;05" } else { "00:00:58:05" };
+            let track = track(&LtcSignal { speed, ..signal(rate, first, 80) }, TrackSettings { rate: Some(configured), ..SETTINGS });
+            let frame_s = 1.0 / (rate.fps() * speed);
+            for k in 2..79 {
+                let stamped = track.at(at_s(100.0 + (f64::from(k) + 0.5) * frame_s)).unwrap();
+                let wanted = Timecode::of_number(58 * i64::from(rate.count()) + 5 + i64::from(k), rate);
+                assert_eq!(stamped.code, wanted, "{rate} x {speed} configured as {configured}");
+            }
+            assert!(track.heard_rate().is_some_and(|heard| heard.count() == rate.count() && heard != configured));
+        }
+    }
+}
+
+#[test]
+fn the_first_second_is_right_at_any_speed() {
+    for rate in TimecodeRate::ALL {
+        for speed in [0.5, 0.8, 1.25, 1.5] {
+            let (mut live, sent) = (TimecodeTrack::live(SETTINGS), Timecode { is_drop: rate.is_drop(), ..Timecode::of_number(0, rate) });
+            for k in 0..i64::from(rate.count()) {
+                let at = at_s(k as f64 / (rate.fps() * speed));
+                let code = Timecode::of_number(i64::from(sent.number(rate)) + k, rate);
+                live.push(TimecodeMark { at, code, is_reverse: false });
+                assert!(live.at(at.after_s(0.001)).is_none_or(|stamped| stamped.code == code), "{rate} x {speed}, frame {k}");
+            }
+        }
+    }
+}

@@ -115,7 +115,7 @@ fn check_says_what_the_timecode_is() {
     write_sound(&scene, "ltc.wav", &signal(TimecodeRate::Fps25, "10:00:00:00"));
     for (keys, wanted) in [
         ("file = \"ltc.wav\"", "timecode    ltc.wav: 10:00:00:01 to 10:00:02:09 at 25\n"),
-        ("file = \"ltc.wav\"\nrate = \"30\"", "at 30; it runs at 25, correct `rate`\n"),
+        ("file = \"ltc.wav\"\nrate = \"30\"", "at 25, but `rate` is 30: correct it\n"),
         ("file = \"ltc.wav\"\nchannel = 2", "channel 2 is not there"),
         ("file = \"ltc.fifo\"", "timecode    ltc.fifo is not there yet; `run` waits for it\n"),
         ("file = \"-\"", "timecode    standard input, read while the camera runs\n"),

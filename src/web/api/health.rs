@@ -233,9 +233,9 @@ fn timecode(statistics: &Statistics) -> Option<Part> {
     let status = TimecodeStatus::of(&*statistics.timecode()?, monotonic_now())?;
     let (code, rate) = (status.timecode.unwrap_or_default(), status.rate.unwrap_or_default());
     let cable = Some("check the cable, `channel` and `file` in [timecode], and the generator's level");
-    Some(match (status.state, status.wrong_rate) {
-        ("locked", Some(heard)) => {
-            let sentence = format!("timecode runs at {heard}, but `rate` in [timecode] is {rate}");
+    Some(match (status.state, status.configured_rate) {
+        ("locked", Some(configured)) => {
+            let sentence = format!("timecode runs at {rate}, but `rate` in [timecode] is {configured}");
             part("timecode", "warn", sentence, Some("set the generator or the config"))
         }
         ("locked", None) => part("timecode", "good", format!("timecode is locked: {code} at {rate}"), None),
