@@ -170,7 +170,8 @@ pub use light::Transfer;
 pub use pose::{FilterKind, FilterSettings, KalmanSettings, OneEuroSettings};
 pub use record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
 pub use track::{
-    BodySpec, LearntCamera, LearntError, LearntTime, Reason, ReferenceKind, SurfaceError, SurfaceSpec, TrackerSettings, ViewStore,
+    BodySpec, Facet, FacetTexture, LearntCamera, LearntError, LearntTime, MapFileError, Reason, ReferenceKind, StageMap, SurfaceError,
+    SurfaceSpec, TrackerSettings, ViewStore,
 };
 pub use tracker::{FrameError, SetupError, Tracker, TrackerSetup};
 

@@ -58,6 +58,7 @@ pub use patches::verify::Verified;
 #[cfg(all(test, feature = "simulate"))]
 pub use scene::shape::tests::folds;
 pub use scene::shape::{BentShape, ShapeWay, SurfaceShape};
+pub use scene::stage_map::{Facet, FacetTexture, MapFileError, StageMap};
 pub use scene::surface::{BodySpec, ReferenceKind, SurfaceError, SurfaceSpec};
 pub use settings::TrackerSettings;
 
@@ -68,6 +69,8 @@ pub use align::PixelShift;
 pub(crate) use frame::frame_look::{FrameLook, PictureFault};
 #[cfg(feature = "calibrate")]
 pub use model_error::lens_doubt::covariance_by_lens;
+#[cfg(feature = "cli")]
+pub use scene::stage_map::LIGHT_STEPS;
 #[cfg(feature = "simulate")]
 pub use scene::{shape::ShapePoint, surface::SurfaceDoubt};
 #[cfg(feature = "cli")]

@@ -30,13 +30,14 @@ pub struct TwoView {
     pub has_depth: bool,
 }
 
-/// Returns `T_body_reference`, the pose of the reference camera (C3): the photograph's own camera,
-/// or a virtual pinhole on the first surface's axis, as far in front of its centre as the surface
-/// is wide.
+/// Returns `T_body_reference`, the pose of the reference camera (C3, C13): with a map, the walk's
+/// first keyframe; else the photograph's own camera, or a virtual pinhole on the first surface's
+/// axis, as far in front of its centre as the surface is wide.
 fn reference_camera(body: &PreparedBody) -> Pose<Body, ReferenceCamera> {
-    let spec = &body.surfaces[0].spec;
+    let of_map = body.surfaces.iter().find(|surface| matches!(surface.spec.kind, ReferenceKind::Facet { .. }));
+    let spec = &of_map.unwrap_or(&body.surfaces[0]).spec;
     match &spec.kind {
-        ReferenceKind::Photograph { pose, .. } => spec.pose * pose.inverse(),
+        ReferenceKind::Photograph { pose, .. } | ReferenceKind::Facet { pose } => spec.pose * pose.inverse(),
         ReferenceKind::Artwork => {
             // It looks against the surface's normal: x stays, y and z flip.
             let turn = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
@@ -117,6 +118,7 @@ fn first_surface_homography(
     }
     let fit = Homography::from_pairs(pairs, None)?.refined(pairs, 0.2, 15)?;
     match &body.surfaces[0].spec.kind {
+        ReferenceKind::Facet { .. } => None,
         ReferenceKind::Artwork => fit.with_unit_h33(),
         ReferenceKind::Photograph { h_photo_artwork, .. } => Homography(fit.0 * h_photo_artwork.try_inverse()?).with_unit_h33(),
     }

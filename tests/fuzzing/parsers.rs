@@ -15,7 +15,7 @@ use stagepose::diagnostics::web::judge_model;
 use stagepose::protocols::freed::FreedPacket;
 use stagepose::protocols::opentrackio::{self, Encoding};
 use stagepose::protocols::psn::{PsnHeader, PsnPacket, PsnTracker};
-use stagepose::{LearntCamera, Settings, parse_calibration};
+use stagepose::{Facet, FacetTexture, LearntCamera, Pose, Settings, StageMap, parse_calibration};
 
 use super::memory::taken_by;
 use super::mutator::{Form, Mutator};
@@ -108,6 +108,31 @@ fn shapes() {
         let _kept = &folder;
         std::fs::write(&shape, bytes).unwrap();
         let _ = Settings::from_text(config, &file).map_err(|e| assert!(e.to_string().contains("shape.toml"), "{e}"));
+    });
+}
+
+#[test]
+fn maps() {
+    let texture = FacetTexture { width: 9, height: 7, light: (0..63).map(|n| 900 * n).collect() };
+    let facet = Facet { name: "facet 1".to_owned(), size_m: [0.4, 0.3], pose: Pose::identity(), shape: Default::default(), texture };
+    let map = StageMap { bend: [0.0; 7], keyframes: vec![Pose::identity(); 2], facets: vec![facet.clone(), facet] };
+    let good = map.to_bytes();
+    let binary = |bytes: &[u8]| Mutator::new(seed(), Form::Binary, vec![bytes.to_vec()]);
+    fuzz("map", binary(&good), MAX_OF_TEXT, |bytes| {
+        let _ = StageMap::from_bytes(bytes).map_err(|e| assert!(!e.to_string().is_empty()));
+    });
+    // Nothing is read behind a wrong digest, so the body is changed and sealed anew.
+    let head = good[..20].to_vec();
+    fuzz("map body", binary(&good[36..]), MAX_OF_TEXT, move |body| {
+        let digest = body.iter().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3));
+        let whole = [&head[..], &(body.len() as u64).to_le_bytes(), &digest.to_le_bytes(), body].concat();
+        match StageMap::from_bytes(&whole) {
+            Ok(map) => {
+                assert_eq!(map.to_bytes(), whole);
+                let _ = map.surfaces();
+            }
+            Err(e) => assert!(e.to_string().contains("map the set again"), "{e}"),
+        }
     });
 }
 

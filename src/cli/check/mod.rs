@@ -313,6 +313,7 @@ fn surface_line(surface: &SurfaceSpec) -> String {
     let kind = match surface.kind {
         ReferenceKind::Artwork => "artwork",
         ReferenceKind::Photograph { .. } => "laid flat from a photograph,",
+        ReferenceKind::Facet { .. } => "of a map,",
     };
     let (width, height) = surface.artwork.dimensions();
     let [width_m, height_m] = surface.size_m;

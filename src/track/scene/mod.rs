@@ -5,6 +5,7 @@
 //!   may be off
 //! - `rectangle`: where a surface lies in its body, and where the camera sees it
 //! - `repetition`: the periods of a picture that repeats itself
+//! - `stage_map`: the map of a set, whose facets are surfaces, and its file
 //! - `reference`: the picture prepared for search: octaves and anchors
 //! - `averaged_picture`, `bilinear`: how the picture is sampled
 //!
@@ -17,5 +18,6 @@ pub mod rectangle;
 pub mod reference;
 pub mod repetition;
 pub mod shape;
+pub mod stage_map;
 pub mod surface;
 pub mod tuning;

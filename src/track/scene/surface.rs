@@ -72,7 +72,7 @@ impl SurfaceDoubt {
     }
 }
 
-/// Whether a surface was configured as flat artwork or as a photograph.
+/// Whether a surface was configured as flat artwork or as a photograph, or belongs to a map.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub enum ReferenceKind {
@@ -87,6 +87,11 @@ pub enum ReferenceKind {
         camera: Box<CameraModel>,
         /// `T_reference_surface`: the pose of the surface as that camera saw it, from its four
         /// corners.
+        pose: Pose<ReferenceCamera, SurfaceFrame>,
+    },
+    /// A facet of a map, painted from a walk.
+    Facet {
+        /// `T_reference_surface`: the pose of the surface as the walk's first keyframe saw it.
         pose: Pose<ReferenceCamera, SurfaceFrame>,
     },
 }
