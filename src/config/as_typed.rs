@@ -87,6 +87,15 @@ pub struct Stage {
     /// `[[stage.surface]]`.
     #[serde(default)]
     pub surface: Vec<Spanned<Surface>>,
+    /// `[stage.map]`.
+    pub map: Option<Spanned<MapOfStage>>,
+}
+
+/// `[stage.map]`.
+#[derive(Debug, Deserialize)]
+pub struct MapOfStage {
+    /// Map file from `stagepose map`.
+    pub file: Option<Spanned<String>>,
 }
 
 /// `[[object]]`.

@@ -61,19 +61,39 @@ impl BodyReader<'_> {
     /// Reads the stage; one without surfaces is refused if it is needed.
     pub fn stage(&mut self, typed: Option<&Spanned<as_typed::Stage>>, is_needed: bool) -> Result<BodySpec, ConfigError> {
         let surfaces = typed.map_or(&[][..], |stage| &stage.get_ref().surface);
-        if surfaces.is_empty() && !is_needed {
-            return Ok(BodySpec { name: STAGE.to_owned(), surfaces: Vec::new() });
-        }
-        if surfaces.is_empty() {
+        let facets = typed.and_then(|stage| stage.get_ref().map.as_ref()).map(|map| self.facets(map)).transpose()?.unwrap_or_default();
+        if surfaces.is_empty() && facets.is_empty() {
             let hint = "a section [[stage.surface]] with an `image` or a `photo` of the stage and its `size_m`";
-            return Err(self.origin.missing("the config".to_owned(), "stage.surface", hint));
+            let missing = || self.origin.missing("the config".to_owned(), "stage.surface", hint);
+            return if is_needed { Err(missing()) } else { Ok(BodySpec { name: STAGE.to_owned(), surfaces: Vec::new() }) };
         }
-        let mut stage = BodySpec { name: STAGE.to_owned(), surfaces: self.surfaces(surfaces, "[[stage.surface]]")? };
+        let mut stage = BodySpec { name: STAGE.to_owned(), surfaces: Vec::new() };
+        if !surfaces.is_empty() {
+            stage.surfaces = self.surfaces(surfaces, "[[stage.surface]]")?;
+        }
         self.first_as_typed = stage.surfaces.first().map_or_else(Pose::identity, |first| first.pose);
         if let Some(points) = typed.and_then(|stage| stage.get_ref().origin.as_ref()) {
+            if surfaces.is_empty() {
+                let problem = "it names points of the first surface, and this stage has a map only, which has its frame; remove it";
+                return Err(Section { origin: self.origin, name: "[stage]" }.conflict("origin", points, problem));
+            }
             self.notes.extend(stage_origin::place(self.origin, points, &mut stage)?);
         }
+        stage.surfaces.extend(facets);
         Ok(stage)
+    }
+
+    /// Reads the facets of the stage's map, which has them in the stage frame.
+    fn facets(&self, typed: &Spanned<as_typed::MapOfStage>) -> Result<Vec<SurfaceSpec>, ConfigError> {
+        let section = Section { origin: self.origin, name: "[stage.map]" };
+        match &typed.get_ref().file {
+            Some(file) => section.map("file", file),
+            None => Err(self.origin.missing(
+                self.origin.section_at("[stage.map]", &typed.span()),
+                "file",
+                "file = \"stage.map\", of `stagepose map`",
+            )),
+        }
     }
 
     /// Warns of unusual camera parameters.

@@ -166,6 +166,22 @@ pub enum Problem {
         /// What is wrong with it.
         reason: super::shape_file::ShapeFileError,
     },
+    /// A map file that cannot be opened.
+    #[error("{}: {reason}; name a map of `stagepose map`", file.display())]
+    MapFile {
+        /// The file.
+        file: PathBuf,
+        /// The system's error.
+        reason: String,
+    },
+    /// A map file that cannot be used.
+    #[error("{}: {reason}", file.display())]
+    MapContent {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        reason: crate::track::MapFileError,
+    },
     /// A picture file that is not a picture.
     #[error("{}: {reason}", file.display())]
     PictureContent {

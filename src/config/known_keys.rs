@@ -20,6 +20,7 @@ const SECTIONS: [(&[&str], &str, Keys); 19] = [
     (&["camera"], "[camera]", fields::<as_typed::Camera>),
     (&["stage"], "[stage]", fields::<as_typed::Stage>),
     (&["stage", "surface"], "[[stage.surface]]", fields::<as_typed::Surface>),
+    (&["stage", "map"], "[stage.map]", fields::<as_typed::MapOfStage>),
     (&["object"], "[[object]]", fields::<as_typed::Object>),
     (&["object", "surface"], "[[object.surface]]", fields::<as_typed::Surface>),
     (&["survey"], "[survey]", fields::<as_typed::Survey>),

@@ -15,6 +15,7 @@ mod filter;
 mod http;
 mod known_keys;
 mod lens;
+pub mod mapped;
 mod measured;
 mod mount;
 mod named_files;

@@ -1,6 +1,6 @@
-//! The files that a config names (calibrations, the mask, the surfaces' pictures and shapes), and a
-//! copy of the config with all of them, so that a recording can be replayed anywhere and at any
-//! time.
+//! The files that a config names (calibrations, the mask, the surfaces' pictures and shapes, the
+//! map), and a copy of the config with all of them, so that a recording can be replayed anywhere
+//! and at any time.
 
 use std::io;
 use std::ops::Range;
@@ -21,17 +21,21 @@ pub enum FileKind {
     Picture,
     /// A surface's shape.
     Shape,
+    /// The map of the stage.
+    Map,
 }
 
 /// Returns every file name in a config, in the order of its tables.
 pub(super) fn named_files(typed: &Config) -> Vec<(&Spanned<String>, FileKind)> {
-    use FileKind::{Calibration, Picture, Shape};
+    use FileKind::{Calibration, Map, Picture, Shape};
     let mut named: Vec<(Option<&Spanned<String>>, FileKind)> = Vec::new();
     if let Some(camera) = &typed.camera {
         let camera = camera.get_ref();
         named.extend([(camera.calibration.as_ref(), Calibration), (camera.mask.as_ref(), Picture)]);
     }
     named.extend(typed.mount.iter().map(|mount| (mount.get_ref().calibration.as_ref(), Calibration)));
+    let maps = typed.stage.iter().filter_map(|stage| stage.get_ref().map.as_ref());
+    named.extend(maps.map(|map| (map.get_ref().file.as_ref(), Map)));
     let of_stage = typed.stage.iter().flat_map(|stage| &stage.get_ref().surface);
     let of_objects = typed.object.iter().flat_map(|object| &object.get_ref().surface);
     for surface in of_stage.chain(of_objects) {

@@ -82,7 +82,7 @@ impl ConfigSource {
 }
 
 /// Returns the change that sets a key of a table; `None` if the table is empty.
-fn with(text: &str, table: &DeTable, key: &str, value: &str) -> Option<Change> {
+pub(super) fn with(text: &str, table: &DeTable, key: &str, value: &str) -> Option<Change> {
     table.get(key).map(|old| (old.span(), value.to_owned())).or_else(|| added(text, table, key, value))
 }
 

@@ -15,11 +15,14 @@ use super::{ConfigError, Problem, shape_file};
 use crate::camera::{Calibration, parse_calibration};
 use crate::capture::{MAX_PICTURE_FILE, decode_on_white, orientation_words};
 use crate::safe_file;
-use crate::track::{SurfaceShape, SurfaceSpec};
+use crate::track::{StageMap, SurfaceShape, SurfaceSpec};
 
 /// Maximum size of a shape file, bytes. A round figure above any. Raised, an endless file takes
 /// more memory.
 const MAX_SHAPE_FILE: u64 = 64 << 20;
+/// Maximum size of a map file, bytes: ten times that of a rich set. Raised, a foreign file takes
+/// more memory.
+const MAX_MAP_FILE: u64 = 300 << 20;
 
 /// The current section, for messages.
 pub(super) struct Section<'a> {
@@ -162,6 +165,16 @@ impl Section<'_> {
         let text = std::str::from_utf8(&bytes).map_err(|e| refuse(not_text(e)))?;
         let shape = shape_file::parse(text, &surface.artwork, surface.size_m);
         shape.map_err(|reason| refuse(Problem::ShapeContent { file: file.clone(), reason }))
+    }
+
+    /// Reads a map file and returns its facets; its name is relative to the config's folder.
+    pub fn map(&self, key: &str, typed: &Spanned<String>) -> Result<Vec<SurfaceSpec>, ConfigError> {
+        let file = self.origin.beside(typed.get_ref());
+        let refuse = |problem| self.refuse(key, &typed.span(), problem);
+        let bytes = self.origin.files.get(&file, |file| safe_file::read(file, MAX_MAP_FILE));
+        let bytes = bytes.map_err(|e| refuse(Problem::MapFile { file: file.clone(), reason: e.to_string() }))?;
+        let facets = StageMap::from_bytes(&bytes).and_then(|map| map.surfaces());
+        facets.map_err(|reason| refuse(Problem::MapContent { file: file.clone(), reason }))
     }
 
     /// Reads a calibration file; its name is relative to the config's folder.
