@@ -92,6 +92,8 @@ pub struct Adjustment<'a> {
     readout_sigma_s: f64,
     constraints: Vec<Constraint>,
     smoothness: Smoothness,
+    /// Whether the surfaces stay flat, so that no smoothness is chosen.
+    keeps_flat: bool,
     /// What the frames showed with the stage as configured.
     at_start: ObservedFrames,
     last: Option<LastStep>,
@@ -151,9 +153,16 @@ impl<'a> Adjustment<'a> {
             readout_sigma_s: if tells_readout { READOUT_SIGMA_S } else { KNOWN_READOUT_SIGMA_S },
             constraints,
             smoothness: Smoothness::even(0, FIRST_CURVATURE),
+            keeps_flat: false,
             at_start: Vec::new(),
             last: None,
         }
+    }
+
+    /// Makes the surfaces stay flat, for a model that was made so.
+    pub fn keeping_flat(mut self, keeps_flat: bool) -> Self {
+        self.keeps_flat = keeps_flat;
+        self
     }
 
     fn rows(&self, model: &StageModel, frames: &[Option<ObservedFrame>]) -> Vec<FrameRows> {
@@ -170,7 +179,8 @@ impl<'a> Adjustment<'a> {
     pub fn run(&mut self, start: StageModel, mut progress: impl FnMut(usize)) -> Option<Adjusted> {
         self.at_start = self.observers.tiles(&start)?;
         let mut model = start;
-        self.smoothness = Smoothness::even(model.surfaces.len(), FIRST_CURVATURE);
+        let curvature = if self.keeps_flat { CURVATURES[0] } else { FIRST_CURVATURE };
+        self.smoothness = Smoothness::even(model.surfaces.len(), curvature);
         self.last = None;
         let mut round = 0;
         while round < FEATURE_ROUNDS + ANCHOR_ROUNDS {
@@ -187,7 +197,7 @@ impl<'a> Adjustment<'a> {
             }
             round += 1;
             let Some(scales) = robust_scales(&rows, model.surfaces.len()) else { continue };
-            if anchors_at.is_some_and(|n| n > 0) {
+            if anchors_at.is_some_and(|n| n > 0) && !self.keeps_flat {
                 self.choose_rough_smoothness(&model, &rows, &scales)?;
             }
             let step = self.step(&model, &rows, &scales)?;
@@ -238,7 +248,7 @@ impl<'a> Adjustment<'a> {
                 continue;
             }
             let scales = robust_scales(&rows, model.surfaces.len())?;
-            if CHOOSING_ROUNDS.contains(&round) {
+            if CHOOSING_ROUNDS.contains(&round) && !self.keeps_flat {
                 self.choose_smoothness(&model, &rows, &scales, round == CHOOSING_ROUNDS[0])?;
             }
             let equations = self.equations(&model, &rows, &scales)?;

@@ -16,6 +16,7 @@ use crate::camera::{CameraModel, IntrinsicsUncertainty, LensDoubt, Shutter};
 use crate::frame::Frame;
 use crate::geometry::{Body, Camera, Pose};
 use crate::light::CameraCurve;
+use crate::motion::Motion;
 use crate::survey::shutter::{ShutterEstimate, ShutterTime};
 use crate::track::{BodySpec, SurfaceSpec};
 use crate::tracker::TrackerSetup;
@@ -47,6 +48,9 @@ pub struct SurveyOptions {
     pub refines_lens: bool,
     /// Measurements on the stage.
     pub constraints: Vec<Constraint>,
+    /// Whether the surfaces are known to be flat: only their poses are estimated, with the
+    /// lens as it is and without measurements.
+    pub keeps_flat: bool,
 }
 
 /// The size of the stage.
@@ -88,6 +92,8 @@ pub struct Survey {
     pub configured_error_m: Option<f64>,
     /// The camera's poses at the keyframes that support the result.
     pub cameras: Vec<Pose<Body, Camera>>,
+    /// The camera's motion at each keyframe; `None` where it does not support the result.
+    pub(super) motions: Vec<Option<Motion>>,
     /// The size of the stage relative to `size_m`, if something else was measured.
     pub size: Option<SizeFound>,
     /// Each measurement compared with the result.
@@ -134,11 +140,14 @@ where
         (_, n) if n < MIN_KEYFRAMES => return Err(SurveyError::TooFewPlaces { found: n, least: MIN_KEYFRAMES }),
         _ => {}
     }
-    let model =
-        StageModel::new(camera, &stage.surfaces, options.refines_lens, !options.constraints.is_empty()).with_readout(shutter.readout_s);
+    let model = match options.keeps_flat {
+        true => StageModel::flat(camera, &stage.surfaces),
+        false => StageModel::new(camera, &stage.surfaces, options.refines_lens, !options.constraints.is_empty()),
+    };
+    let model = model.with_readout(shutter.readout_s);
     let curve = CameraCurve::bent(setup.settings.transfer.unwrap_or_default(), &bend);
     let observers = Observers::new(keyframes, &model, shutter, &stage, (curve, mask.as_ref()), goes_on);
-    let mut adjustment = Adjustment::new(observers, lens_sigmas(&camera), options.constraints);
+    let mut adjustment = Adjustment::new(observers, lens_sigmas(&camera), options.constraints).keeping_flat(options.keeps_flat);
     let mut round = 0;
     let mut report = |step| {
         // The adjustment counts the rounds of each of its runs separately.
@@ -189,6 +198,7 @@ where
     };
     let (keyframes, used) = (observed.len(), observed.iter().flatten().count());
     let cameras = observed.iter().flatten().map(|f| f.motion.pose).collect();
+    let motions = observed.iter().map(|frame| frame.as_ref().map(|frame| frame.motion)).collect();
     let places = model.places().clone();
     let size = places.size.map(|at| SizeFound { growth: model.growth(), sigma: covariance[(at, at)].max(0.0).sqrt() });
     let camera = model.camera.with_doubt(lens_doubt(&places, &covariance).or(camera.doubt()));
@@ -207,6 +217,7 @@ where
         configured_rms_px: start_rms_px,
         configured_error_m: start_error_m,
         cameras,
+        motions,
         rms_px,
         scale,
         unmodelled_m,

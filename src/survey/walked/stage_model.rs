@@ -105,10 +105,29 @@ impl StageModel {
         while knots(spacing) > MAX_KNOTS && spacing < longest {
             spacing *= 1.1;
         }
+        let grids = |surface: &SurfaceSpec| [intervals(surface, spacing), intervals(surface, longest / STRETCH_INTERVALS)];
+        Self::with_grids(camera, surfaces, grids, refines_lens, has_measurements)
+    }
+
+    /// Creates the model of a stage whose surfaces stay flat; only their poses are unknown. Their
+    /// splines have the fewest coefficients possible, for the modes of the poses' uncertainty.
+    pub fn flat(camera: CameraModel, surfaces: &[SurfaceSpec]) -> Self {
+        Self::with_grids(camera, surfaces, |_| [[1, 1]; 2], false, false)
+    }
+
+    /// Creates a model; `grids` returns the intervals of a surface's height and stretch.
+    fn with_grids(
+        camera: CameraModel,
+        surfaces: &[SurfaceSpec],
+        grids: impl Fn(&SurfaceSpec) -> [[usize; 2]; 2],
+        refines_lens: bool,
+        has_measurements: bool,
+    ) -> Self {
         let model = |surface: &SurfaceSpec| {
+            let [of_height, of_stretch] = grids(surface);
             let shape = BentShape {
-                height: BicubicSpline::zero(intervals(surface, spacing), surface.size_m),
-                stretch: BicubicSpline::zero(intervals(surface, longest / STRETCH_INTERVALS), surface.size_m),
+                height: BicubicSpline::zero(of_height, surface.size_m),
+                stretch: BicubicSpline::zero(of_stretch, surface.size_m),
                 ways: Vec::new(),
             };
             let mut surface = surface.clone();
