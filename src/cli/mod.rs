@@ -21,6 +21,7 @@ mod interrupt;
 mod learnt;
 mod listen;
 mod logging;
+mod made_folder;
 mod man;
 mod mount;
 mod outcome;
@@ -40,6 +41,8 @@ mod send_test;
 mod spared;
 mod survey;
 mod timecode;
+mod walk;
+mod walk_file;
 
 use std::io::{self, Write as _};
 use std::process::ExitCode;

@@ -1,5 +1,5 @@
-//! The walk read from the clips, stored next to the output folder until the survey is done, so that
-//! an interrupted survey can continue.
+//! The walk read from the clips, stored next to the output folder until the survey or the map is
+//! done, so that an interrupted one can continue.
 //!
 //! The file belongs to one command: its clips, its config and this version of the program. If any
 //! of them differs, or the file is damaged, it is ignored.
@@ -46,14 +46,14 @@ impl WalkFile {
         (contents.of == self.of).then_some(contents.walk)
     }
 
-    /// Stores a walk. If that fails the survey continues: only an interruption would cost more.
+    /// Stores a walk. If that fails the work continues: only an interruption would cost more.
     pub(super) fn keep(&self, walk: WalkRecord) {
         let mut bytes = Vec::new();
         let written = ciborium::into_writer(&Contents { of: self.of.clone(), walk }, &mut bytes)
             .map_err(std::io::Error::other)
             .and_then(|()| safe_file::write_whole(&self.file, &bytes));
         if let Err(e) = written {
-            tracing::warn!("{}: {e}; if the survey is interrupted, it must start again", self.file.display());
+            tracing::warn!("{}: {e}; if the work is interrupted, it must start again", self.file.display());
         }
     }
 
@@ -62,7 +62,7 @@ impl WalkFile {
         self.file.exists()
     }
 
-    /// Removes the file: the survey is done.
+    /// Removes the file: the work is done.
     pub(super) fn remove(&self) {
         // A file that cannot be removed does no harm: only the same command accepts it.
         let _ = fs::remove_file(&self.file);

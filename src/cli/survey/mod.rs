@@ -5,9 +5,7 @@ mod folder;
 mod json;
 mod report;
 mod text;
-mod walk_file;
 
-use std::cell::Cell;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
@@ -17,21 +15,19 @@ use super::failure::Failure;
 use super::interrupt;
 use super::learnt::LearntArguments;
 use super::logging::{self, LogArguments};
+use super::made_folder::SURVEYED;
 use super::output_file::print;
-use super::replay::progress::Progress;
 use super::replay::tracker_setup;
 use super::spared::Spared;
-use crate::capture::{ClipOptions, EntryContent, FrameSource, open_clip};
+use super::walk::{Clips, WalkReader, frames, goes_on, unfinished};
+use super::walk_file::WalkFile;
 use crate::config::Settings;
-use crate::frame::Frame;
 use crate::printable::printable_lines;
 use crate::survey::walked::judgement::Verdict;
-use crate::survey::walked::progress::{SurveyError, SurveyStep};
-use crate::survey::walked::stage::{Survey, SurveyOptions, survey};
-use crate::survey::walked::walk::Walk;
+use crate::survey::walked::stage::{SurveyOptions, survey};
+use crate::track::ReferenceKind;
 use crate::tracker::TrackerSetup;
 use crate::utc;
-use walk_file::WalkFile;
 
 /// Measure the stage as it hangs and the actual lens, from clips of walking around.
 #[derive(Debug, Args)]
@@ -85,52 +81,30 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
     logging::start_for_trials(&arguments.log, settings.log);
     let mut spared = arguments.clips.iter().fold(Spared::default(), |spared, clip| spared.with_clip(clip));
     spared.claim_whole_files(&[("--json", &arguments.json), ("--report", &arguments.report)])?;
-    folder::refuse_unusable(&arguments.output)?;
+    SURVEYED.refuse_unusable(&arguments.output)?;
     interrupt::watch();
-    let calibrated = settings.lens.size(&settings.camera);
-    let open =
-        |clip: &PathBuf| open_clip(clip, ClipOptions { fps: arguments.fps, calibrated, ..ClipOptions::default() }).map_err(Failure::from);
-    let open_all = || arguments.clips.iter().map(open).collect::<Result<Vec<_>, _>>();
-    let sources = open_all()?;
-    for (clip, source) in arguments.clips.iter().zip(&sources) {
-        source.notes().iter().for_each(|note| tracing::warn!("{}: {note}", clip.display()));
+    if settings.stage.surfaces.iter().any(|surface| matches!(surface.kind, ReferenceKind::Facet { .. })) {
+        return Err(Failure::Usage(
+            "the config's stage has a map, which is surveyed already; map the set again (`stagepose map`)".to_owned(),
+        ));
     }
-    let size = sources[0].size();
-    if let Some((clip, source)) = arguments.clips.iter().zip(&sources).find(|(_, source)| source.size() != size) {
-        let (w, h) = source.size();
-        return Err(Failure::Usage(format!(
-            "{}: its frames have {w} x {h} pixels, those of the first clip {} x {}; survey one camera at a time",
-            clip.display(),
-            size.0,
-            size.1
-        )));
-    }
+    let clips = Clips::new(&arguments.clips, arguments.fps, &settings);
+    let sources = clips.open()?;
+    let size = clips.size(&sources)?;
     let mut setup = TrackerSetup { objects: Vec::new(), ..tracker_setup(&settings, size, None)? };
     let (learnt, _) = arguments.learnt.of(&arguments.clips[0])?;
     setup.shutter.readout_s = setup.shutter.readout_s.or(learnt.readout.map(|readout| readout.seconds));
-    let total = sources.iter().map(|source| source.rows()).sum::<Option<u64>>();
-    let options = SurveyOptions { refines_lens: arguments.lens == Lens::Refine, constraints: settings.measured.clone() };
+    let options =
+        SurveyOptions { refines_lens: arguments.lens == Lens::Refine, constraints: settings.measured.clone(), ..SurveyOptions::default() };
     let file = WalkFile::new(&arguments.output, &arguments.clips, &setup, &format!("{:?} {:?}", arguments.lens, arguments.fps));
-    let work = Work {
-        setup: &setup,
-        frames_read: Cell::new(0),
-        progress: Progress::with(total, ["{bar:32} {pos}/{len} frames {msg}", "{spinner} {pos} frames {msg}"]),
-    };
-    let walk = match work.recalled(&file, sources) {
-        Ok(None) => work.taken_in(&file, open_all()?, options.refines_lens),
-        Ok(Some(walk)) => Ok(walk),
-        Err(e) => Err(e),
-    };
+    let reader = WalkReader::new(&setup, &sources);
+    let walk = reader.walk(&file, sources, || clips.open(), options.refines_lens)?;
     // Clips that could be read twice can be read once more; otherwise the survey continues with
     // what it has.
-    let made = walk.and_then(|walk| work.survey(walk, || open_all().unwrap_or_default(), options));
-    work.progress.finish();
-    let made = made.map_err(|e| match e {
-        SurveyError::Interrupted if file.is_there() => {
-            Failure::Survey(format!("{e}. The clips have been read: run the same command again to continue from there"))
-        }
-        e => Failure::Survey(e.to_string()),
-    })?;
+    let again = || clips.open().unwrap_or_default().into_iter().map(frames);
+    let made = walk.and_then(|walk| survey(walk, again, &setup, options, |step| reader.show(step), &goes_on));
+    reader.progress.finish();
+    let made = made.map_err(|e| unfinished(&e, &file))?;
     file.remove();
     let judgement = made.judge();
     print(printable_lines(&text::text(&made, &judgement)).as_bytes())?;
@@ -144,61 +118,6 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
     if judgement.verdict == Verdict::DoNotUse {
         return Err(Failure::Survey(format!("{}; nothing is written to {}", judgement.sentence(), arguments.output.display())));
     }
-    folder::write(&arguments.output, &settings, &made)
-}
-
-/// A survey in progress.
-struct Work<'a> {
-    setup: &'a TrackerSetup,
-    frames_read: Cell<u64>,
-    progress: Progress,
-}
-
-impl Work<'_> {
-    /// Returns the walk left by an interrupted run, with its clips' pictures.
-    fn recalled(&self, file: &WalkFile, sources: Vec<Box<dyn FrameSource>>) -> Result<Option<Walk>, SurveyError> {
-        let Some(record) = file.read() else { return Ok(None) };
-        tracing::info!("an interrupted survey has already read the clips; continuing from there");
-        let clips = sources.into_iter().map(frames);
-        Walk::recall(&record, clips, &self.setup.stage, |step| self.show(step), &goes_on)
-    }
-
-    /// Reads the walk from the clips and stores it, so that an interrupted survey need not read
-    /// them again.
-    fn taken_in(&self, file: &WalkFile, sources: Vec<Box<dyn FrameSource>>, wants_lively: bool) -> Result<Walk, SurveyError> {
-        // It is another command's, or does not fit its clips.
-        file.remove();
-        self.frames_read.set(0);
-        let clips = sources.into_iter().map(frames);
-        let walk = Walk::take_in(clips, self.setup, wants_lively, |step| self.show(step), &goes_on)?;
-        file.keep(walk.record());
-        Ok(walk)
-    }
-
-    fn survey(&self, walk: Walk, open: impl FnOnce() -> Vec<Box<dyn FrameSource>>, options: SurveyOptions) -> Result<Survey, SurveyError> {
-        survey(walk, || open().into_iter().map(frames), self.setup, options, |step| self.show(step), &goes_on)
-    }
-
-    fn show(&self, step: SurveyStep) {
-        match step {
-            SurveyStep::Frame => {
-                self.frames_read.set(self.frames_read.get() + 1);
-                self.progress.advance();
-            }
-            SurveyStep::Again(number) => self.progress.at(self.frames_read.get(), format!("second pass, frame {number}")),
-            SurveyStep::Round(round) => self.progress.at(self.frames_read.get(), format!("adjusting, round {}", round + 1)),
-        }
-    }
-}
-
-fn goes_on() -> bool {
-    !interrupt::is_interrupted()
-}
-
-/// Returns a clip's readable frames.
-fn frames(mut source: Box<dyn FrameSource>) -> impl Iterator<Item = Frame> {
-    std::iter::from_fn(move || source.next_entry()).filter_map(|row| match row.content {
-        EntryContent::Frame(frame) => Some(frame),
-        _ => None,
-    })
+    let files = folder::files(&settings, &made).map_err(Failure::output(&arguments.output))?;
+    SURVEYED.write(&arguments.output, files)
 }

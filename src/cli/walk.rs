@@ -1,0 +1,148 @@
+//! Reads walks for the commands that make a stage from one, `survey` and `map`: opens the clips,
+//! tracks the configured surfaces through them, shows the progress, and continues interrupted work.
+
+use std::cell::Cell;
+use std::path::PathBuf;
+
+use super::failure::Failure;
+use super::interrupt;
+use super::replay::progress::Progress;
+use super::walk_file::WalkFile;
+use crate::capture::{ClipOptions, EntryContent, FrameSource, open_clip};
+use crate::config::Settings;
+use crate::frame::Frame;
+use crate::survey::walked::progress::{SurveyError, SurveyStep};
+use crate::survey::walked::walk::Walk;
+use crate::tracker::TrackerSetup;
+
+/// Opened clips, in order.
+pub(super) type Sources = Vec<Box<dyn FrameSource>>;
+
+/// The clips of a walk.
+pub(super) struct Clips<'a> {
+    files: &'a [PathBuf],
+    options: ClipOptions,
+}
+
+impl<'a> Clips<'a> {
+    /// Names the clips; `fps` is for those without stamps.
+    pub(super) fn new(files: &'a [PathBuf], fps: Option<f64>, settings: &Settings) -> Self {
+        let calibrated = settings.lens.size(&settings.camera);
+        Self { files, options: ClipOptions { fps, calibrated, ..ClipOptions::default() } }
+    }
+
+    /// Opens all clips.
+    pub(super) fn open(&self) -> Result<Sources, Failure> {
+        self.files.iter().map(|clip| open_clip(clip, self.options.clone()).map_err(Failure::from)).collect()
+    }
+
+    /// Returns the size of the clips' frames, which they must share, and shows what is odd about
+    /// them.
+    pub(super) fn size(&self, sources: &Sources) -> Result<(u32, u32), Failure> {
+        for (clip, source) in self.files.iter().zip(sources) {
+            source.notes().iter().for_each(|note| tracing::warn!("{}: {note}", clip.display()));
+        }
+        let size = sources[0].size();
+        let Some((clip, source)) = self.files.iter().zip(sources).find(|(_, source)| source.size() != size) else { return Ok(size) };
+        let (w, h) = source.size();
+        Err(Failure::Usage(format!(
+            "{}: its frames have {w} x {h} pixels, those of the first clip {} x {}; take the clips of one camera at a time",
+            clip.display(),
+            size.0,
+            size.1
+        )))
+    }
+}
+
+/// Reads a walk from clips.
+pub(super) struct WalkReader<'a> {
+    setup: &'a TrackerSetup,
+    frames_read: Cell<u64>,
+    /// The bar: frames, then what is being done.
+    pub(super) progress: Progress,
+}
+
+impl<'a> WalkReader<'a> {
+    /// Starts the progress bar.
+    pub(super) fn new(setup: &'a TrackerSetup, sources: &Sources) -> Self {
+        let total = sources.iter().map(|source| source.rows()).sum::<Option<u64>>();
+        let progress = Progress::with(total, ["{bar:32} {pos}/{len} frames {msg}", "{spinner} {pos} frames {msg}"]);
+        Self { setup, frames_read: Cell::new(0), progress }
+    }
+
+    /// Returns the walk that an interrupted run left, or reads it from the clips, which `again`
+    /// opens anew.
+    pub(super) fn walk(
+        &self,
+        file: &WalkFile,
+        sources: Sources,
+        again: impl FnOnce() -> Result<Sources, Failure>,
+        wants_lively: bool,
+    ) -> Result<Result<Walk, SurveyError>, Failure> {
+        Ok(match self.recalled(file, sources) {
+            Ok(None) => self.taken_in(file, again()?, wants_lively),
+            Ok(Some(walk)) => Ok(walk),
+            Err(e) => Err(e),
+        })
+    }
+
+    /// Returns the walk left by an interrupted run, with its clips' pictures.
+    fn recalled(&self, file: &WalkFile, sources: Sources) -> Result<Option<Walk>, SurveyError> {
+        let Some(record) = file.read() else { return Ok(None) };
+        tracing::info!("an interrupted run has already read the clips; continuing from there");
+        let clips = sources.into_iter().map(frames);
+        Walk::recall(&record, clips, &self.setup.stage, |step| self.show(step), &goes_on)
+    }
+
+    /// Reads the walk from the clips and stores it, so that an interrupted run need not read them
+    /// again.
+    fn taken_in(&self, file: &WalkFile, sources: Sources, wants_lively: bool) -> Result<Walk, SurveyError> {
+        // It is another command's, or does not fit its clips.
+        file.remove();
+        self.frames_read.set(0);
+        let clips = sources.into_iter().map(frames);
+        let walk = Walk::take_in(clips, self.setup, wants_lively, |step| self.show(step), &goes_on)?;
+        file.keep(walk.record());
+        Ok(walk)
+    }
+
+    /// Shows a step of a survey.
+    pub(super) fn show(&self, step: SurveyStep) {
+        match step {
+            SurveyStep::Frame => {
+                self.frames_read.set(self.frames_read.get() + 1);
+                self.progress.advance();
+            }
+            SurveyStep::Again(number) => self.show_words(format!("second pass, frame {number}")),
+            SurveyStep::Round(round) => self.show_words(format!("adjusting, round {}", round + 1)),
+        }
+    }
+
+    /// Shows what is being done after the frames are read.
+    pub(super) fn show_words(&self, words: String) {
+        self.progress.at(self.frames_read.get(), words);
+    }
+}
+
+/// Whether the work goes on: nobody has interrupted it.
+pub(super) fn goes_on() -> bool {
+    !interrupt::is_interrupted()
+}
+
+/// Returns a clip's readable frames.
+pub(super) fn frames(mut source: Box<dyn FrameSource>) -> impl Iterator<Item = Frame> {
+    std::iter::from_fn(move || source.next_entry()).filter_map(|row| match row.content {
+        EntryContent::Frame(frame) => Some(frame),
+        _ => None,
+    })
+}
+
+/// Returns the failure of unfinished work; an interrupted one says how to continue.
+pub(super) fn unfinished(error: &SurveyError, file: &WalkFile) -> Failure {
+    match error {
+        SurveyError::Interrupted if file.is_there() => {
+            Failure::Survey(format!("{error}. The clips have been read: run the same command again to continue from there"))
+        }
+        error => Failure::Survey(error.to_string()),
+    }
+}
