@@ -23,6 +23,7 @@ mod listen;
 mod logging;
 mod made_folder;
 mod man;
+mod map;
 mod mount;
 mod outcome;
 mod output_file;
@@ -89,6 +90,7 @@ enum Command {
     #[cfg(feature = "http")]
     Pair(pair::PairArguments),
     Survey(survey::SurveyArguments),
+    Map(map::MapArguments),
     Export(export::ExportArguments),
     Refine(refine::RefineArguments),
     Timecode(timecode::TimecodeArguments),
@@ -129,6 +131,7 @@ pub fn run(started: Instant) -> ExitCode {
         #[cfg(feature = "http")]
         Command::Pair(arguments) => pair::run(&arguments),
         Command::Survey(arguments) => survey::run(&arguments),
+        Command::Map(arguments) => map::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Refine(arguments) => refine::run(&arguments),
         Command::Timecode(arguments) => timecode::run(&arguments),

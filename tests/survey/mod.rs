@@ -2,6 +2,7 @@
 //! config, and on inputs that are not a walk.
 
 mod bad;
+mod mapped;
 mod rendered;
 mod unkind;
 

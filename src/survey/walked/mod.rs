@@ -2,6 +2,7 @@
 //!
 //! `stage` runs a survey: `walk` takes in the frames, `observers` measure their tiles, `adjustment`
 //! solves for stage, lens and camera together, and `judgement` says what the result is worth.
+//! `mapping` does without pictures of the stage: it paints them from the walk first.
 
 mod adjustment;
 mod camera_rates;
@@ -10,6 +11,7 @@ mod dense_system;
 pub mod judgement;
 mod keyframes;
 mod lively_part;
+pub mod mapping;
 mod normal_equations;
 mod observers;
 mod prior;

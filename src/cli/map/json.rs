@@ -1,0 +1,39 @@
+//! A map as JSON (contract C13).
+
+use serde_json::json;
+
+use crate::survey::walked::judgement::Judgement;
+use crate::survey::walked::mapping::map::Mapped;
+
+/// Returns the document.
+pub(super) fn text(made: &Mapped, judgement: &Judgement) -> String {
+    let survey = &made.survey;
+    let i = survey.camera.intrinsics();
+    let described = survey.described();
+    let facet = |(k, facet): (&usize, &crate::track::Facet)| {
+        let description = described.get(*k);
+        json!({
+            "name": facet.name,
+            "position_m": facet.pose.translation.as_slice(),
+            "orientation_xyzw": facet.pose.orientation_xyzw(),
+            "size_m": facet.size_m,
+            "sigma_mm": description.map(|d| d.sigma_mm),
+            "sigma_deg": description.map(|d| d.sigma_deg),
+        })
+    };
+    let document = json!({
+        "camera": {
+            "width": i.width, "height": i.height, "fx": i.fx, "fy": i.fy, "cx": i.cx, "cy": i.cy, "skew": i.skew, "distortion": i.distortion,
+        },
+        "scale": {"ppm_sigma": survey.scale_sigma(&made.kept).map(|sigma| 1e6 * sigma), "from": "surfaces"},
+        "facets": made.kept.iter().zip(&made.map.facets).map(facet).collect::<Vec<_>>(),
+        "keyframes": survey.keyframes,
+        "used": survey.used,
+        "points": made.points,
+        "residual_scale": survey.scale,
+        "rms_px": survey.rms_px,
+        "verdict": judgement.verdict.words(),
+        "reasons": judgement.reasons,
+    });
+    format!("{document:#}\n")
+}

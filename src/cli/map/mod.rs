@@ -1,0 +1,130 @@
+//! `stagepose map`: maps a set without pictures, from clips of walking around it (contract C13).
+
+mod json;
+mod text;
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::calibrate::write_whole;
+use super::failure::Failure;
+use super::interrupt;
+use super::learnt::LearntArguments;
+use super::logging::{self, LogArguments};
+use super::made_folder::MAPPED;
+use super::output_file::print;
+use super::replay::tracker_setup;
+use super::spared::Spared;
+use super::walk::{Clips, WalkReader, goes_on, unfinished};
+use super::walk_file::WalkFile;
+use crate::camera::{Calibration, CalibrationForm};
+use crate::config::{LensSource, Settings};
+use crate::printable::printable_lines;
+use crate::survey::walked::judgement::Verdict;
+use crate::survey::walked::mapping::map::{MapError, MapStep, map};
+use crate::track::ReferenceKind;
+use crate::tracker::TrackerSetup;
+use crate::utc;
+
+/// Map a set without pictures, from clips of walking around it.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  stagepose map walk --config stage.toml --output mapped\n\n\
+    Put a printed poster (`stagepose poster`) or known artwork into the set: the config's [[stage.surface]], which gives the map its frame and scale. Walk for a \
+    minute: from one side of the set to the other and back, nearer and farther, higher and lower, with the poster in view most of the time. Afterwards the poster can go. \
+    Where the verdict is \"do not use\", nothing is written and the exit code is 1.")]
+pub(super) struct MapArguments {
+    /// Clips of walking around the set
+    #[arg(required = true)]
+    clips: Vec<PathBuf>,
+    /// The config of the calibrated camera and of the surface that gives frame and scale
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// The folder for the mapped stage: its stage.toml, stage.map and camera.toml
+    #[arg(long, short, value_name = "DIR")]
+    output: PathBuf,
+    /// Write everything as JSON
+    #[arg(long, value_name = "OUT.json")]
+    json: Option<PathBuf>,
+    /// Frames per second of clips without stamps
+    #[arg(long, value_name = "N", value_parser = super::replay::frames_per_second)]
+    fps: Option<f64>,
+    #[command(flatten)]
+    learnt: LearntArguments,
+    #[command(flatten)]
+    log: LogArguments,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Bad usage, an unreadable config or clip, a walk that yields no map, the verdict "do not use", an
+/// output that cannot be written.
+pub(super) fn run(arguments: &MapArguments) -> Result<(), Failure> {
+    let settings = Settings::load(&arguments.config)?;
+    logging::start_for_trials(&arguments.log, settings.log);
+    refuse_unfit(&settings)?;
+    let mut spared = arguments.clips.iter().fold(Spared::default(), |spared, clip| spared.with_clip(clip));
+    spared.claim_whole_files(&[("--json", &arguments.json)])?;
+    MAPPED.refuse_unusable(&arguments.output)?;
+    interrupt::watch();
+    let clips = Clips::new(&arguments.clips, arguments.fps, &settings);
+    let sources = clips.open()?;
+    let size = clips.size(&sources)?;
+    let mut setup = TrackerSetup { objects: Vec::new(), ..tracker_setup(&settings, size, None)? };
+    let (learnt, _) = arguments.learnt.of(&arguments.clips[0])?;
+    setup.shutter.readout_s = setup.shutter.readout_s.or(learnt.readout.map(|readout| readout.seconds));
+    let file = WalkFile::new(&arguments.output, &arguments.clips, &setup, &format!("map {:?}", arguments.fps));
+    let reader = WalkReader::new(&setup, &sources);
+    let walk = reader.walk(&file, sources, || clips.open(), false)?;
+    let show = |step: MapStep| match step {
+        MapStep::Points => reader.show_words("recognising points".to_owned()),
+        MapStep::Facets => reader.show_words("finding facets".to_owned()),
+        MapStep::Textures(round) => reader.show_words(format!("painting facets, round {}", round + 1)),
+        MapStep::Survey(step) => reader.show(step),
+    };
+    let made = walk.map_err(MapError::from).and_then(|walk| map(walk, &setup, show, &goes_on));
+    reader.progress.finish();
+    let made = made.map_err(|e| match e {
+        MapError::Survey(e) => unfinished(&e, &file),
+        e => Failure::Survey(e.to_string()),
+    })?;
+    file.remove();
+    let judgement = made.judge();
+    print(printable_lines(&text::text(&made, &judgement)).as_bytes())?;
+    if let Some(file) = &arguments.json {
+        write_whole(file, json::text(&made, &judgement))?;
+    }
+    if judgement.verdict == Verdict::DoNotUse {
+        return Err(Failure::Survey(format!("{}; nothing is written to {}", judgement.sentence(), arguments.output.display())));
+    }
+    let calibration = Calibration {
+        model: made.survey.camera,
+        uncertainty: made.survey.camera.doubt().map(|doubt| doubt.uncertainty),
+        rms_px: None,
+        images: None,
+        date: Some(utc::date(utc::now_s())),
+        form: CalibrationForm::Stagepose,
+        notes: Vec::new(),
+    };
+    let files = settings.source.mapped(calibration.to_toml(), made.map.to_bytes()).map_err(|e| Failure::Usage(e.to_string()))?;
+    MAPPED.write(&arguments.output, files)
+}
+
+/// Refuses configs from which no map can be made.
+fn refuse_unfit(settings: &Settings) -> Result<(), Failure> {
+    if matches!(settings.lens, LensSource::Guess(..)) {
+        return Err(Failure::Usage(format!(
+            "{}: the camera has no calibration, and a map is only as good as its lens; calibrate it (`stagepose calibrate`) and name the \
+             file as `calibration`",
+            settings.file.display()
+        )));
+    }
+    if settings.stage.surfaces.iter().any(|surface| matches!(surface.kind, ReferenceKind::Facet { .. })) {
+        return Err(Failure::Usage(format!(
+            "{}: its stage has a map already; map from the config with the poster",
+            settings.file.display()
+        )));
+    }
+    Ok(())
+}

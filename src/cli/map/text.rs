@@ -1,0 +1,28 @@
+//! A map as text.
+
+use std::fmt::Write as _;
+
+use crate::survey::walked::judgement::Judgement;
+use crate::survey::walked::mapping::map::Mapped;
+
+/// Returns the report for the terminal.
+pub(super) fn text(made: &Mapped, judgement: &Judgement) -> String {
+    let survey = &made.survey;
+    let mut text = String::new();
+    // Writing to a String cannot fail.
+    let _ = writeln!(
+        text,
+        "walk        {} frames, the surface was found in {}; {} keyframes, {} of them fit; {:.1} m wide at {:.1} m",
+        survey.frames, survey.found, survey.keyframes, survey.used, made.extent_m, made.distance_m
+    );
+    let _ = writeln!(text, "points      {}, {:.2} sigmas", made.points, made.points_scale);
+    let area: f64 = made.map.facets.iter().map(|facet| facet.size_m[0] * facet.size_m[1]).sum();
+    let _ =
+        writeln!(text, "facets      {}, {area:.1} square metres, known to {:.2} mm (median)", made.map.facets.len(), 1e3 * made.sigma_m());
+    let _ = writeln!(text, "residual    {:.3} px, {:.2} times the noise", survey.rms_px, survey.scale);
+    if let Some(sigma) = survey.scale_sigma(&made.kept) {
+        let _ = writeln!(text, "scale       known to {:.0} ppm, from the configured surfaces", 1e6 * sigma);
+    }
+    let _ = writeln!(text, "verdict     {}", judgement.sentence());
+    text
+}

@@ -1,0 +1,400 @@
+//! The sparse adjustment: the places of the tracked corners and the poses of the cameras, jointly,
+//! by minimising robust reprojection errors.
+//!
+//! Each corner depends on the cameras alone, so it is eliminated by its own 3x3 block, and one
+//! dense system of six numbers a camera remains (the Schur complement). The start poses, which the
+//! tracker measured on the configured surfaces, are priors of the cameras: they fix frame and
+//! scale.
+
+use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3, Matrix6, Matrix6x3, Point3, SMatrix, Vector2, Vector3, Vector6};
+
+use super::super::dense_system::Factor;
+use super::tracks::{Sighting, Track};
+use super::views::{View, Views};
+use crate::geometry::robust_kernel::median;
+use crate::geometry::{Body, Camera, Pose, skew};
+
+/// Number of rounds: sightings that do not fit are dropped after each. Raised, nothing is gained.
+const ROUNDS: usize = 4;
+/// Number of steps of a round. Raised, rounds take longer for nothing; lowered, sightings are
+/// judged before their points are in place.
+const STEPS: usize = 8;
+/// Residual at which a sighting counts half (Cauchy), in robust sigmas. Raised, wrong matches pull
+/// more; lowered, right ones count less.
+const HALF_WEIGHT: f64 = 2.0;
+/// Maximum residual of a sighting that is kept, in robust sigmas. Raised, wrong matches stay.
+const MAX_SIGMAS: f64 = 5.0;
+/// Maximum residual of a sighting at the start, pixels: the start poses are that wrong.
+const MAX_START_PX: f64 = 25.0;
+/// Minimum number of sightings of a point.
+const MIN_SIGHTINGS: usize = 3;
+/// Minimum angle between the outermost rays of a point, radians: at less its depth is a guess.
+const MIN_PARALLAX: f64 = 0.05;
+/// Damping at the start, relative to the diagonal, and its limits.
+const DAMPING: f64 = 1e-4;
+const MAX_DAMPING: f64 = 1e4;
+/// A step that lowers the cost by less than this share ends a round.
+const MIN_GAIN: f64 = 1e-4;
+/// One sigma of a start pose, metres and radians: what a tracked poster gives at a few metres.
+/// Raised, the frame and the scale follow the points' errors; lowered, errors of the start stay.
+const START_SIGMA: [f64; 2] = [2e-3, 5e-4];
+/// Minimum robust sigma, to divide by, in sigmas of the sightings.
+const MIN_SCALE: f64 = 1e-3;
+
+/// A corner of the set.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CloudPoint {
+    /// Its place in the stage, metres.
+    pub place: Vector3<f64>,
+    /// Where the keyframes show it.
+    pub sightings: Vec<Sighting>,
+}
+
+/// The adjusted corners and cameras.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cloud {
+    /// `T_body_camera` of each keyframe.
+    pub poses: Vec<Pose<Body, Camera>>,
+    /// The corners.
+    pub points: Vec<CloudPoint>,
+    /// Robust scale of the residuals, in sigmas of the sightings.
+    pub scale: f64,
+}
+
+impl Cloud {
+    /// Returns one sigma of a point along the direction in which it is known least, its depth,
+    /// metres, with the cameras as they are; `None` if its sightings leave a direction open.
+    pub fn depth_sigma_m(&self, views: &Views<'_>, point: &CloudPoint) -> Option<f64> {
+        let rows = point.sightings.iter().filter_map(|seen| row(views, &self.poses[seen.view], &point.place, seen));
+        let information = rows.map(|row| row.by_point.transpose() * row.by_point).sum::<Matrix3<f64>>();
+        let least = information.symmetric_eigenvalues().min();
+        (least > f64::EPSILON).then(|| self.scale / least.sqrt())
+    }
+}
+
+/// A residual in sigmas, with its derivatives by the camera's shift and rotation
+/// ([`Pose::moved`]) and by the point.
+struct Row {
+    residual: Vector2<f64>,
+    by_pose: SMatrix<f64, 2, 6>,
+    by_point: Matrix2x3<f64>,
+}
+
+/// Adjusts tracks and cameras. `None` if the equations have no solution, or the work was stopped.
+pub fn adjusted(views: &Views<'_>, tracks: Vec<Track>, goes_on: &dyn Fn() -> bool) -> Option<Cloud> {
+    let mut cloud = Cloud { poses: views.views.iter().map(|view| view.pose).collect(), points: Vec::new(), scale: 1.0 };
+    cloud.points = tracks.into_iter().filter_map(|track| started(views, track)).collect();
+    for round in 0..ROUNDS {
+        cloud.scale = scale(views, &cloud)?;
+        let mut damping = DAMPING;
+        let mut cost = cost(views, &cloud);
+        for _ in 0..STEPS {
+            if !goes_on() {
+                return None;
+            }
+            let Some((next, next_cost)) = lower(views, &cloud, cost, &mut damping) else { break };
+            let is_done = next_cost > (1.0 - MIN_GAIN) * cost;
+            (cloud, cost) = (next, next_cost);
+            if is_done {
+                break;
+            }
+        }
+        cloud.scale = scale(views, &cloud)?;
+        drop_outliers(views, &mut cloud);
+        tracing::debug!(round, points = cloud.points.len(), scale = cloud.scale, cost, "bundle");
+    }
+    Some(cloud)
+}
+
+/// Returns a track's point where its rays meet best, with the sightings that agree with it.
+fn started(views: &Views<'_>, track: Track) -> Option<CloudPoint> {
+    let mut point = CloudPoint { place: Vector3::zeros(), sightings: track };
+    for _ in 0..2 {
+        point.place = meeting(views, &point.sightings)?;
+        let place = point.place;
+        point.sightings.retain(|seen| views.pixel(seen.view, &place).is_some_and(|pixel| (pixel - seen.pixel).norm() < MAX_START_PX));
+    }
+    is_determined(&views.views.iter().map(|view| view.pose).collect::<Vec<_>>(), &point).then_some(point)
+}
+
+/// Returns the point nearest to the rays of all sightings.
+fn meeting(views: &Views<'_>, sightings: &[Sighting]) -> Option<Vector3<f64>> {
+    let (mut matrix, mut right) = (Matrix3::zeros(), Vector3::zeros());
+    for seen in sightings {
+        let along = views.direction(seen.view, seen.pixel)?;
+        let across = Matrix3::identity() - along * along.transpose();
+        matrix += across;
+        right += across * views.views[seen.view].pose.translation;
+    }
+    matrix.try_inverse().map(|inverse| inverse * right).filter(|place| place.iter().all(|v| v.is_finite()))
+}
+
+/// Whether enough sightings from different enough directions determine a point.
+fn is_determined(poses: &[Pose<Body, Camera>], point: &CloudPoint) -> bool {
+    let directions: Vec<Vector3<f64>> =
+        point.sightings.iter().map(|seen| (poses[seen.view].translation - point.place).normalize()).collect();
+    let widest = directions.iter().enumerate().flat_map(|(k, a)| directions[..k].iter().map(move |b| a.angle(b))).fold(0.0, f64::max);
+    directions.len() >= MIN_SIGHTINGS && widest >= MIN_PARALLAX
+}
+
+/// Returns the residual of a point in a camera, in sigmas, with its derivatives; `None` if it is
+/// not in front of the camera or beyond the lens's field.
+fn row(views: &Views<'_>, pose: &Pose<Body, Camera>, place: &Vector3<f64>, seen: &Sighting) -> Option<Row> {
+    let to_camera = pose.rotation_matrix().transpose();
+    let at = pose.inverse().transform(&Point3::from(*place)).coords;
+    if at.z <= f64::EPSILON || at.xy().norm() >= views.camera.valid_radius() * at.z {
+        return None;
+    }
+    let (pixel, by_place) = views.camera.project_point_with_jacobian(&at);
+    let by_place = by_place / seen.sigma_px;
+    let by_point = by_place * to_camera;
+    let mut by_pose = SMatrix::<f64, 2, 6>::zeros();
+    by_pose.fixed_columns_mut::<3>(0).copy_from(&-by_point);
+    by_pose.fixed_columns_mut::<3>(3).copy_from(&(by_place * skew(&at)));
+    Some(Row { residual: (pixel.0 - seen.pixel) / seen.sigma_px, by_pose, by_point })
+}
+
+/// Returns the squared residuals of all sightings.
+fn squares<'a>(views: &'a Views<'_>, cloud: &'a Cloud) -> impl Iterator<Item = f64> + 'a {
+    let all = cloud.points.iter().flat_map(|point| point.sightings.iter().map(|seen| (point.place, seen)));
+    all.filter_map(|(place, seen)| Some(row(views, &cloud.poses[seen.view], &place, seen)?.residual.norm_squared()))
+}
+
+/// Returns the robust scale of the residuals.
+fn scale(views: &Views<'_>, cloud: &Cloud) -> Option<f64> {
+    let mut squares: Vec<f64> = squares(views, cloud).collect();
+    // The median of a squared residual of two numbers with unit variance is 2 ln 2.
+    median(&mut squares).map(|median| (median / (2.0 * 2.0_f64.ln())).sqrt().max(MIN_SCALE))
+}
+
+fn half_weight(scale: f64) -> f64 {
+    (HALF_WEIGHT * scale).powi(2)
+}
+
+fn cost(views: &Views<'_>, cloud: &Cloud) -> f64 {
+    let of_points: f64 = squares(views, cloud).map(|square| (square / half_weight(cloud.scale)).ln_1p()).sum();
+    let of_starts = cloud.poses.iter().zip(&views.views).map(|(pose, view)| prior_residual(&view.pose, pose).norm_squared());
+    of_points + of_starts.map(|square| (square / half_weight(1.0)).ln_1p()).sum::<f64>()
+}
+
+/// Returns how far a pose is from its start, in sigmas.
+fn prior_residual(start: &Pose<Body, Camera>, pose: &Pose<Body, Camera>) -> Vector6<f64> {
+    let [shift, rotation] = start.step_to(pose);
+    let [shift, rotation] = [shift / START_SIGMA[0], rotation / START_SIGMA[1]];
+    Vector6::new(shift.x, shift.y, shift.z, rotation.x, rotation.y, rotation.z)
+}
+
+/// Takes a step that lowers the cost; `None` if there is none.
+fn lower(views: &Views<'_>, cloud: &Cloud, cost_now: f64, damping: &mut f64) -> Option<(Cloud, f64)> {
+    let equations = Equations::new(views, cloud);
+    while *damping < MAX_DAMPING {
+        if let Some(next) = equations.stepped(cloud, *damping) {
+            let next_cost = cost(views, &next);
+            if next_cost < cost_now {
+                *damping *= 0.1;
+                return Some((next, next_cost));
+            }
+        }
+        *damping *= 10.0;
+    }
+    None
+}
+
+fn drop_outliers(views: &Views<'_>, cloud: &mut Cloud) {
+    let most = (MAX_SIGMAS * cloud.scale).powi(2);
+    let poses = &cloud.poses;
+    for point in &mut cloud.points {
+        let place = point.place;
+        point.sightings.retain(|seen| row(views, &poses[seen.view], &place, seen).is_some_and(|row| row.residual.norm_squared() < most));
+    }
+    cloud.points.retain(|point| is_determined(poses, point));
+}
+
+/// The normal equations, sorted by their blocks.
+struct Equations {
+    /// The block of each camera, and its right side.
+    poses: Vec<(Matrix6<f64>, Vector6<f64>)>,
+    points: Vec<PointBlock>,
+}
+
+/// The equations of a point.
+struct PointBlock {
+    own: Matrix3<f64>,
+    right: Vector3<f64>,
+    /// With each camera that sees it.
+    with: Vec<(usize, Matrix6x3<f64>)>,
+}
+
+impl Equations {
+    fn new(views: &Views<'_>, cloud: &Cloud) -> Self {
+        let of_start = |(pose, view): (&Pose<Body, Camera>, &View<'_>)| {
+            let residual = prior_residual(&view.pose, pose);
+            let weight = 1.0 / (half_weight(1.0) + residual.norm_squared());
+            let by_pose = Matrix6::from_diagonal(&Vector6::from_fn(|k, _| 1.0 / START_SIGMA[k / 3]));
+            (by_pose * by_pose * weight, -by_pose * residual * weight)
+        };
+        let mut poses: Vec<(Matrix6<f64>, Vector6<f64>)> = cloud.poses.iter().zip(&views.views).map(of_start).collect();
+        let half = half_weight(cloud.scale);
+        let mut add = |place: &Vector3<f64>, seen: &Sighting| {
+            let row = row(views, &cloud.poses[seen.view], place, seen)?;
+            let weight = 1.0 / (half + row.residual.norm_squared());
+            let (matrix, right) = &mut poses[seen.view];
+            *matrix += row.by_pose.transpose() * row.by_pose * weight;
+            *right -= row.by_pose.transpose() * row.residual * weight;
+            Some((row, weight))
+        };
+        let mut points = Vec::with_capacity(cloud.points.len());
+        for point in &cloud.points {
+            let mut block = PointBlock { own: Matrix3::zeros(), right: Vector3::zeros(), with: Vec::with_capacity(point.sightings.len()) };
+            for seen in &point.sightings {
+                let Some((row, weight)) = add(&point.place, seen) else { continue };
+                block.own += row.by_point.transpose() * row.by_point * weight;
+                block.right -= row.by_point.transpose() * row.residual * weight;
+                block.with.push((seen.view, row.by_pose.transpose() * row.by_point * weight));
+            }
+            points.push(block);
+        }
+        Self { poses, points }
+    }
+
+    /// Returns the cloud after a damped step; `None` if the system has no solution.
+    fn stepped(&self, cloud: &Cloud, damping: f64) -> Option<Cloud> {
+        let n = 6 * self.poses.len();
+        let (mut matrix, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
+        for (k, (block, own)) in self.poses.iter().enumerate() {
+            let damped = block + Matrix6::from_diagonal(&(block.diagonal() * damping)) + Matrix6::identity() * f64::EPSILON;
+            matrix.fixed_view_mut::<6, 6>(6 * k, 6 * k).copy_from(&damped);
+            right.fixed_rows_mut::<6>(6 * k).copy_from(own);
+        }
+        let mut inverses = Vec::with_capacity(self.points.len());
+        for block in &self.points {
+            let inverse = (block.own + Matrix3::from_diagonal(&(block.own.diagonal() * damping))).try_inverse()?;
+            for (a, with_a) in &block.with {
+                let by_a = with_a * inverse;
+                let mut own = right.fixed_rows_mut::<6>(6 * a);
+                own -= by_a * block.right;
+                for (b, with_b) in block.with.iter().filter(|(b, _)| b <= a) {
+                    let mut place = matrix.fixed_view_mut::<6, 6>(6 * a, 6 * b);
+                    place -= by_a * with_b.transpose();
+                }
+            }
+            inverses.push(inverse);
+        }
+        let step = Factor::of(&matrix)?.solve(&right);
+        let of_pose = |k: usize| step.fixed_rows::<6>(6 * k).into_owned();
+        let mut next = cloud.clone();
+        for (k, pose) in next.poses.iter_mut().enumerate() {
+            let step = of_pose(k);
+            *pose = pose.moved(&step.fixed_rows::<3>(0).into_owned(), &step.fixed_rows::<3>(3).into_owned());
+        }
+        for ((point, block), inverse) in next.points.iter_mut().zip(&self.points).zip(inverses) {
+            let by_poses = block.with.iter().map(|(k, with)| with.transpose() * of_pose(*k)).sum::<Vector3<f64>>();
+            point.place += inverse * (block.right - by_poses);
+        }
+        next.poses.iter().all(Pose::is_finite).then_some(next)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use image::GrayImage;
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::super::super::synthetic::{LENS, camera_poses};
+    use super::*;
+    use crate::camera::CameraModel;
+    use crate::light::CameraCurve;
+
+    fn views<'a>(picture: &'a GrayImage, poses: &[Pose<Body, Camera>]) -> Views<'a> {
+        let views = poses.iter().map(|pose| View { picture, pose: *pose }).collect();
+        Views { views, camera: CameraModel::new(LENS).unwrap(), curve: CameraCurve::default(), mask: None }
+    }
+
+    fn places() -> Vec<Vector3<f64>> {
+        let mut random = Pcg64Mcg::seed_from_u64(5);
+        (0..200)
+            .map(|_| Vector3::new(random.random_range(-1.5..1.5), random.random_range(-1.0..1.0), random.random_range(-0.5..0.8)))
+            .collect()
+    }
+
+    /// The tracks of points in cameras, with pixel noise.
+    fn tracked(truth: &Views<'_>, noise_px: f64) -> Vec<Track> {
+        let mut random = Pcg64Mcg::seed_from_u64(6);
+        let mut track = |place: &Vector3<f64>| -> Track {
+            let seen = (0..truth.views.len()).filter_map(|view| Some((view, truth.pixel(view, place)?)));
+            let noisy = seen.map(|(view, pixel)| (view, pixel + Vector2::from_fn(|_, _| noise_px * random.random_range(-1.7..1.7))));
+            noisy.map(|(view, pixel)| Sighting { view, pixel, sigma_px: 0.5 }).collect()
+        };
+        places().iter().map(&mut track).collect()
+    }
+
+    #[test]
+    fn derivatives_agree_with_differences() {
+        let picture = GrayImage::new(1280, 720);
+        let poses = camera_poses(3);
+        let views = views(&picture, &poses);
+        let seen = Sighting { view: 1, pixel: Vector2::new(600.0, 300.0), sigma_px: 0.7 };
+        let place = Vector3::new(0.3, -0.2, 0.4);
+        let now = row(&views, &poses[1], &place, &seen).unwrap();
+        let step = 1e-6;
+        for axis in 0..3 {
+            let along = Vector3::ith(axis, step);
+            let moved = [
+                (row(&views, &poses[1].moved(&along, &Vector3::zeros()), &place, &seen), now.by_pose.column(axis).into_owned()),
+                (row(&views, &poses[1].moved(&Vector3::zeros(), &along), &place, &seen), now.by_pose.column(3 + axis).into_owned()),
+                (row(&views, &poses[1], &(place + along), &seen), now.by_point.column(axis).into_owned()),
+            ];
+            for (next, derivative) in moved {
+                let difference = (next.unwrap().residual - now.residual) / step;
+                assert!((difference - derivative).norm() < 1e-3 * derivative.norm().max(1.0), "{axis}: {difference} {derivative}");
+            }
+        }
+    }
+
+    #[test]
+    fn exact_tracks_give_back_points_and_cameras() {
+        let picture = GrayImage::new(1280, 720);
+        let poses = camera_poses(12);
+        let truth = views(&picture, &poses);
+        let mut tracks = tracked(&truth, 0.0);
+        // One sighting in forty shows something else.
+        tracks.iter_mut().step_by(8).for_each(|track| track[2].pixel += Vector2::new(14.0, -9.0));
+        let mut random = Pcg64Mcg::seed_from_u64(8);
+        let mut off = |pose: &Pose<Body, Camera>| {
+            let [shift, rotation] = [2e-3, 5e-4].map(|sigma| Vector3::from_fn(|_, _| sigma * random.random_range(-1.7..1.7)));
+            pose.moved(&shift, &rotation)
+        };
+        let start: Vec<_> = poses.iter().map(&mut off).collect();
+        let cloud = adjusted(&views(&picture, &start), tracks, &|| true).unwrap();
+        // What is left is a motion of the whole, within the mean of the start poses' errors.
+        let errors = cloud.poses.iter().zip(&poses).map(|(found, true_pose)| (found.translation - true_pose.translation).norm());
+        assert!(errors.fold(0.0, f64::max) < 2e-3);
+        assert!(cloud.points.len() > 150 && cloud.scale < 0.2, "{} {}", cloud.points.len(), cloud.scale);
+        assert!(
+            cloud
+                .points
+                .iter()
+                .all(|point| point.sightings.iter().all(|seen| (truth.pixel(seen.view, &point.place).unwrap() - seen.pixel).norm() < 2.0))
+        );
+    }
+
+    #[test]
+    fn noise_is_averaged_over_points() {
+        let picture = GrayImage::new(1280, 720);
+        let poses = camera_poses(12);
+        let truth = views(&picture, &poses);
+        let cloud = adjusted(&truth, tracked(&truth, 0.5), &|| true).unwrap();
+        assert!((0.8..1.2).contains(&cloud.scale), "{}", cloud.scale);
+        let errors = cloud.poses.iter().zip(&poses).map(|(found, true_pose)| (found.translation - true_pose.translation).norm());
+        assert!(errors.fold(0.0, f64::max) < 2e-3);
+    }
+
+    #[test]
+    fn points_seen_from_one_place_are_dropped() {
+        let picture = GrayImage::new(1280, 720);
+        let poses = vec![camera_poses(3)[1]; 4];
+        let truth = views(&picture, &poses);
+        assert!(adjusted(&truth, tracked(&truth, 0.2), &|| true).is_none_or(|cloud| cloud.points.is_empty()));
+    }
+}

@@ -1,0 +1,112 @@
+//! Judges how far to trust a map, and what to film again.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::super::judgement::{Judgement, Verdict};
+use super::super::stage::Survey;
+use super::map::Mapped;
+use crate::geometry::robust_kernel::median;
+
+/// Minimum share of keyframes that agree with the map, to be good and to be usable.
+const MIN_USED: [f64; 2] = [0.8, 0.5];
+/// Maximum robust scale of the residuals, to be good and to be usable: more means a wrong lens or
+/// shutter (research/mapping.md, section 6).
+const MAX_SCALE: [f64; 2] = [1.5, 3.0];
+/// Minimum number of facets, to be good and to be usable.
+const MIN_FACETS: [usize; 2] = [4, 1];
+/// Maximum median sigma of the facets' positions, as a share of the distance, to be good and to be
+/// usable.
+const MAX_SIGMA: [f64; 2] = [5e-4, 2e-3];
+/// Minimum extent of the walk, as a share of the distance, to be good.
+const GOOD_EXTENT: f64 = 0.5;
+
+impl Survey {
+    /// Whether enough of the walk supports the pose of surface `k`.
+    pub fn is_supported(&self, k: usize) -> bool {
+        let support = self.supports[k];
+        !support.is_little() && !support.is_outlier()
+    }
+
+    /// Returns one sigma of the distance between the two facets farthest from each other, as a
+    /// share of that distance: of the scale of what the surfaces show.
+    pub fn scale_sigma(&self, among: &[usize]) -> Option<f64> {
+        let place = |k: &usize| self.surfaces[*k].pose.translation;
+        let pairs = among.iter().enumerate().flat_map(|(n, a)| among[..n].iter().map(move |b| (*a, *b)));
+        let (a, b) = pairs.max_by(|x, y| (place(&x.0) - place(&x.1)).norm().total_cmp(&(place(&y.0) - place(&y.1)).norm()))?;
+        let (first, second) = (self.places.poses[a]?, self.places.poses[b]?);
+        let block = |i: usize, j: usize| -> Matrix3<f64> { self.covariance.fixed_view::<3, 3>(i, j).into_owned() };
+        let covariance = block(first, first) + block(second, second) - block(first, second) - block(second, first);
+        let apart: Vector3<f64> = place(&a) - place(&b);
+        let along = apart.normalize();
+        Some((along.transpose() * covariance * along).x.max(0.0).sqrt() / apart.norm())
+    }
+}
+
+impl Mapped {
+    /// Returns the median sigma of the facets' positions, metres.
+    pub fn sigma_m(&self) -> f64 {
+        let described = self.survey.described();
+        let mut sigmas: Vec<f64> = self.kept.iter().filter_map(|k| described.get(*k)).map(|facet| 1e-3 * facet.sigma_mm).collect();
+        median(&mut sigmas).unwrap_or(f64::INFINITY)
+    }
+
+    /// Judges the map.
+    pub fn judge(&self) -> Judgement {
+        let Self { survey, kept, extent_m, distance_m, .. } = self;
+        let (used, keyframes) = (survey.used, survey.keyframes);
+        let share = used as f64 / keyframes.max(1) as f64;
+        let mut findings = Vec::new();
+        let mut grade = |is_good: bool, is_usable: bool, good: String, bad: String| {
+            let verdict = if is_good {
+                Verdict::Good
+            } else if is_usable {
+                Verdict::Usable
+            } else {
+                Verdict::DoNotUse
+            };
+            findings.push((verdict, if is_good { good } else { bad }));
+        };
+        grade(
+            share >= MIN_USED[0],
+            share >= MIN_USED[1],
+            format!("{used} of {keyframes} keyframes agree with the map"),
+            format!("only {used} of {keyframes} keyframes agree with the map: the set may have moved during the walk"),
+        );
+        let (scale, rms_px) = (survey.scale, survey.rms_px);
+        grade(
+            scale <= MAX_SCALE[0],
+            scale <= MAX_SCALE[1],
+            format!("the residual is noise ({rms_px:.3} px)"),
+            format!("the residual ({rms_px:.3} px) is {scale:.1} times the noise: the lens or the shutter is wrong, or the set moved"),
+        );
+        let facets = kept.len();
+        grade(
+            facets >= MIN_FACETS[0],
+            facets >= MIN_FACETS[1],
+            format!("{facets} facets"),
+            format!("only {facets} facets were found: film more of the set, sharper, and from closer"),
+        );
+        let (sigma_mm, relative) = (1e3 * self.sigma_m(), self.sigma_m() / distance_m);
+        grade(
+            relative <= MAX_SIGMA[0],
+            relative <= MAX_SIGMA[1],
+            format!("facets are known to {sigma_mm:.2} mm (median, one sigma)"),
+            format!(
+                "facets are known to {sigma_mm:.1} mm only (median, one sigma): film the set from both sides, and the poster from closer"
+            ),
+        );
+        grade(
+            *extent_m >= GOOD_EXTENT * distance_m,
+            true,
+            format!("the walk spans {extent_m:.1} m at {distance_m:.1} m from the set"),
+            format!("the walk spans only {extent_m:.1} m at {distance_m:.1} m from the set: walk farther to both sides"),
+        );
+        if !survey.has_settled {
+            findings.push((Verdict::Usable, format!("it did not converge in {} rounds", survey.rounds)));
+        }
+        findings.sort_by_key(|(verdict, _)| std::cmp::Reverse(*verdict));
+        let verdict = findings.first().map_or(Verdict::DoNotUse, |(verdict, _)| *verdict);
+        let reasons = findings.into_iter().filter(|(of, _)| *of == verdict).map(|(_, text)| text).collect();
+        Judgement { verdict, reasons }
+    }
+}

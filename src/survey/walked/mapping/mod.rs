@@ -1,0 +1,17 @@
+//! Maps a set without pictures from a walk around it (C13).
+//!
+//! The walk's own tracker follows a configured surface, the poster, which gives the keyframes a
+//! start and the map its frame and scale. `tracks` recognises corners of the set in several
+//! keyframes, `bundle` adjusts their places jointly with the cameras, `flat_parts` finds the planes
+//! that they lie on, `outlines` finds how far each plane really reaches, and `texture` paints it
+//! from the keyframes. From there on the set is a stage with pictures, and the survey's adjustment
+//! refines it on grey values. `map` runs all of this; `judgement` says what the map is worth.
+
+pub mod bundle;
+mod flat_parts;
+pub mod judgement;
+pub mod map;
+mod outlines;
+mod texture;
+mod tracks;
+mod views;

@@ -1,0 +1,95 @@
+//! The keyframes as the mapping looks at them: where a point of the stage is in a keyframe, and how
+//! much light came from there.
+
+use image::GrayImage;
+use nalgebra::{Point3, Vector2, Vector3};
+
+use crate::camera::{CameraModel, Normalized, Pixel};
+use crate::geometry::{Body, Camera, Pose};
+use crate::light::CameraCurve;
+
+/// Border of a picture that is not looked at, pixels: interpolation reaches two pixels out.
+const BORDER_PX: f64 = 2.0;
+
+/// A keyframe: its picture, and the camera's pose in the stage.
+#[derive(Debug, Clone, Copy)]
+pub struct View<'a> {
+    /// The picture.
+    pub picture: &'a GrayImage,
+    /// `T_body_camera`.
+    pub pose: Pose<Body, Camera>,
+}
+
+/// All keyframes, with the camera that took them.
+#[derive(Debug, Clone)]
+pub struct Views<'a> {
+    /// The keyframes, in the walk's order.
+    pub views: Vec<View<'a>>,
+    /// Their camera.
+    pub camera: CameraModel,
+    /// The light that its grey levels stand for.
+    pub curve: CameraCurve,
+    /// Black where its pictures are to be ignored.
+    pub mask: Option<&'a GrayImage>,
+}
+
+impl View<'_> {
+    /// Returns how a small plane faces the camera: the cosine of the angle between its normal and
+    /// the direction to the camera, and the distance, metres.
+    pub fn faced_by(&self, place: &Vector3<f64>, normal: &Vector3<f64>) -> (f64, f64) {
+        let to_camera = self.pose.translation - place;
+        let distance_m = to_camera.norm();
+        (to_camera.dot(normal) / distance_m.max(f64::EPSILON), distance_m)
+    }
+}
+
+impl Views<'_> {
+    /// Returns the raw pixel at which keyframe `view` shows a point of the stage; `None` if it does
+    /// not.
+    pub fn pixel(&self, view: usize, place: &Vector3<f64>) -> Option<Vector2<f64>> {
+        let at = self.views[view].pose.inverse().transform(&Point3::from(*place));
+        if at.z <= f64::EPSILON {
+            return None;
+        }
+        let ray = at.coords.xy() / at.z;
+        if ray.norm() >= self.camera.valid_radius() {
+            return None;
+        }
+        let pixel = self.camera.project(Normalized(ray)).0;
+        self.shows(pixel).then_some(pixel)
+    }
+
+    /// Returns the direction in the stage, of unit length, into which a pixel of keyframe `view`
+    /// looks.
+    pub fn direction(&self, view: usize, pixel: Vector2<f64>) -> Option<Vector3<f64>> {
+        let ray = self.camera.unproject(Pixel(pixel))?;
+        Some(self.views[view].pose.rotation * ray.0.push(1.0).normalize())
+    }
+
+    fn shows(&self, pixel: Vector2<f64>) -> bool {
+        let (w, h) = (f64::from(self.camera.width()), f64::from(self.camera.height()));
+        let is_inside = pixel.x >= BORDER_PX && pixel.y >= BORDER_PX && pixel.x <= w - 1.0 - BORDER_PX && pixel.y <= h - 1.0 - BORDER_PX;
+        is_inside && self.mask.is_none_or(|mask| mask.get_pixel(pixel.x.round() as u32, pixel.y.round() as u32)[0] > 0)
+    }
+
+    /// Returns the light at a pixel of keyframe `view`, 0 to 255, interpolated by Catmull-Rom
+    /// splines; the pixel must be one that [`pixel`](Self::pixel) returned.
+    pub fn light(&self, view: usize, pixel: Vector2<f64>) -> f32 {
+        let picture = self.views[view].picture;
+        let table = self.curve.light();
+        let (i, j) = (pixel.x.floor(), pixel.y.floor());
+        let (across, down) = (weights((pixel.x - i) as f32), weights((pixel.y - j) as f32));
+        let (width, first) = (picture.width() as usize, (i as usize - 1, j as usize - 1));
+        let raw = picture.as_raw();
+        let row = |dy: usize| {
+            let start = (first.1 + dy) * width + first.0;
+            raw[start..start + 4].iter().zip(across).map(|(grey, w)| w * table[usize::from(*grey)]).sum::<f32>()
+        };
+        (0..4).map(|dy| down[dy] * row(dy)).sum()
+    }
+}
+
+/// Catmull-Rom weights of the four pixels around a place between the middle two.
+fn weights(t: f32) -> [f32; 4] {
+    [((-0.5 * t + 1.0) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1.0, ((-1.5 * t + 2.0) * t + 0.5) * t, (0.5 * t - 0.5) * t * t]
+}
