@@ -70,7 +70,6 @@ fn header(line: &str) -> Option<String> {
 mod tests {
     use std::path::Path;
 
-    use super::*;
     use crate::config::Settings;
     use crate::geometry::Pose;
     use crate::track::{Facet, FacetTexture, ReferenceKind, StageMap, SurfaceShape};
