@@ -15,7 +15,7 @@ use super::{ConfigError, Problem};
 type Keys = fn() -> &'static [&'static str];
 
 /// Every section of this version: its path, its name in messages, its keys.
-const SECTIONS: [(&[&str], &str, Keys); 19] = [
+const SECTIONS: [(&[&str], &str, Keys); 20] = [
     (&[], "the config", fields::<as_typed::Config>),
     (&["camera"], "[camera]", fields::<as_typed::Camera>),
     (&["stage"], "[stage]", fields::<as_typed::Stage>),
