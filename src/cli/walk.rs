@@ -33,7 +33,7 @@ impl<'a> Clips<'a> {
 
     /// Opens all clips.
     pub(super) fn open(&self) -> Result<Sources, Failure> {
-        self.files.iter().map(|clip| open_clip(clip, self.options.clone()).map_err(Failure::from)).collect()
+        self.files.iter().map(|clip| open_clip(clip, self.options).map_err(Failure::from)).collect()
     }
 
     /// Returns the size of the clips' frames, which they must share, and shows what is odd about

@@ -19,10 +19,8 @@ pub(super) fn text(made: &Mapped, judgement: &Judgement) -> String {
     let area: f64 = made.map.facets.iter().map(|facet| facet.size_m[0] * facet.size_m[1]).sum();
     let _ =
         writeln!(text, "facets      {}, {area:.1} square metres, known to {:.2} mm (median)", made.map.facets.len(), 1e3 * made.sigma_m());
-    let _ = writeln!(text, "residual    {:.3} px, {:.2} times the noise", survey.rms_px, survey.scale);
-    if let Some(sigma) = survey.scale_sigma(&made.kept) {
-        let _ = writeln!(text, "scale       known to {:.0} ppm, from the configured surfaces", 1e6 * sigma);
-    }
+    let _ = writeln!(text, "residual    {:.3} px, {:.2} times the noise", survey.rms_px, made.residual_scale());
+    let _ = writeln!(text, "scale       known to {:.0} ppm, from the configured surfaces", 1e6 * made.scale_sigma);
     let _ = writeln!(text, "verdict     {}", judgement.sentence());
     text
 }

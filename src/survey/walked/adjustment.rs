@@ -119,6 +119,8 @@ pub struct Adjusted {
     pub frames: Vec<Option<ObservedFrame>>,
     /// Robust scale of the residuals, in sigmas: the largest among the surfaces with enough tiles.
     pub scale: f64,
+    /// The scale of each surface's residuals; infinite if its tiles determine nothing.
+    pub scales: Vec<f64>,
     /// The support of each surface's pose.
     pub supports: Vec<Support>,
     /// Root mean square residual of the tiles with the start model, pixels; `None` if no frame
@@ -274,6 +276,7 @@ impl<'a> Adjustment<'a> {
                     model,
                     frames,
                     scale: informative.map(|(scale, _)| *scale).fold(0.0, f64::max),
+                    scales,
                     supports,
                     start_rms_px,
                     rms_px,

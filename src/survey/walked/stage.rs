@@ -102,6 +102,9 @@ pub struct Survey {
     pub scale: f64,
     /// Root mean square height of each surface that its spline does not show, metres.
     pub unmodelled_m: Vec<f64>,
+    /// Robust scale of each surface's residuals, in sigmas; infinite if its tiles determine
+    /// nothing.
+    pub(super) scales: Vec<f64>,
     /// The support of each surface's pose.
     pub(super) supports: Vec<Support>,
     /// Whether the adjustment converged.
@@ -176,6 +179,7 @@ where
         model,
         frames: observed,
         scale,
+        scales,
         supports,
         start_rms_px,
         rms_px,
@@ -221,6 +225,7 @@ where
         rms_px,
         scale,
         unmodelled_m,
+        scales,
         supports,
         has_settled,
         rounds,

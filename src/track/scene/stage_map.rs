@@ -26,8 +26,11 @@ const VERSION: u32 = 1;
 pub const LIGHT_STEPS: f32 = 256.0;
 /// Number of channels of a texture: grey. Colour is for a later version.
 const CHANNELS: u8 = 1;
-/// Maximum number of facets and of keyframes. Raised, a damaged file may take more memory.
-const MAX_FACETS: usize = 10_000;
+/// Maximum number of facets: each takes a tenth of a second before the first frame. Raised, a file
+/// may take minutes.
+const MAX_FACETS: usize = 200;
+/// Maximum number of keyframes. Raised, a damaged file may take more memory.
+const MAX_KEYFRAMES: usize = 10_000;
 /// Maximum number of modes of uncertainty of a facet.
 const MAX_WAYS: usize = 256;
 /// Maximum length of a name, bytes.
@@ -181,7 +184,7 @@ impl StageMap {
             *correction =
                 Some(body.number("a curve", f32::from_le_bytes)?).filter(|v| v.is_finite()).ok_or(MapFileError::Impossible("a curve"))?;
         }
-        let keyframes = (0..body.count(1, MAX_FACETS, "a number of keyframes")?).map(|_| body.pose()).collect::<Result<_, _>>()?;
+        let keyframes = (0..body.count(1, MAX_KEYFRAMES, "a number of keyframes")?).map(|_| body.pose()).collect::<Result<_, _>>()?;
         let facets = (0..body.count(1, MAX_FACETS, "a number of facets")?).map(|_| Facet::read(&mut body)).collect::<Result<_, _>>()?;
         if !body.left.is_empty() {
             return Err(MapFileError::Impossible("bytes after its end"));
@@ -192,10 +195,9 @@ impl StageMap {
 
 impl Facet {
     fn write(&self, body: &mut Vec<u8>) {
-        let name = self.name.as_bytes();
-        let name = &name[..self.name.floor_char_boundary(MAX_NAME)];
-        write_count(body, name.len());
-        body.extend(name);
+        let end = self.name.char_indices().map(|(at, c)| at + c.len_utf8()).take_while(|end| *end <= MAX_NAME).last().unwrap_or(0);
+        write_count(body, end);
+        body.extend(&self.name.as_bytes()[..end]);
         self.size_m.iter().for_each(|v| body.extend(v.to_le_bytes()));
         write_pose(body, &self.pose);
         match &self.shape {

@@ -1,7 +1,5 @@
 //! Judges how far to trust a map, and what to film again.
 
-use nalgebra::{Matrix3, Vector3};
-
 use super::super::judgement::{Judgement, Verdict};
 use super::super::stage::Survey;
 use super::map::Mapped;
@@ -20,29 +18,30 @@ const MAX_SIGMA: [f64; 2] = [5e-4, 2e-3];
 /// Minimum extent of the walk, as a share of the distance, to be good.
 const GOOD_EXTENT: f64 = 0.5;
 
-impl Survey {
-    /// Whether enough of the walk supports the pose of surface `k`.
-    pub fn is_supported(&self, k: usize) -> bool {
-        let support = self.supports[k];
-        !support.is_little() && !support.is_outlier()
-    }
+/// Maximum scatter of a facet's tiles, relative to the median of all: a rectangle across the edges
+/// of steps has 1.7, faces of crates have up to 1.5. Raised, wrong planes stay in the map.
+const MAX_SCATTER: f64 = 1.6;
+/// Maximum height of a facet's detail over its plane, root mean square, as a share of the distance:
+/// a rectangle across steps has 3 to 6 times that. Raised, wrong planes stay in the map; lowered,
+/// brick and mouldings go.
+const MAX_HEIGHT: f64 = 2e-4;
 
-    /// Returns one sigma of the distance between the two facets farthest from each other, as a
-    /// share of that distance: of the scale of what the surfaces show.
-    pub fn scale_sigma(&self, among: &[usize]) -> Option<f64> {
-        let place = |k: &usize| self.surfaces[*k].pose.translation;
-        let pairs = among.iter().enumerate().flat_map(|(n, a)| among[..n].iter().map(move |b| (*a, *b)));
-        let (a, b) = pairs.max_by(|x, y| (place(&x.0) - place(&x.1)).norm().total_cmp(&(place(&y.0) - place(&y.1)).norm()))?;
-        let (first, second) = (self.places.poses[a]?, self.places.poses[b]?);
-        let block = |i: usize, j: usize| -> Matrix3<f64> { self.covariance.fixed_view::<3, 3>(i, j).into_owned() };
-        let covariance = block(first, first) + block(second, second) - block(first, second) - block(second, first);
-        let apart: Vector3<f64> = place(&a) - place(&b);
-        let along = apart.normalize();
-        Some((along.transpose() * covariance * along).x.max(0.0).sqrt() / apart.norm())
+impl Survey {
+    /// Whether enough of the walk supports surface `k` as a plane; `distance_m` is the cameras'
+    /// distance from the set.
+    pub fn is_supported(&self, k: usize, distance_m: f64) -> bool {
+        let support = self.supports[k];
+        !support.is_little() && support.scatter <= MAX_SCATTER && self.unmodelled_m[k] <= MAX_HEIGHT * distance_m
     }
 }
 
 impl Mapped {
+    /// Returns the median robust scale of the facets' residuals, in units of noise.
+    pub fn residual_scale(&self) -> f64 {
+        let mut scales: Vec<f64> = self.kept.iter().map(|k| self.survey.scales[*k]).collect();
+        median(&mut scales).unwrap_or(f64::INFINITY)
+    }
+
     /// Returns the median sigma of the facets' positions, metres.
     pub fn sigma_m(&self) -> f64 {
         let described = self.survey.described();
@@ -72,7 +71,7 @@ impl Mapped {
             format!("{used} of {keyframes} keyframes agree with the map"),
             format!("only {used} of {keyframes} keyframes agree with the map: the set may have moved during the walk"),
         );
-        let (scale, rms_px) = (survey.scale, survey.rms_px);
+        let (scale, rms_px) = (self.residual_scale(), survey.rms_px);
         grade(
             scale <= MAX_SCALE[0],
             scale <= MAX_SCALE[1],

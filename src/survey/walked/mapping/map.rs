@@ -2,6 +2,7 @@
 //! painted stage.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use nalgebra::Vector3;
 use thiserror::Error;
@@ -10,6 +11,7 @@ use super::super::keyframes::{Keyframe, MatchedFeature};
 use super::super::progress::{SurveyError, SurveyStep};
 use super::super::stage::{Survey, SurveyOptions, survey};
 use super::super::walk::Walk;
+use super::anchoring::Anchoring;
 use super::bundle::{self, Cloud, CloudPoint};
 use super::flat_parts::flat_parts;
 use super::outlines::{Outline, outlines};
@@ -18,9 +20,10 @@ use super::tracks::tracks;
 use super::views::{View, Views};
 use crate::frame::Frame;
 use crate::geometry::robust_kernel::median;
+use crate::geometry::{Body, Camera, Pose};
 use crate::light::CameraCurve;
 use crate::motion::Motion;
-use crate::track::{BodySpec, Facet, FacetTexture, StageMap, SurfaceError, SurfaceSpec};
+use crate::track::{BentShape, BodySpec, Facet, FacetTexture, StageMap, SurfaceError, SurfaceShape, SurfaceSpec};
 use crate::tracker::TrackerSetup;
 
 /// Minimum number of keyframes. Raised, short walks are refused; lowered, facets rest on a few
@@ -42,13 +45,21 @@ const ROUNDS: usize = 2;
 const ON_SURFACE: f64 = 0.004;
 /// Spacing of the points that planes are found with, metres. Raised, small faces have too few;
 /// lowered, neighbours are too near each other to tell how a plane lies.
-const SPACING_M: f64 = 0.04;
+const SPACING_M: f64 = 0.03;
 /// Maximum sigma of such a point's depth, as a share of the distance from the cameras. Raised,
 /// planes take in points beside them; lowered, parts that few keyframes show have no points.
-const MAX_DEPTH_SIGMA: f64 = 0.0015;
+const MAX_DEPTH_SIGMA: f64 = 0.002;
 /// Maximum distance from one point of a flat part to the next, as a share of the distance from the
 /// cameras. Raised, separate boards in one plane join; lowered, sparse parts fall to pieces.
 const MAX_STEP: f64 = 0.06;
+/// Distance from a configured surface within which a facet lies on it, metres.
+const ON_SURFACE_M: f64 = 0.02;
+/// Width of the border around a configured surface that is not mapped either: the paper's edge.
+const SURFACE_BORDER_M: f64 = 0.04;
+/// Factor on the sigma of the map: keyframes share errors of curve, blur and texture, which the
+/// adjustment takes to be independent. Raised, poses seem less certain than they are; lowered, more
+/// (NEES 9 with 1, on a set of planks, brick and crates).
+const SHARED_ERRORS: f64 = 2.0;
 /// One sigma of a point's place on its facet, pixels: features only lead to the basin of the
 /// alignment.
 const POINT_SIGMA_PX: f64 = 1.0;
@@ -114,6 +125,8 @@ pub struct Mapped {
     pub survey: Survey,
     /// Indices of the map's facets among the survey's surfaces.
     pub kept: Vec<usize>,
+    /// One sigma of the map's scale, as a fraction.
+    pub scale_sigma: f64,
     /// Number of points that the facets were found with.
     pub points: usize,
     /// Robust scale of the points' residuals, in sigmas.
@@ -147,6 +160,7 @@ pub fn map(
     if extent_m < MIN_EXTENT * distance_m {
         return Err(MapError::TooLittleParallax { extent_m, distance_m });
     }
+    let tracked: Vec<Pose<Body, Camera>> = keyframes.iter().map(|keyframe| keyframe.motion.pose).collect();
     for (keyframe, pose) in keyframes.iter_mut().zip(&cloud.poses) {
         keyframe.motion.pose = *pose;
     }
@@ -174,7 +188,7 @@ pub fn map(
             |step| progress(MapStep::Survey(step)),
             goes_on,
         )?;
-        let kept: Vec<usize> = (own..made.surfaces.len()).filter(|k| made.is_supported(*k)).collect();
+        let kept: Vec<usize> = (own..made.surfaces.len()).filter(|k| made.is_supported(*k, distance_m)).collect();
         tracing::debug!(round, kept = kept.len(), rms_px = made.rms_px, scale = made.scale, "mapped");
         take_motions(&mut keyframes, &made);
         facets.iter_mut().zip(&made.surfaces[own..]).for_each(|(facet, surface)| facet.pose = surface.pose);
@@ -184,9 +198,21 @@ pub fn map(
     let Some((survey, kept, textures)) = last.filter(|(_, kept, _)| !kept.is_empty()) else {
         return Err(MapError::NoFacets { points: cloud.points.len() });
     };
-    let facets = kept.iter().map(|k| facet(&survey.surfaces[*k], &textures[k - own])).collect();
-    let map = StageMap { bend, keyframes: keyframes.iter().map(|keyframe| keyframe.motion.pose).collect(), facets };
-    Ok(Mapped { map, survey, kept, points: cloud.points.len(), points_scale: cloud.scale, extent_m, distance_m })
+    let supporting = survey.motions.iter().zip(&tracked).filter_map(|(motion, tracked)| Some([motion.as_ref()?.pose, *tracked]));
+    let anchoring = Anchoring::of(&supporting.collect::<Vec<_>>()).ok_or(SurveyError::Undetermined)?;
+    tracing::debug!(?anchoring, "anchored");
+    let facets = kept.iter().map(|k| facet(&survey.surfaces[*k], &textures[k - own], &anchoring)).collect();
+    let map = StageMap { bend, keyframes: keyframes.iter().map(|keyframe| anchoring.pose(&keyframe.motion.pose)).collect(), facets };
+    Ok(Mapped {
+        map,
+        survey,
+        kept,
+        scale_sigma: anchoring.scale_sigma,
+        points: cloud.points.len(),
+        points_scale: cloud.scale,
+        extent_m,
+        distance_m,
+    })
 }
 
 fn views<'a>(keyframes: &'a [Keyframe], setup: &'a TrackerSetup, curve: &CameraCurve) -> Views<'a> {
@@ -226,7 +252,7 @@ fn seen_from(cloud: &Cloud, point: &CloudPoint) -> (Vector3<f64>, f64) {
 fn found_facets(views: &Views<'_>, cloud: &Cloud, stage: &BodySpec, goes_on: &(dyn Fn() -> bool + Sync)) -> Result<Vec<Outline>, MapError> {
     let is_beside = |point: &&CloudPoint| {
         let within_m = ON_SURFACE * seen_from(cloud, point).1;
-        stage.surfaces.iter().all(|surface| on_picture(surface, &point.place, within_m).is_none())
+        !is_on_surface(stage, &point.place, within_m)
     };
     let points: Vec<(&CloudPoint, f64)> = thinned(views, cloud, cloud.points.iter().filter(is_beside));
     let places: Vec<Vector3<f64>> = points.iter().map(|(point, _)| point.place).collect();
@@ -235,10 +261,16 @@ fn found_facets(views: &Views<'_>, cloud: &Cloud, stage: &BodySpec, goes_on: &(d
     let parts = flat_parts(&places, &sigmas, MAX_STEP * distances.iter().sum::<f64>() / distances.len().max(1) as f64, &facing);
     tracing::debug!(parts = ?parts.iter().map(|part| part.members.len()).collect::<Vec<_>>(), points = places.len(), "flat parts");
     let mut facets = outlines(views, &parts, &places, goes_on).ok_or(SurveyError::Interrupted)?;
+    facets.retain(|facet| !is_on_surface(stage, &facet.pose.translation, ON_SURFACE_M));
     let area = |facet: &Outline| facet.sides[0] * facet.sides[1];
     facets.sort_by_key(|facet| std::cmp::Reverse(area(facet)));
     facets.truncate(MAX_FACETS);
     Ok(facets)
+}
+
+/// Whether a point lies on a configured surface or its border.
+fn is_on_surface(stage: &BodySpec, place: &Vector3<f64>, within_m: f64) -> bool {
+    stage.surfaces.iter().any(|surface| on_picture(surface, place, within_m, SURFACE_BORDER_M).is_some())
 }
 
 /// Returns the best known points, with one sigma of their depths, metres: at most one in a cube of
@@ -258,11 +290,11 @@ fn thinned<'a>(views: &Views<'_>, cloud: &Cloud, points: impl Iterator<Item = &'
 }
 
 /// Returns where on a surface's picture a point of the stage lies, metres from the centre, if it
-/// lies on the surface.
-fn on_picture(surface: &SurfaceSpec, place: &Vector3<f64>, within_m: f64) -> Option<[f64; 2]> {
+/// lies on the surface or its border.
+fn on_picture(surface: &SurfaceSpec, place: &Vector3<f64>, within_m: f64, border_m: f64) -> Option<[f64; 2]> {
     let own = surface.pose.inverse().transform(&(*place).into());
     let [w, h] = surface.size_m;
-    let is_on = own.z.abs() < within_m && own.x.abs() < 0.5 * w && own.y.abs() < 0.5 * h;
+    let is_on = own.z.abs() < within_m && own.x.abs() < 0.5 * w + border_m && own.y.abs() < 0.5 * h + border_m;
     is_on.then_some([own.x, own.y])
 }
 
@@ -291,7 +323,7 @@ fn with_features(keyframes: &[Keyframe], cloud: &Cloud, stage: &BodySpec, own: u
     let mut keyframes = keyframes.to_vec();
     for point in &cloud.points {
         let within_m = ON_SURFACE * seen_from(cloud, point).1;
-        let on = (own..stage.surfaces.len()).find_map(|k| Some((k, on_picture(&stage.surfaces[k], &point.place, within_m)?)));
+        let on = (own..stage.surfaces.len()).find_map(|k| Some((k, on_picture(&stage.surfaces[k], &point.place, within_m, 0.0)?)));
         let Some((surface, on_picture_m)) = on else { continue };
         for seen in &point.sightings {
             keyframes[seen.view].features.push(MatchedFeature { surface, on_picture_m, pixel: seen.pixel, sigma_px: POINT_SIGMA_PX });
@@ -310,6 +342,21 @@ fn take_motions(keyframes: &mut [Keyframe], made: &Survey) {
     adjusted.for_each(|(keyframe, motion): (&mut Keyframe, &Option<Motion>)| keyframe.motion = motion.unwrap_or(keyframe.motion));
 }
 
-fn facet(surface: &SurfaceSpec, texture: &FacetTexture) -> Facet {
-    Facet { name: surface.name.clone(), size_m: surface.size_m, pose: surface.pose, shape: surface.shape.clone(), texture: texture.clone() }
+fn facet(surface: &SurfaceSpec, texture: &FacetTexture, anchoring: &Anchoring) -> Facet {
+    let shape = match &surface.shape {
+        SurfaceShape::Bent(shape) => SurfaceShape::Bent(Arc::new(with_shared_errors(shape))),
+        shape => shape.clone(),
+    };
+    let size_m = surface.size_m.map(|side| anchoring.length(side));
+    Facet { name: surface.name.clone(), size_m, pose: anchoring.pose(&surface.pose), shape, texture: texture.clone() }
+}
+
+/// Returns a shape with the errors that all keyframes share in its modes of uncertainty.
+fn with_shared_errors(shape: &BentShape) -> BentShape {
+    let mut shape = shape.clone();
+    for way in &mut shape.ways {
+        way.height.coefficients_mut().iter_mut().for_each(|c| *c *= SHARED_ERRORS);
+        way.stretch.coefficients_mut().iter_mut().for_each(|c| *c *= SHARED_ERRORS);
+    }
+    shape
 }

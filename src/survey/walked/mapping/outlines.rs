@@ -24,7 +24,7 @@ const MIN_VIEWS: usize = 4;
 const MIN_COSINE: f64 = 0.25;
 /// Minimum median correlation of the keyframes' pictures of a cell with the mean of the others.
 /// Raised, noisy cells are lost; lowered, wrong planes pass.
-const MIN_CORRELATION: f32 = 0.75;
+const MIN_CORRELATION: f32 = 0.85;
 /// Maximum scatter of light in a cell for it to count as plain, as a share of its mean: noise.
 const PLAIN: f32 = 0.03;
 /// Minimum share of agreeing cells in a row or column at the rectangle's edge. Raised, parts with
