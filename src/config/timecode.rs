@@ -77,8 +77,8 @@ pub(super) fn timecode(origin: &Origin<'_>, typed: &Spanned<as_typed::Timecode>)
         "sample_rate_hz",
         typed.sample_rate_hz.as_ref(),
         USUAL_SAMPLE_RATE,
-        8_000..=384_000,
-        "8000 to 384000 samples per second",
+        16_000..=384_000,
+        "16000 to 384000 samples per second",
     )?;
     let is_raw = typed.channels.is_some() || typed.sample_rate_hz.is_some();
     let number = |key, typed, default, range: std::ops::RangeInclusive<f64>, wanted| {
@@ -150,7 +150,7 @@ mod tests {
             ("file = \"a\"\ndevice = \"hw:1\"", ["`device` in [timecode], line 3", "remove one"]),
             ("file = \"a\"\nrate = \"29.97 drop\"", ["`rate` in [timecode], line 3", "29.97df"]),
             ("file = \"a\"\nchannel = 0", ["`channel` in [timecode], line 3", "from 1 to 128"]),
-            ("file = \"a\"\nsample_rate_hz = 100", ["`sample_rate_hz`", "8000"]),
+            ("file = \"a\"\nsample_rate_hz = 100", ["`sample_rate_hz`", "16000"]),
             ("file = \"a\"\nfree_wheel_s = -1", ["`free_wheel_s`", "0 to 86400"]),
             ("file = \"a\"\nfreewheel_s = 1", ["unknown key `freewheel_s`", "free_wheel_s"]),
         ] {

@@ -31,28 +31,24 @@ fn absent(signal: &LtcSignal) -> (usize, f64) {
 
 #[test]
 fn all_rates_speeds_directions_and_polarities_are_decoded() {
-    let mut most = 0;
     for rate in TimecodeRate::ALL {
         for speed in [0.5, 0.71, 0.9, 1.0, 1.1, 1.31, 1.5] {
             for (direction, amplitude) in [(1.0, 0.5), (-1.0, 0.5), (1.0, -0.02), (-1.0, -1.0)] {
                 let (absent, error) = absent(&LtcSignal { amplitude, ..signal(rate, direction * speed) });
                 // The first frame teaches the length of a bit.
                 assert!(absent <= 1 && error < 0.25, "{rate} x {speed}: {absent} absent, edges off by {error}");
-                most = most.max(absent);
             }
         }
     }
-    println!("at most {most} absent");
 }
 
 #[test]
 fn noise_makes_frames_absent_never_wrong() {
-    for (noise, most) in [(0.05, 1), (0.1, 1), (0.2, 3), (0.3, 100), (0.5, 100), (1.0, 100)] {
+    for (noise, most) in [(0.05, 1), (0.1, 1), (0.2, 1), (0.3, 1), (0.5, 40), (1.0, 100)] {
         for (k, speed) in [0.5, 0.75, 1.0, 1.25, 1.5, -1.0].into_iter().enumerate() {
             for rate in TimecodeRate::ALL {
                 let (absent, error) = absent(&LtcSignal { noise, seed: k as u64, ..signal(rate, speed) });
-                println!("noise {noise} {rate} x {speed}: {absent} absent, edges {error:.2}");
-                assert!(absent <= most, "noise {noise}, {rate} x {speed}: {absent} absent");
+                assert!(absent <= most, "noise {noise}, {rate} x {speed}: {absent} absent, edges off by {error}");
             }
         }
     }
@@ -61,8 +57,10 @@ fn noise_makes_frames_absent_never_wrong() {
 #[test]
 fn other_sample_rates_are_decoded() {
     for sample_rate in [16_000, 22_050, 32_000, 44_100, 96_000, 192_000] {
-        let (absent, error) = absent(&LtcSignal { sample_rate, ..signal(TimecodeRate::Fps25, 1.0) });
-        assert!(absent <= 1 && error < 1.0, "{sample_rate}: {absent} absent, edges off by {error}");
+        for (rate, speed) in [(TimecodeRate::Fps24, 0.5), (TimecodeRate::Fps25, 1.0), (TimecodeRate::Fps30, 1.5)] {
+            let (absent, error) = absent(&LtcSignal { sample_rate, ..signal(rate, speed) });
+            assert!(absent <= 1 && error < 0.25, "{sample_rate}, {rate} x {speed}: {absent} absent, edges off by {error}");
+        }
     }
 }
 

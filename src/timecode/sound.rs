@@ -6,9 +6,9 @@ use std::io::{self, Read};
 
 use thiserror::Error;
 
-/// Minimum and maximum samples per second. Below the minimum, a bit at 24 frames per second has
-/// fewer than four samples; above the maximum is no sound card.
-const RATES: std::ops::RangeInclusive<u32> = 8_000..=384_000;
+/// Minimum and maximum samples per second. At 11025, timecode of 30 frames per second at 1.5 times
+/// its speed is not decoded; above the maximum is no sound card.
+const RATES: std::ops::RangeInclusive<u32> = 16_000..=384_000;
 /// Maximum number of channels: of the largest sound interfaces.
 pub const MAX_CHANNELS: u16 = 128;
 /// Maximum size of the chunk `fmt `, bytes; the longest known one has 40. Raised, a damaged file
@@ -56,7 +56,7 @@ pub enum SoundError {
         bits: u16,
     },
     /// An impossible rate.
-    #[error("it has {0} samples per second; timecode needs 8000 to 384000")]
+    #[error("it has {0} samples per second; timecode needs 16000 to 384000")]
     Rate(u32),
     /// An impossible number of channels.
     #[error("it has {0} channels; 1 to {MAX_CHANNELS} are possible")]

@@ -184,7 +184,7 @@ fn decode_sound(bytes: &[u8], raw: Option<RawFormat>) {
 #[test]
 fn sounds() {
     let signal = LtcSignal {
-        sample_rate: 8_000,
+        sample_rate: 16_000,
         rate: TimecodeRate::Fps24,
         speed: 1.0,
         first: "00:00:59:20".parse().expect("a timecode"),
@@ -194,10 +194,10 @@ fn sounds() {
         lead: 20.0,
         seed: 1,
     };
-    let file = wav(8_000, &signal.samples().0);
+    let file = wav(16_000, &signal.samples().0);
     let binary = |seed_bytes: Vec<u8>| Mutator::new(seed(), Form::Binary, vec![seed_bytes]);
     fuzz("wav", binary(file.clone()), MAX_OF_TEXT, |bytes| decode_sound(bytes, None));
-    let raw = RawFormat { sample_rate: 8_000, channels: 1 };
+    let raw = RawFormat { sample_rate: 16_000, channels: 1 };
     fuzz("ltc", binary(file[44..].to_vec()), MAX_OF_TEXT, move |bytes| decode_sound(bytes, Some(raw)));
 }
 
