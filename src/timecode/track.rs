@@ -115,7 +115,7 @@ pub struct StampedTimecode {
 impl StampedTimecode {
     /// Returns it as a JSON object: `timecode`, `fraction`, `rate`, `state`, and `without_s` while
     /// it free-wheels.
-    pub fn to_json(&self) -> String {
+    pub fn to_json(self) -> String {
         let Self { code, fraction, rate, state } = self;
         let without = match state {
             TimecodeState::FreeWheeling { for_s } => format!(r#","without_s":{for_s:.3}"#),
