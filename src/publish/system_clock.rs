@@ -14,7 +14,7 @@ pub struct ClockQuality {
     pub max_error_s: f64,
     /// Correction of its rate, parts per million.
     pub frequency_ppm: f64,
-    /// TAI minus UTC, seconds; `None` if no service told the kernel.
+    /// TAI minus UTC, seconds; `None` if no service has set it in the kernel.
     pub tai_offset_s: Option<i32>,
 }
 

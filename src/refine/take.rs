@@ -42,19 +42,34 @@ pub struct Refined {
 }
 
 /// Refines the poses of a body. `None` in rows where nothing was seen for longer than
-/// [`MAX_GAP_S`], and before the first and after the last row in which it was seen. Stamps must
-/// rise.
+/// [`MAX_GAP_S`], before the first and after the last row in which it was seen, and in rows whose
+/// stamps do not follow those before them.
 pub fn refine(rows: &[Row]) -> Vec<Option<Refined>> {
     let mut refined = vec![None; rows.len()];
-    let seen: Vec<usize> = (0..rows.len()).filter(|&k| rows[k].measured.is_some()).collect();
-    let is_together = |a: &usize, b: &usize| rows[*b].timestamp.seconds_since(rows[*a].timestamp) <= MAX_GAP_S;
-    for stretch in seen.chunk_by(is_together) {
+    let in_order = in_order(rows);
+    let seen: Vec<usize> = (0..in_order.len()).filter(|&k| rows[in_order[k]].measured.is_some()).collect();
+    let timestamp = |k: usize| rows[in_order[k]].timestamp;
+    for stretch in seen.chunk_by(|a, b| timestamp(*b).seconds_since(timestamp(*a)) <= MAX_GAP_S) {
         let (Some(&first), Some(&last)) = (stretch.first(), stretch.last()) else { continue };
-        for (k, pose) in (first..=last).zip(refine_stretch(&rows[first..=last])) {
-            refined[k] = pose;
+        let indices = &in_order[first..=last];
+        let stretch: Vec<Row> = indices.iter().map(|&k| rows[k]).collect();
+        for (k, pose) in indices.iter().zip(refine_stretch(&stretch)) {
+            refined[*k] = pose;
         }
     }
     refined
+}
+
+/// Returns the rows whose stamps are later than all before them.
+fn in_order(rows: &[Row]) -> Vec<usize> {
+    let mut latest = None;
+    let is_later = |k: &usize| {
+        let timestamp = rows[*k].timestamp;
+        let is_later = latest.is_none_or(|latest| timestamp > latest);
+        latest = latest.max(Some(timestamp));
+        is_later
+    };
+    (0..rows.len()).filter(is_later).collect()
 }
 
 /// Refines a stretch; where it cannot be smoothed, the measured poses stay.
@@ -116,6 +131,18 @@ mod tests {
             let most = if row.is_bridged { 1e-5 } else { 1.02e-6 };
             assert!((0..3).all(|k| row.covariance[(k, k)] < most), "{}", row.covariance);
         }
+    }
+
+    #[test]
+    fn rows_out_of_order_are_left_out() {
+        let mut rows = rows(30, &[]);
+        rows[12].timestamp = rows[9].timestamp;
+        let refined = refine(&rows);
+        for (k, row) in refined.iter().enumerate() {
+            assert_eq!(row.is_some(), k != 12, "row {k}");
+        }
+        let x = refined[13].expect("seen").pose.translation.x;
+        assert!((x - 0.13).abs() < 1e-4, "{x}");
     }
 
     #[test]
