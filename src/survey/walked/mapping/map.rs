@@ -57,9 +57,9 @@ const ON_SURFACE_M: f64 = 0.02;
 /// Width of the border around a configured surface that is not mapped either: the paper's edge.
 const SURFACE_BORDER_M: f64 = 0.04;
 /// Factor on the sigma of the map: keyframes share errors of curve, blur and texture, which the
-/// adjustment takes to be independent (research/mapping.md, section 6). With 2 the squared errors on
-/// a set of planks, brick and crates are a fifth of the covariance. Raised, poses seem less certain
-/// than they are; lowered, more.
+/// adjustment takes to be independent (research/mapping.md, section 6). With 2 the squared errors
+/// on a set of planks, brick and crates are a fifth of the covariance. Raised, poses seem less
+/// certain than they are; lowered, more.
 const SHARED_ERRORS: f64 = 2.0;
 /// One sigma of a point's place on its facet, pixels: features only lead to the basin of the
 /// alignment.
