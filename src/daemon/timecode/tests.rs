@@ -46,7 +46,7 @@ fn events_of(link: &LiveLink, happen: impl FnOnce()) -> Vec<Event> {
 }
 
 #[test]
-fn a_file_plays_at_its_speed_and_every_state_is_told() {
+fn a_file_plays_at_its_speed_and_every_state_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("ltc.wav");
     std::fs::write(&file, sound()).unwrap();
