@@ -90,7 +90,8 @@ fn covariances_are_written_by_parts() {
         variances
     };
     let exact = common_variances("");
-    let uncertain = common_variances("[uncertainty]\nfx = 3.0\nfy = 3.0\n");
+    let uncertain =
+        common_variances("[uncertainty]\nfx = 3.0\nfy = 3.0\ncx = 0.3\ncy = 0.3\nskew = 0.0\ndistortion = [0.0, 0.0, 0.0, 0.0, 0.0]\n");
     // One sigma of the focal length, a third of a percent, is 13 mm in 4 m.
     assert!(uncertain.iter().zip(&exact).all(|(uncertain, exact)| uncertain - exact > 1e-6), "{uncertain:?} {exact:?}");
 }

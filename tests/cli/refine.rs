@@ -64,7 +64,8 @@ fn what_cannot_be_refined_is_refused() {
     let scene = Scene::new();
     scene.run(&["refine", "-", "--config", "stage.toml", "--poses", "out.jsonl"]).assert_refused(2, &["reads the clip twice", "save it"]);
     scene.run(&["refine", "nowhere", "--config", "stage.toml", "--poses", "out.jsonl"]).assert_refused(1, &["nowhere"]);
-    scene.run(&["refine", "clip", "--config", "stage.toml"]).assert_refused(2, &["--poses"]);
+    let without_output = scene.run(&["refine", "clip", "--config", "stage.toml"]);
+    assert!(without_output.code == 2 && without_output.stderr.contains("--poses <OUT.jsonl>"), "{}", without_output.stderr);
     scene.run(&["refine", "clip", "--config", "stage.toml", "--poses", "stage.toml"]).assert_refused(2, &["stage.toml"]);
     assert!(!scene.path("out.jsonl").exists() || scene.read("out.jsonl").is_empty());
 }
