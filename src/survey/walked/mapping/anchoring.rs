@@ -1,24 +1,33 @@
 //! Puts an adjusted map where the configured surfaces say that it is.
 //!
 //! In the joint adjustment a poster is a small part of every picture, and a few of its tiles decide
-//! on frame and scale. Tracked alone, it has all of a frame's pixels, and its poses scatter without
-//! a common error: over a hundred keyframes their mean is ten times better than one of them. So the
-//! map is moved, turned and scaled as a whole, until its cameras fit those poses best.
+//! on frame and scale. Aligned alone, it has all of a frame's pixels, and the errors of its poses
+//! differ from keyframe to keyframe. So the map is moved, turned and scaled as a whole, until its
+//! cameras see the surfaces where the poses aligned alone see them. Distances in the frame are the
+//! right weights: a small poster shows poorly where a camera is, but well where the poster appears.
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Matrix2x3, Point3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
+use crate::camera::CameraModel;
 use crate::geometry::robust_kernel::median;
-use crate::geometry::{Body, Camera, Pose};
+use crate::geometry::{Body, Camera, Pose, skew};
 
-/// Number of rounds of reweighting. Raised, nothing is gained.
-const ROUNDS: usize = 10;
-/// Distance at which a camera counts half, in robust sigmas. Raised, badly tracked keyframes pull
-/// more; lowered, good ones count less.
+/// Number of rounds of Gauss-Newton with reweighting. Raised, nothing is gained.
+const ROUNDS: usize = 20;
+/// Distance at which a camera counts half, in the median camera's RMS distances. Raised, badly
+/// tracked keyframes pull more; lowered, good ones count less.
 const HALF_WEIGHT: f64 = 2.0;
-/// Minimum robust sigma of a camera's position, metres, to divide by.
-const MIN_SIGMA_M: f64 = 1e-9;
+/// Minimum median of the cameras' mean squared distances, pixels², to divide by.
+const MIN_SQUARED_PX: f64 = 1e-12;
 /// Minimum number of cameras.
 const MIN_CAMERAS: usize = 3;
+/// Minimum number of points of the surfaces that a camera must show.
+const MIN_POINTS: usize = 4;
+/// Degrees of freedom of a motion with a scale: a shift, a rotation, the logarithm of the scale.
+const FREEDOM: usize = 7;
+
+type Normal = SMatrix<f64, FREEDOM, FREEDOM>;
+type Score = SVector<f64, FREEDOM>;
 
 /// A motion and a scale that map one body frame to another.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,48 +41,58 @@ pub struct Anchoring {
     pub scale_sigma: f64,
 }
 
+/// A camera of the map, and where the surfaces' points appear in its frame by their own alignment.
+struct View {
+    in_map: Pose<Body, Camera>,
+    seen: Vec<(Vector3<f64>, Vector2<f64>)>,
+}
+
+/// The equations of one camera.
+struct Equations {
+    normal: Normal,
+    score: Score,
+    /// Mean squared distance in the frame, pixels².
+    squared_px: f64,
+}
+
+/// From the surfaces' frame to the map's.
+#[derive(Clone, Copy)]
+struct IntoMap {
+    scale: f64,
+    rotation: UnitQuaternion<f64>,
+    shift: Vector3<f64>,
+}
+
 impl Anchoring {
-    /// Fits cameras, each given as its pose in the map and as the surfaces say. `None` if there are
-    /// too few, or all in one place.
-    pub fn of(cameras: &[[Pose<Body, Camera>; 2]]) -> Option<Self> {
-        if cameras.len() < MIN_CAMERAS {
+    /// Fits cameras, each by its pose in the map and by the surfaces alone, by where they see the
+    /// surfaces' `points`. `None` if too few cameras show enough of them, or do not determine the
+    /// scale.
+    pub fn of(cameras: &[[Pose<Body, Camera>; 2]], points: &[Vector3<f64>], camera: &CameraModel) -> Option<Self> {
+        let views: Vec<View> = cameras.iter().map(|pair| View::new(pair, points, camera)).collect();
+        let views: Vec<View> = views.into_iter().filter(|view| view.seen.len() >= MIN_POINTS).collect();
+        if views.len() < MIN_CAMERAS {
             return None;
         }
-        let mut weights = vec![1.0; cameras.len()];
-        let mut found = None;
+        let mut fit = IntoMap { scale: 1.0, rotation: UnitQuaternion::identity(), shift: Vector3::zeros() };
+        let mut covariance = Normal::zeros();
         for _ in 0..ROUNDS {
-            let fit = Self::weighted(cameras, &weights)?;
-            let errors: Vec<f64> = cameras.iter().map(|[map, wanted]| (fit.place(&map.translation) - wanted.translation).norm()).collect();
-            // The median length of a three-dimensional normal error is 1.54 sigma.
-            let sigma_m = (median(&mut errors.clone())? / 1.54).max(MIN_SIGMA_M);
-            weights = errors.iter().map(|error| 1.0 / (1.0 + (error / (HALF_WEIGHT * sigma_m)).powi(2))).collect();
-            let (middle, total) = middle(cameras.iter().map(|[map, _]| map.translation), &weights);
-            let spread: f64 = cameras.iter().zip(&weights).map(|([map, _], w)| w * (map.translation - middle).norm_squared()).sum();
-            found = Some(Self { scale_sigma: sigma_m / spread.sqrt().max(MIN_SIGMA_M), ..fit }).filter(|_| total > 0.0);
+            let equations = views.iter().map(|view| fit.equations(view, camera)).collect::<Option<Vec<_>>>()?;
+            let mut squares: Vec<f64> = equations.iter().map(|camera| camera.squared_px).collect();
+            let usual = median(&mut squares)?.max(MIN_SQUARED_PX);
+            let weight = |camera: &Equations| 1.0 / (1.0 + camera.squared_px / (HALF_WEIGHT * HALF_WEIGHT * usual));
+            let normal: Normal = equations.iter().map(|camera| camera.normal * weight(camera)).sum();
+            let score: Score = equations.iter().map(|camera| camera.score * weight(camera)).sum();
+            // Distances within a frame share the error of its pose, so that the scatter of
+            // whole cameras tells the uncertainty (a sandwich estimator; Huber 1967).
+            let scatter: Normal = equations.iter().map(|camera| camera.score * camera.score.transpose() * weight(camera).powi(2)).sum();
+            let inverse = normal.cholesky()?.inverse();
+            covariance = inverse * scatter * inverse;
+            fit = fit.moved(&(inverse * score));
         }
-        found
-    }
-
-    fn weighted(cameras: &[[Pose<Body, Camera>; 2]], weights: &[f64]) -> Option<Self> {
-        let mut rotation = cameras[0][1].rotation * cameras[0][0].rotation.inverse();
-        for _ in 0..ROUNDS {
-            let off = cameras.iter().map(|[map, wanted]| (wanted.rotation * map.rotation.inverse() * rotation.inverse()).scaled_axis());
-            rotation = UnitQuaternion::from_scaled_axis(middle(off, weights).0) * rotation;
-        }
-        let (from, _) = middle(cameras.iter().map(|[map, _]| map.translation), weights);
-        let (to, _) = middle(cameras.iter().map(|[_, wanted]| wanted.translation), weights);
-        let sums = cameras.iter().zip(weights).map(|([map, wanted], w)| {
-            let [own, other] = [rotation * (map.translation - from), wanted.translation - to];
-            (w * own.dot(&other), w * own.norm_squared())
-        });
-        let (product, square) = sums.fold((0.0, 0.0), |(a, b), (c, d)| (a + c, b + d));
-        let scale = product / square;
-        (scale.is_finite() && scale > 0.0).then(|| Self {
-            scale,
-            rotation,
-            shift: to - rotation * from * scale,
-            scale_sigma: f64::INFINITY,
-        })
+        let rotation = fit.rotation.inverse();
+        let scale = fit.scale.recip();
+        let is_usable = scale.is_finite() && scale > 0.0 && fit.shift.iter().all(|x| x.is_finite());
+        is_usable.then(|| Self { scale, rotation, shift: -(rotation * fit.shift) * scale, scale_sigma: covariance[(6, 6)].max(0.0).sqrt() })
     }
 
     /// Returns where a point of the map is.
@@ -92,10 +111,58 @@ impl Anchoring {
     }
 }
 
-/// Returns the weighted mean of vectors, and the sum of the weights.
-fn middle(values: impl Iterator<Item = Vector3<f64>>, weights: &[f64]) -> (Vector3<f64>, f64) {
-    let (sum, total) = values.zip(weights).fold((Vector3::zeros(), 0.0), |(sum, total), (v, w)| (sum + v * *w, total + w));
-    (sum / total, total)
+impl View {
+    fn new([in_map, alone]: &[Pose<Body, Camera>; 2], points: &[Vector3<f64>], camera: &CameraModel) -> Self {
+        let to_camera = alone.inverse();
+        let seen = |point: &Vector3<f64>| {
+            let (pixel, _) = project(camera, &to_camera.transform(&Point3::from(*point)).coords)?;
+            let is_inside = (0.0..f64::from(camera.width())).contains(&pixel.x) && (0.0..f64::from(camera.height())).contains(&pixel.y);
+            is_inside.then_some((*point, pixel))
+        };
+        Self { in_map: *in_map, seen: points.iter().filter_map(seen).collect() }
+    }
+}
+
+impl IntoMap {
+    /// Returns a camera's equations of a step of shift, rotation and logarithm of the scale. `None`
+    /// if it does not see the points in front of it.
+    fn equations(&self, view: &View, camera: &CameraModel) -> Option<Equations> {
+        let to_camera = view.in_map.inverse();
+        let turn = to_camera.rotation_matrix();
+        let mut equations = Equations { normal: Normal::zeros(), score: Score::zeros(), squared_px: 0.0 };
+        for (point, seen) in &view.seen {
+            let turned = self.rotation * point * self.scale;
+            let (pixel, by_point) = project(camera, &to_camera.transform(&Point3::from(turned + self.shift)).coords)?;
+            let by_place = by_point * turn;
+            let mut by_step = SMatrix::<f64, 2, FREEDOM>::zeros();
+            by_step.fixed_columns_mut::<3>(0).copy_from(&by_place);
+            by_step.fixed_columns_mut::<3>(3).copy_from(&-(by_place * skew(&turned)));
+            by_step.fixed_columns_mut::<1>(6).copy_from(&(by_place * turned));
+            let residual = seen - pixel;
+            equations.normal += by_step.transpose() * by_step;
+            equations.score += by_step.transpose() * residual;
+            equations.squared_px += residual.norm_squared() / view.seen.len() as f64;
+        }
+        Some(equations)
+    }
+
+    fn moved(&self, step: &Score) -> Self {
+        Self {
+            scale: self.scale * step[6].exp(),
+            rotation: UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned()) * self.rotation,
+            shift: self.shift + step.fixed_rows::<3>(0),
+        }
+    }
+}
+
+/// Projects a point in camera axes to its pixel, with the derivative by the point. `None` if it is
+/// not in front of the camera or beyond the lens's field.
+fn project(camera: &CameraModel, at: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
+    if at.z <= f64::EPSILON || at.xy().norm() >= camera.valid_radius() * at.z {
+        return None;
+    }
+    let (pixel, by_point) = camera.project_point_with_jacobian(at);
+    Some((pixel.0, by_point))
 }
 
 #[cfg(test)]
@@ -106,43 +173,78 @@ mod tests {
     use super::super::super::synthetic::camera_poses;
     use super::*;
 
-    /// Cameras of a map that is 300 ppm too small, turned and shifted, with errors of `sigma_m` and
-    /// some outliers.
-    fn cameras(sigma_m: f64) -> Vec<[Pose<Body, Camera>; 2]> {
+    fn camera() -> CameraModel {
+        CameraModel::pinhole(960, 720, 800.0, 800.0, 479.5, 359.5).expect("a camera")
+    }
+
+    /// A poster at the origin, which all cameras look at.
+    fn poster() -> Vec<Vector3<f64>> {
+        (0..25).map(|k| Vector3::new(0.1 * f64::from(k % 5) - 0.2, 0.1 * f64::from(k / 5) - 0.2, 0.0)).collect()
+    }
+
+    fn pulled(point: &Vector3<f64>) -> Vector3<f64> {
+        UnitQuaternion::from_euler_angles(0.02, -0.01, 0.03) * point * 0.9997 + Vector3::new(0.1, -0.2, 0.05)
+    }
+
+    /// Cameras of a map that is 300 ppm too small, turned and shifted. Each pose by the poster alone
+    /// is where noise of `sigma_px` in the poster's corners puts it, and some are off by 5 cm.
+    fn cameras(sigma_px: f64) -> Vec<[Pose<Body, Camera>; 2]> {
         let mut random = Pcg64Mcg::seed_from_u64(3);
         let turn = UnitQuaternion::from_euler_angles(0.02, -0.01, 0.03);
-        let mut noisy = |size: f64| Vector3::from_fn(|_, _| size * random.random_range(-1.7..1.7));
-        let pair = |(k, wanted): (usize, &Pose<Body, Camera>)| {
-            let map = Pose::new(turn * wanted.rotation, turn * wanted.translation * 0.9997 + Vector3::new(0.1, -0.2, 0.05));
-            let outlier = if k % 10 == 4 { 0.05 } else { 0.0 };
-            [map, wanted.moved(&(noisy(sigma_m) + Vector3::new(outlier, 0.0, 0.0)), &noisy(0.2 * sigma_m))]
+        let mut normal = move || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
+        let pair = |(k, truth): (usize, &Pose<Body, Camera>)| {
+            let map = Pose::new(turn * truth.rotation, pulled(&truth.translation));
+            // The covariance of a pose from corners with this noise.
+            let mut information = SMatrix::<f64, 6, 6>::zeros();
+            for point in poster() {
+                let at = truth.inverse().transform(&Point3::from(point)).coords;
+                let (_, by_point) = project(&camera(), &at).expect("in front");
+                let mut by_pose = SMatrix::<f64, 2, 6>::zeros();
+                by_pose.fixed_columns_mut::<3>(0).copy_from(&-(by_point * truth.rotation_matrix().transpose()));
+                by_pose.fixed_columns_mut::<3>(3).copy_from(&(by_point * skew(&at)));
+                information += by_pose.transpose() * by_pose;
+            }
+            let root = information.cholesky().expect("determined").inverse().cholesky().expect("positive").l();
+            let off = root * SVector::<f64, 6>::from_fn(|_, _| sigma_px * normal());
+            let outlier = Vector3::x() * if k % 10 == 4 { 0.05 } else { 0.0 };
+            [map, truth.moved(&(off.fixed_rows::<3>(0) + outlier), &off.fixed_rows::<3>(3).into_owned())]
         };
         camera_poses(60).iter().enumerate().map(pair).collect()
     }
 
     #[test]
     fn a_turned_shifted_and_scaled_map_is_put_back_despite_outliers() {
-        for sigma_m in [0.0, 5e-4] {
-            let cameras = cameras(sigma_m);
-            let found = Anchoring::of(&cameras).unwrap();
-            let within = 1e-7 + 0.7 * sigma_m;
-            for (pair, truth) in cameras.iter().zip(camera_poses(60)) {
-                let error = found.pose(&pair[0]).translation - truth.translation;
-                assert!(error.norm() < within, "{sigma_m}: {error}");
-            }
+        for sigma_px in [0.0, 0.5] {
+            let cameras = cameras(sigma_px);
+            let found = Anchoring::of(&cameras, &poster(), &camera()).expect("determined");
+            let off =
+                |[map, _]: &[Pose<Body, Camera>; 2], truth: &Pose<Body, Camera>| (found.pose(map).translation - truth.translation).norm();
+            let worst = cameras.iter().zip(&camera_poses(60)).map(|(pair, truth)| off(pair, truth)).fold(0.0, f64::max);
             let error = found.length(0.9997) - 1.0;
-            assert!(
-                error.abs() < 1e-7 + 4.0 * found.scale_sigma && found.scale_sigma < 1e-7 + 0.2 * sigma_m,
-                "{error} {}",
-                found.scale_sigma
-            );
+            println!("{sigma_px} px: {worst:.2e} m, scale {error:.1e}, one sigma {:.1e}", found.scale_sigma);
+            assert!(worst < 1e-6 + 0.01 * sigma_px, "{sigma_px}: {worst}");
+            assert!(error.abs() < 1e-6 + 4.0 * found.scale_sigma && found.scale_sigma < 1e-6 + 2e-3 * sigma_px, "{error}");
+        }
+    }
+
+    /// The equations against differences: where the points appear after small steps.
+    #[test]
+    fn derivatives_agree_with_differences() {
+        let view = View::new(&cameras(0.0)[7], &poster(), &camera());
+        let at = IntoMap { scale: 0.99, rotation: UnitQuaternion::from_euler_angles(0.1, 0.0, -0.05), shift: Vector3::new(0.02, 0.0, 0.1) };
+        let here = at.equations(&view, &camera()).expect("in front");
+        for k in 0..FREEDOM {
+            let moved = |size: f64| at.moved(&Score::from_fn(|i, _| if i == k { size } else { 0.0 })).equations(&view, &camera());
+            let [more, less] = [1e-6, -1e-6].map(|size| moved(size).expect("in front").squared_px * view.seen.len() as f64);
+            let slope = (more - less) / 4e-6;
+            assert!((slope + here.score[k]).abs() < 1e-4 * (1.0 + here.score.norm()), "{k}: {slope} {}", here.score[k]);
         }
     }
 
     #[test]
     fn cameras_in_one_place_give_no_scale() {
         let pose = camera_poses(1)[0];
-        assert!(Anchoring::of(&[[pose; 2]; 5]).is_none());
-        assert!(Anchoring::of(&[[pose; 2]; 2]).is_none());
+        assert!(Anchoring::of(&[[pose; 2]; 2], &poster(), &camera()).is_none());
+        assert!(Anchoring::of(&[[pose; 2]; 5], &poster()[..3], &camera()).is_none());
     }
 }

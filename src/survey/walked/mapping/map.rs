@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use thiserror::Error;
 
 use super::super::keyframes::{Keyframe, MatchedFeature};
@@ -23,7 +23,7 @@ use crate::geometry::robust_kernel::median;
 use crate::geometry::{Body, Camera, Pose};
 use crate::light::CameraCurve;
 use crate::motion::Motion;
-use crate::track::{BentShape, BodySpec, Facet, FacetTexture, StageMap, SurfaceError, SurfaceShape, SurfaceSpec};
+use crate::track::{BentShape, BodySpec, BodyTracker, Facet, FacetTexture, StageMap, SurfaceError, SurfaceShape, SurfaceSpec};
 use crate::tracker::TrackerSetup;
 
 /// Minimum number of keyframes. Raised, short walks are refused; lowered, facets rest on a few
@@ -56,6 +56,11 @@ const MAX_STEP: f64 = 0.06;
 const ON_SURFACE_M: f64 = 0.02;
 /// Width of the border around a configured surface that is not mapped either: the paper's edge.
 const SURFACE_BORDER_M: f64 = 0.04;
+/// One sigma of an adjusted pose: of the rotation, radians, and of the position, as a share of the
+/// distance. Raised, aligning the surfaces alone takes longer; lowered, a wrong adjustment stays.
+const START_SIGMA: f64 = 0.003;
+/// Points along each side of a configured surface by which the map is anchored.
+const GRID: usize = 8;
 /// Factor on the sigma of the map: keyframes share errors of curve, blur and texture, which the
 /// adjustment takes to be independent (research/mapping.md, section 6). With 2 the squared errors
 /// on a set of planks, brick and crates are a fifth of the covariance. Raised, poses seem less
@@ -161,7 +166,6 @@ pub fn map(
     if extent_m < MIN_EXTENT * distance_m {
         return Err(MapError::TooLittleParallax { extent_m, distance_m });
     }
-    let tracked: Vec<Pose<Body, Camera>> = keyframes.iter().map(|keyframe| keyframe.motion.pose).collect();
     for (keyframe, pose) in keyframes.iter_mut().zip(&cloud.poses) {
         keyframe.motion.pose = *pose;
     }
@@ -199,8 +203,9 @@ pub fn map(
     let Some((survey, kept, textures)) = last.filter(|(_, kept, _)| !kept.is_empty()) else {
         return Err(MapError::NoFacets { points: cloud.points.len() });
     };
-    let supporting = survey.motions.iter().zip(&tracked).filter_map(|(motion, tracked)| Some([motion.as_ref()?.pose, *tracked]));
-    let anchoring = Anchoring::of(&supporting.collect::<Vec<_>>()).ok_or(SurveyError::Undetermined)?;
+    let alone = aligned_alone(&keyframes, setup, distance_m);
+    let supporting = survey.motions.iter().zip(&alone).filter_map(|(motion, alone)| Some([motion.as_ref()?.pose, (*alone)?]));
+    let anchoring = Anchoring::of(&supporting.collect::<Vec<_>>(), &grid(&setup.stage), &setup.camera).ok_or(SurveyError::Undetermined)?;
     tracing::debug!(?anchoring, "anchored");
     let facets = kept.iter().map(|k| facet(&survey.surfaces[*k], &textures[k - own], &anchoring)).collect();
     let map = StageMap { bend, keyframes: keyframes.iter().map(|keyframe| anchoring.pose(&keyframe.motion.pose)).collect(), facets };
@@ -267,6 +272,27 @@ fn found_facets(views: &Views<'_>, cloud: &Cloud, stage: &BodySpec, goes_on: &(d
     facets.sort_by_key(|facet| std::cmp::Reverse(area(facet)));
     facets.truncate(MAX_FACETS);
     Ok(facets)
+}
+
+/// Aligns the configured surfaces alone in every keyframe, from the adjusted pose.
+fn aligned_alone(keyframes: &[Keyframe], setup: &TrackerSetup, distance_m: f64) -> Vec<Option<Pose<Body, Camera>>> {
+    let TrackerSetup { camera, shutter, mask, stage, settings, clock, store, .. } = setup.clone().as_trial();
+    let mut tracker = BodyTracker::new(camera, shutter.or_zero().into(), mask, &[&stage], settings, clock, store);
+    let mut align = |keyframe: &Keyframe| {
+        let found = tracker.study().try_start(&keyframe.frame, &keyframe.motion.pose, START_SIGMA * distance_m, START_SIGMA)?;
+        found.is_credible(false).then_some(found.pose)
+    };
+    keyframes.iter().map(&mut align).collect()
+}
+
+/// Returns points on a grid over every surface.
+fn grid(stage: &BodySpec) -> Vec<Vector3<f64>> {
+    let along = |k: usize| (k as f64 + 0.5) / GRID as f64 - 0.5;
+    let of_surface = |surface: &SurfaceSpec| {
+        let ([w, h], pose) = (surface.size_m, surface.pose);
+        (0..GRID * GRID).map(move |k| pose.transform(&Point3::new(w * along(k % GRID), h * along(k / GRID), 0.0)).coords)
+    };
+    stage.surfaces.iter().flat_map(of_surface).collect()
 }
 
 /// Whether a point lies on a configured surface or its border.
