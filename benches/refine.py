@@ -21,12 +21,20 @@ SCENES = ["d-handheld", "d-whip", "d-actors", "d-dolly", "d-steep"]
 NEES = (0.4, 2.5)
 
 
-def scores(poses, truth):
-    """Returns the number of poses, the errors' median and 95 % (mm), NEES/6, and the jitter (mm)."""
+def tracked(poses):
+    """Returns the tracked records by their row."""
+    records = enumerate(json.loads(line) for line in poses.read_text().splitlines())
+    return {row: record for row, record in records if record["state"] == "tracking"}
+
+
+def scores(records, rows_scored, truth):
+    """Returns the number of poses, and of some rows' the errors' median and 95 % (mm), NEES/6, and
+    the jitter (mm)."""
     errors, squared, rows = [], [], []
-    for row, record in enumerate(json.loads(line) for line in poses.read_text().splitlines()):
+    for row in rows_scored:
+        record = records[row]
         true = truth.get(round(record["timestamp_ns"] / 1e6))
-        if record["state"] != "tracking" or true is None:
+        if true is None:
             continue
         position, rotation = clips.pose(true)
         found = record["pose"]
@@ -38,7 +46,7 @@ def scores(poses, truth):
         rows.append(row)
     size = np.linalg.norm(errors, axis=1)
     bends = [errors[k + 1] - 2 * errors[k] + errors[k - 1] for k in range(1, len(rows) - 1) if rows[k + 1] - rows[k - 1] == 2]
-    return len(rows), np.median(size), np.percentile(size, 95), np.mean(squared), np.median(np.linalg.norm(bends, axis=1))
+    return len(records), np.median(size), np.percentile(size, 95), np.mean(squared), np.median(np.linalg.norm(bends, axis=1))
 
 
 def main():
@@ -57,7 +65,10 @@ def main():
         refined = clip.folder / "refined.jsonl"
         clips.run([chosen.binary, "refine", clip.folder, "--config", config, "--poses", refined])
         truth = evaluate.read(clip.folder / "groundtruth.txt")
-        before, after = scores(live, truth), scores(refined, truth)
+        live, refined = tracked(live), tracked(refined)
+        # Rows that only tracking backward found have no live pose to be compared with.
+        both = sorted(live.keys() & refined.keys())
+        before, after = scores(live, both, truth), scores(refined, both, truth)
         pairs = [f"{a:.3f} / {b:.3f}" for a, b in zip(before[1:], after[1:])]
         print(f"| {name} | {before[0]} / {after[0]} | {' | '.join(pairs)} |", flush=True)
         worse = [k for k in (1, 2, 4) if after[k] > before[k]]
