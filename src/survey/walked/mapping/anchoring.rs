@@ -217,12 +217,14 @@ mod tests {
         for sigma_px in [0.0, 0.5] {
             let cameras = cameras(sigma_px);
             let found = Anchoring::of(&cameras, &poster(), &camera()).expect("determined");
-            let off =
-                |[map, _]: &[Pose<Body, Camera>; 2], truth: &Pose<Body, Camera>| (found.pose(map).translation - truth.translation).norm();
-            let worst = cameras.iter().zip(&camera_poses(60)).map(|(pair, truth)| off(pair, truth)).fold(0.0, f64::max);
+            let truths = camera_poses(60);
+            let off = |pose: &Pose<Body, Camera>, truth: &Pose<Body, Camera>| (pose.translation - truth.translation).norm();
+            let mut alone: Vec<f64> = cameras.iter().zip(&truths).map(|([_, alone], truth)| off(alone, truth)).collect();
+            let usual = median(&mut alone).expect("cameras");
+            let worst = cameras.iter().zip(&truths).map(|([map, _], truth)| off(&found.pose(map), truth)).fold(0.0, f64::max);
             let error = found.length(0.9997) - 1.0;
-            println!("{sigma_px} px: {worst:.2e} m, scale {error:.1e}, one sigma {:.1e}", found.scale_sigma);
-            assert!(worst < 1e-6 + 0.01 * sigma_px, "{sigma_px}: {worst}");
+            println!("{sigma_px} px: {worst:.2e} m, of one pose {usual:.2e} m, scale {error:.1e}, one sigma {:.1e}", found.scale_sigma);
+            assert!(worst < 1e-6 + 0.25 * usual, "{sigma_px}: {worst} {usual}");
             assert!(error.abs() < 1e-6 + 4.0 * found.scale_sigma && found.scale_sigma < 1e-6 + 2e-3 * sigma_px, "{error}");
         }
     }
