@@ -186,8 +186,8 @@ mod tests {
         UnitQuaternion::from_euler_angles(0.02, -0.01, 0.03) * point * 0.9997 + Vector3::new(0.1, -0.2, 0.05)
     }
 
-    /// Cameras of a map that is 300 ppm too small, turned and shifted. Each pose by the poster alone
-    /// is where noise of `sigma_px` in the poster's corners puts it, and some are off by 5 cm.
+    /// Cameras of a map that is 300 ppm too small, turned and shifted. Each pose by the poster
+    /// alone is where noise of `sigma_px` in the poster's corners puts it; some are off by 5 cm.
     fn cameras(sigma_px: f64) -> Vec<[Pose<Body, Camera>; 2]> {
         let mut random = Pcg64Mcg::seed_from_u64(3);
         let turn = UnitQuaternion::from_euler_angles(0.02, -0.01, 0.03);
