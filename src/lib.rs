@@ -24,6 +24,7 @@
 //!
 //! - `compute_clock`: how long work kept its thread busy, by a clock the caller passes in
 //! - `simd`: kernels also compiled for wider registers
+//! - `fingerprint`: a hash that tells versions of bytes apart
 //! - `geometry`: SE(3), homography, essential matrix, planar pose, resection, robust estimation;
 //!   pure functions
 //! - `camera`: the camera model with distortion and its exact inverse; calibration files (feature
@@ -89,6 +90,7 @@
 mod camera;
 mod compute_clock;
 mod features;
+mod fingerprint;
 mod frame;
 mod geometry;
 mod light;

@@ -12,6 +12,7 @@ use nalgebra::{SVector, Vector1, Vector2};
 use serde::Deserialize;
 use thiserror::Error;
 
+use crate::fingerprint::{self, fnv1a};
 use crate::geometry::bspline::BicubicSpline;
 use crate::track::{BentShape, ShapeWay, SurfaceShape};
 
@@ -74,8 +75,7 @@ struct Way {
 /// Returns a picture's fingerprint: FNV-1a over its size and grey levels.
 fn picture_mark(picture: &GrayImage) -> String {
     let size = [picture.width(), picture.height()].map(u32::to_le_bytes).concat();
-    let mark =
-        size.iter().chain(picture.as_raw()).fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3));
+    let mark = fnv1a(fnv1a(fingerprint::START, &size), picture.as_raw());
     format!("{mark:016x}")
 }
 

@@ -17,6 +17,7 @@ use super::packing::{packed, unpacks};
 use super::replies::{reads, response};
 use super::reply::Reply;
 use super::routes::Route;
+use crate::fingerprint::{self, fnv1a};
 use crate::safe_file;
 
 /// A file of the page.
@@ -104,19 +105,9 @@ const ASSETS: &[Asset] = &[
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; base-uri 'none'; \
     form-action 'none'; frame-ancestors 'none'";
 
-/// Start of the 64-bit FNV-1a hash, as published. The hash identifies versions; it does not protect
-/// against malice.
-const FNV_START: u64 = 0xcbf2_9ce4_8422_2325;
-/// Factor of that hash, as published.
-const FNV_FACTOR: u64 = 0x0100_0000_01b3;
-
-fn hash(start: u64, bytes: &[u8]) -> u64 {
-    bytes.iter().fold(start, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(FNV_FACTOR))
-}
-
 /// Returns the page's version as one word: if it changes, an open page is outdated.
 pub(super) fn version() -> String {
-    format!("{:016x}", ASSETS.iter().fold(FNV_START, |hashed, asset| hash(hashed, asset.bytes)))
+    format!("{:016x}", ASSETS.iter().fold(fingerprint::START, |hashed, asset| fnv1a(hashed, asset.bytes)))
 }
 
 /// The files compressed with gzip, in the order of [`ASSETS`]; made on first use, in about 20 ms.
@@ -169,7 +160,7 @@ fn content_type(file: &Path) -> &'static str {
 /// Returns the routes for the embedded files.
 pub(super) fn routes() -> Vec<Route> {
     let of = |(k, asset): (usize, &'static Asset)| {
-        let tag = format!("\"{:016x}\"", hash(FNV_START, asset.bytes));
+        let tag = format!("\"{:016x}\"", fnv1a(fingerprint::START, asset.bytes));
         Route::whole(asset.path, move |request| std::future::ready(answer(&request, asset, k, &tag)))
     };
     ASSETS.iter().enumerate().map(of).collect()

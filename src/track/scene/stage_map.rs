@@ -13,6 +13,7 @@ use thiserror::Error;
 
 use super::shape::{BentShape, ShapeWay, SurfaceShape};
 use super::surface::{ReferenceKind, SurfaceError, SurfaceSpec};
+use crate::fingerprint;
 use crate::geometry::bspline::BicubicSpline;
 use crate::geometry::{Body, Camera, Pose, ReferenceCamera, SurfaceFrame};
 use crate::light::Transfer;
@@ -250,9 +251,8 @@ impl Facet {
     }
 }
 
-/// FNV-1a.
 fn digest(bytes: &[u8]) -> u64 {
-    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3))
+    fingerprint::fnv1a(fingerprint::START, bytes)
 }
 
 fn write_count(body: &mut Vec<u8>, count: usize) {
@@ -414,6 +414,24 @@ mod tests {
             altered[place] ^= 0x40;
             assert_eq!(read(&altered), MapFileError::Altered, "{place}");
         }
+    }
+
+    /// What the limits must let pass, each at its edge.
+    #[test]
+    fn a_map_at_the_limits_is_read() {
+        let mut map = map();
+        let SurfaceShape::Bent(bent) = &map.facets[1].shape else { panic!("it is bent") };
+        let mut shape = (**bent).clone();
+        shape.ways = vec![shape.ways[0].clone(); MAX_WAYS];
+        map.facets[1].shape = SurfaceShape::Bent(Arc::new(shape));
+        map.facets[0].name = "n".repeat(MAX_NAME);
+        map.facets[0].size_m = [MAX_M, 0.1];
+        map.facets[0].texture = FacetTexture { width: MAX_SIDE, height: 1, light: vec![7; MAX_SIDE as usize] };
+        map.facets.resize(MAX_FACETS, map.facets[0].clone());
+        map.keyframes.resize(MAX_KEYFRAMES, map.keyframes[0]);
+        assert_eq!(StageMap::from_bytes(&map.to_bytes()), Ok(map.clone()));
+        map.facets.push(map.facets[0].clone());
+        assert_eq!(StageMap::from_bytes(&map.to_bytes()), Err(MapFileError::Impossible("a number of facets")));
     }
 
     #[test]
