@@ -7,6 +7,7 @@
 //! docs/solvers.md lists the solvers with sources and run times.
 
 pub mod bspline;
+pub mod catmull_rom;
 pub mod correspondence;
 pub mod covariance;
 mod direct_linear;

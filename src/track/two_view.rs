@@ -34,7 +34,7 @@ pub struct TwoView {
 /// first keyframe; else the photograph's own camera, or a virtual pinhole on the first surface's
 /// axis, as far in front of its centre as the surface is wide.
 fn reference_camera(body: &PreparedBody) -> Pose<Body, ReferenceCamera> {
-    let of_map = body.surfaces.iter().find(|surface| matches!(surface.spec.kind, ReferenceKind::Facet { .. }));
+    let of_map = body.surfaces.iter().find(|surface| surface.spec.is_facet());
     let spec = &of_map.unwrap_or(&body.surfaces[0]).spec;
     match &spec.kind {
         ReferenceKind::Photograph { pose, .. } | ReferenceKind::Facet { pose } => spec.pose * pose.inverse(),
@@ -102,7 +102,8 @@ fn pair_rays(
     pairs.extend(anchors.iter().zip(rays).filter_map(pair));
 }
 
-/// Returns the unconstrained 8-parameter fit to the first surface's correspondences.
+/// Returns the unconstrained 8-parameter fit to the first surface's correspondences; `None` for a
+/// facet, which has no picture of its own (C13).
 fn first_surface_homography(
     body: &PreparedBody,
     anchors: &[FittedAnchor],
@@ -110,6 +111,11 @@ fn first_surface_homography(
     camera: &CameraModel,
     pairs: &mut Vec<PointPair>,
 ) -> Option<Matrix3<f64>> {
+    let h_photo_artwork = match &body.surfaces[0].spec.kind {
+        ReferenceKind::Facet { .. } => return None,
+        ReferenceKind::Artwork => None,
+        ReferenceKind::Photograph { h_photo_artwork, .. } => Some(h_photo_artwork),
+    };
     let of_first = anchors.iter().zip(rays).filter(|(a, _)| a.surface == 0);
     pairs.clear();
     pairs.extend(of_first.filter_map(|(a, ray)| Some(PointPair { from: a.artwork, to: camera.undistorted_pixel((*ray)?) })));
@@ -117,10 +123,9 @@ fn first_surface_homography(
         return None;
     }
     let fit = Homography::from_pairs(pairs, None)?.refined(pairs, 0.2, 15)?;
-    match &body.surfaces[0].spec.kind {
-        ReferenceKind::Facet { .. } => None,
-        ReferenceKind::Artwork => fit.with_unit_h33(),
-        ReferenceKind::Photograph { h_photo_artwork, .. } => Homography(fit.0 * h_photo_artwork.try_inverse()?).with_unit_h33(),
+    match h_photo_artwork {
+        Some(h_photo_artwork) => Homography(fit.0 * h_photo_artwork.try_inverse()?).with_unit_h33(),
+        None => fit.with_unit_h33(),
     }
 }
 

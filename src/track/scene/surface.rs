@@ -14,7 +14,7 @@ use super::shape::SurfaceShape;
 use crate::camera::{CameraModel, Normalized, Pixel};
 use crate::features::{CornerBuffers, CornerOptions, detect_corners};
 use crate::geometry::planar_pose::planar_poses;
-use crate::geometry::{Body, Homography, PointPair, Pose, ReferenceCamera, SurfaceFrame};
+use crate::geometry::{Body, Homography, PointPair, Pose, ReferenceCamera, SurfaceFrame, catmull_rom};
 use crate::light::Transfer;
 
 /// One textured rectangle of a body, ready for tracking.
@@ -111,6 +111,11 @@ impl BodySpec {
     pub fn new(name: impl Into<String>, surfaces: Vec<SurfaceSpec>) -> Self {
         Self { name: name.into(), surfaces }
     }
+
+    /// Whether it has facets of a map.
+    pub fn has_map(&self) -> bool {
+        self.surfaces.iter().any(SurfaceSpec::is_facet)
+    }
 }
 
 /// Why a picture cannot be tracked.
@@ -163,6 +168,11 @@ pub enum SurfaceError {
 }
 
 impl SurfaceSpec {
+    /// Whether it is a facet of a map.
+    pub fn is_facet(&self) -> bool {
+        matches!(self.kind, ReferenceKind::Facet { .. })
+    }
+
     /// Creates a surface from its flat artwork. Errors: a bad size, too few pixels, or too little
     /// texture.
     pub fn from_artwork(name: String, picture: GrayImage, size_m: [f64; 2], pose: Pose<Body, SurfaceFrame>) -> Result<Self, SurfaceError> {
@@ -366,11 +376,8 @@ fn rectified(photo: &GrayImage, h_photo_artwork: &Homography, camera: &CameraMod
 
 /// Catmull-Rom interpolation of a picture, with the border repeated.
 fn cubic(picture: &GrayImage, p: Vector2<f64>) -> u8 {
-    let weights = |t: f64| {
-        [((-0.5 * t + 1.0) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1.0, ((-1.5 * t + 2.0) * t + 0.5) * t, (0.5 * t - 0.5) * t * t]
-    };
     let (i, k) = (p.x.floor(), p.y.floor());
-    let (wx, wy) = (weights(p.x - i), weights(p.y - k));
+    let (wx, wy) = (catmull_rom::weights(p.x - i), catmull_rom::weights(p.y - k));
     let (w, h) = (picture.width() as i64, picture.height() as i64);
     let mut sum = 0.0;
     for (dy, wy) in wy.iter().enumerate() {
