@@ -82,7 +82,7 @@ const KNOWN_READOUT_SIGMA_S: f64 = 1e-6;
 /// lens to match.
 const MIN_WITH_RATES: usize = 24;
 /// Factor on the covariances of independent tiles: neighbouring keyframes see the same tiles with
-/// the same errors. (research/mapping.md, section 6.)
+/// the same errors.
 const INFLATION: f64 = 1.5;
 
 /// The input and state of an adjustment.

@@ -8,7 +8,7 @@ use super::unmodelled::narrowest_wrinkle_m;
 /// Points across and down a surface at which its shape is evaluated.
 const POINTS: [usize; 2] = [24, 18];
 /// Maximum robust scale of the residuals to be good and to be usable: near 1 with the right model,
-/// larger with a wrong lens or shutter (research/mapping.md, section 6).
+/// larger with a wrong lens or shutter.
 const MAX_SCALE: [f64; 2] = [2.0, 5.0];
 /// Minimum fraction of keyframes that support the result, to be good and to be usable.
 const MIN_USED: [f64; 2] = [0.8, 0.5];
@@ -65,7 +65,7 @@ fn little(name: &str, support: Support, sigma_mm: f64) -> String {
 }
 
 /// Grades a value: good up to the first limit, usable up to the second.
-fn graded(value: f64, limits: [f64; 2], good: String, bad: &dyn Fn() -> String) -> (Verdict, String) {
+pub(super) fn graded(value: f64, limits: [f64; 2], good: String, bad: &dyn Fn() -> String) -> (Verdict, String) {
     if value <= limits[0] { (Verdict::Good, good) } else { (if value <= limits[1] { Verdict::Usable } else { Verdict::DoNotUse }, bad()) }
 }
 
@@ -79,6 +79,14 @@ pub struct Judgement {
 }
 
 impl Judgement {
+    /// Returns the worst verdict of some findings, with the texts of those that reach it.
+    pub(super) fn of(mut findings: Vec<(Verdict, String)>) -> Self {
+        findings.sort_by_key(|(verdict, _)| std::cmp::Reverse(*verdict));
+        let verdict = findings.first().map_or(Verdict::DoNotUse, |(verdict, _)| *verdict);
+        let reasons = findings.into_iter().filter(|(of, _)| *of == verdict).map(|(_, text)| text).collect();
+        Self { verdict, reasons }
+    }
+
     /// Returns the verdict in one sentence.
     pub fn sentence(&self) -> String {
         format!("{}: {}", self.verdict.words(), self.reasons.join("; "))
@@ -177,10 +185,7 @@ impl Survey {
         if !self.has_settled {
             findings.push((Verdict::Usable, format!("it did not converge in {} rounds", self.rounds)));
         }
-        findings.sort_by_key(|(verdict, _)| std::cmp::Reverse(*verdict));
-        let verdict = findings.first().map_or(Verdict::DoNotUse, |(verdict, _)| *verdict);
-        let reasons = findings.into_iter().filter(|(of, _)| *of == verdict).map(|(_, text)| text).collect();
-        Judgement { verdict, reasons }
+        Judgement::of(findings)
     }
 
     /// Judges the surfaces; returns one summary if all are good.

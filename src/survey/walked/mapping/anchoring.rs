@@ -1,4 +1,4 @@
-//! Puts an adjusted map where the configured surfaces say that it is.
+//! Moves an adjusted map into the frame of the configured surfaces, at their scale.
 //!
 //! In the joint adjustment a poster is a small part of every picture, and a few of its tiles decide
 //! on frame and scale. Aligned alone, it has all of a frame's pixels, and the errors of its poses
@@ -6,8 +6,9 @@
 //! cameras see the surfaces where the poses aligned alone see them. Distances in the frame are the
 //! right weights: a small poster shows poorly where a camera is, but well where the poster appears.
 
-use nalgebra::{Matrix2x3, Point3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Point3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
+use super::views::project;
 use crate::camera::CameraModel;
 use crate::geometry::robust_kernel::median;
 use crate::geometry::{Body, Camera, Pose, skew};
@@ -41,7 +42,7 @@ pub struct Anchoring {
     pub scale_sigma: f64,
 }
 
-/// A camera of the map, and where the surfaces' points appear in its frame by their own alignment.
+/// A camera's pose in the map, and the pixels of the surfaces' points as aligned alone.
 struct View {
     in_map: Pose<Body, Camera>,
     seen: Vec<(Vector3<f64>, Vector2<f64>)>,
@@ -153,16 +154,6 @@ impl IntoMap {
             shift: self.shift + step.fixed_rows::<3>(0),
         }
     }
-}
-
-/// Projects a point in camera axes to its pixel, with the derivative by the point. `None` if it is
-/// not in front of the camera or beyond the lens's field.
-fn project(camera: &CameraModel, at: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
-    if at.z <= f64::EPSILON || at.xy().norm() >= camera.valid_radius() * at.z {
-        return None;
-    }
-    let (pixel, by_point) = camera.project_point_with_jacobian(at);
-    Some((pixel.0, by_point))
 }
 
 #[cfg(test)]

@@ -1,16 +1,15 @@
 //! The sparse adjustment: the places of the tracked corners and the poses of the cameras, jointly,
 //! by minimising robust reprojection errors.
 //!
-//! Each corner depends on the cameras alone, so it is eliminated by its own 3x3 block, and one
-//! dense system of six numbers a camera remains (the Schur complement). The start poses, which the
-//! tracker measured on the configured surfaces, are priors of the cameras: they fix frame and
-//! scale.
+//! Corners do not depend on each other. Each is eliminated by its own 3x3 block, which leaves one
+//! dense system with six unknowns per camera (the Schur complement). The tracker measured the start
+//! poses on the configured surfaces. They are the cameras' priors and fix frame and scale.
 
 use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3, Matrix6, Matrix6x3, Point3, SMatrix, Vector2, Vector3, Vector6};
 
 use super::super::dense_system::Factor;
 use super::tracks::{Sighting, Track};
-use super::views::{View, Views};
+use super::views::{View, Views, project};
 use crate::geometry::robust_kernel::median;
 use crate::geometry::{Body, Camera, Pose, skew};
 
@@ -142,16 +141,13 @@ fn is_determined(poses: &[Pose<Body, Camera>], point: &CloudPoint) -> bool {
 fn row(views: &Views<'_>, pose: &Pose<Body, Camera>, place: &Vector3<f64>, seen: &Sighting) -> Option<Row> {
     let to_camera = pose.rotation_matrix().transpose();
     let at = pose.inverse().transform(&Point3::from(*place)).coords;
-    if at.z <= f64::EPSILON || at.xy().norm() >= views.camera.valid_radius() * at.z {
-        return None;
-    }
-    let (pixel, by_place) = views.camera.project_point_with_jacobian(&at);
+    let (pixel, by_place) = project(&views.camera, &at)?;
     let by_place = by_place / seen.sigma_px;
     let by_point = by_place * to_camera;
     let mut by_pose = SMatrix::<f64, 2, 6>::zeros();
     by_pose.fixed_columns_mut::<3>(0).copy_from(&-by_point);
     by_pose.fixed_columns_mut::<3>(3).copy_from(&(by_place * skew(&at)));
-    Some(Row { residual: (pixel.0 - seen.pixel) / seen.sigma_px, by_pose, by_point })
+    Some(Row { residual: (pixel - seen.pixel) / seen.sigma_px, by_pose, by_point })
 }
 
 /// Returns the squared residuals of all sightings.

@@ -1,6 +1,6 @@
 //! Judges how far to trust a map, and what to film again.
 
-use super::super::judgement::{Judgement, Verdict};
+use super::super::judgement::{Judgement, Verdict, graded};
 use super::super::stage::Survey;
 use super::map::Mapped;
 use crate::geometry::robust_kernel::median;
@@ -8,7 +8,7 @@ use crate::geometry::robust_kernel::median;
 /// Minimum share of keyframes that agree with the map, to be good and to be usable.
 const MIN_USED: [f64; 2] = [0.8, 0.5];
 /// Maximum robust scale of the residuals, to be good and to be usable: more means a wrong lens or
-/// shutter (research/mapping.md, section 6).
+/// shutter.
 const MAX_SCALE: [f64; 2] = [1.5, 3.0];
 /// Minimum number of facets, to be good and to be usable.
 const MIN_FACETS: [usize; 2] = [4, 1];
@@ -55,57 +55,47 @@ impl Mapped {
         let (used, keyframes) = (survey.used, survey.keyframes);
         let share = used as f64 / keyframes.max(1) as f64;
         let mut findings = Vec::new();
-        let mut grade = |is_good: bool, is_usable: bool, good: String, bad: String| {
-            let verdict = if is_good {
-                Verdict::Good
-            } else if is_usable {
-                Verdict::Usable
-            } else {
-                Verdict::DoNotUse
-            };
-            findings.push((verdict, if is_good { good } else { bad }));
-        };
-        grade(
-            share >= MIN_USED[0],
-            share >= MIN_USED[1],
+        let mut below =
+            |value: f64, limits: [f64; 2], good: String, bad: String| findings.push(graded(value, limits, good, &|| bad.clone()));
+        below(
+            -share,
+            MIN_USED.map(|share| -share),
             format!("{used} of {keyframes} keyframes agree with the map"),
             format!("only {used} of {keyframes} keyframes agree with the map: the set may have moved during the walk"),
         );
         let (scale, rms_px) = (self.residual_scale(), survey.rms_px);
-        grade(
-            scale <= MAX_SCALE[0],
-            scale <= MAX_SCALE[1],
+        below(
+            scale,
+            MAX_SCALE,
             format!("the residual is noise ({rms_px:.3} px)"),
             format!("the residual ({rms_px:.3} px) is {scale:.1} times the noise: the lens or the shutter is wrong, or the set moved"),
         );
         let facets = kept.len();
-        grade(
-            facets >= MIN_FACETS[0],
-            facets >= MIN_FACETS[1],
+        below(
+            -(facets as f64),
+            MIN_FACETS.map(|facets| -(facets as f64)),
             format!("{facets} facets"),
             format!("only {facets} facets were found: film more of the set, sharper, and from closer"),
         );
         let (sigma_mm, relative) = (1e3 * self.sigma_m(), self.sigma_m() / distance_m);
-        grade(
-            relative <= MAX_SIGMA[0],
-            relative <= MAX_SIGMA[1],
+        below(
+            relative,
+            MAX_SIGMA,
             format!("facets are known to {sigma_mm:.2} mm (median, one sigma)"),
             format!(
                 "facets are known to {sigma_mm:.1} mm only (median, one sigma): film the set from both sides, and the poster from closer"
             ),
         );
-        grade(
-            *extent_m >= GOOD_EXTENT * distance_m,
-            true,
+        // A narrow walk is usable; one that is too narrow was refused before.
+        below(
+            -extent_m,
+            [-GOOD_EXTENT * distance_m, f64::INFINITY],
             format!("the walk spans {extent_m:.1} m at {distance_m:.1} m from the set"),
             format!("the walk spans only {extent_m:.1} m at {distance_m:.1} m from the set: walk farther to both sides"),
         );
         if !survey.has_settled {
             findings.push((Verdict::Usable, format!("it did not converge in {} rounds", survey.rounds)));
         }
-        findings.sort_by_key(|(verdict, _)| std::cmp::Reverse(*verdict));
-        let verdict = findings.first().map_or(Verdict::DoNotUse, |(verdict, _)| *verdict);
-        let reasons = findings.into_iter().filter(|(of, _)| *of == verdict).map(|(_, text)| text).collect();
-        Judgement { verdict, reasons }
+        Judgement::of(findings)
     }
 }

@@ -62,9 +62,9 @@ const START_SIGMA: f64 = 0.003;
 /// Points along each side of a configured surface by which the map is anchored.
 const GRID: usize = 8;
 /// Factor on the sigma of the map: keyframes share errors of curve, blur and texture, which the
-/// adjustment takes to be independent (research/mapping.md, section 6). With 2 the squared errors
-/// on a set of planks, brick and crates are a fifth of the covariance. Raised, poses seem less
-/// certain than they are; lowered, more.
+/// adjustment takes to be independent. With 2 the squared errors on a set of planks, brick and
+/// crates are a fifth of the covariance. Raised, poses seem less certain than they are; lowered,
+/// more.
 const SHARED_ERRORS: f64 = 2.0;
 /// One sigma of a point's place on its facet, pixels: features only lead to the basin of the
 /// alignment.

@@ -5,8 +5,8 @@
 //! keyframes, `bundle` adjusts their places jointly with the cameras, `flat_parts` finds the planes
 //! that they lie on, `outlines` finds how far each plane really reaches, and `texture` paints it
 //! from the keyframes. From there on the set is a stage with pictures, and the survey's adjustment
-//! refines it on grey values. `anchoring` puts the result where the poster says that it is. `map`
-//! runs all of this; `judgement` says what the map is worth.
+//! refines it on grey values. `anchoring` moves the result into the poster's frame. `map` runs all
+//! of this; `judgement` says what the map is worth.
 
 mod anchoring;
 pub mod bundle;

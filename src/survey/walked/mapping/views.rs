@@ -2,10 +2,10 @@
 //! much light came from there.
 
 use image::GrayImage;
-use nalgebra::{Point3, Vector2, Vector3};
+use nalgebra::{Matrix2x3, Point3, Vector2, Vector3};
 
 use crate::camera::{CameraModel, Normalized, Pixel};
-use crate::geometry::{Body, Camera, Pose};
+use crate::geometry::{Body, Camera, Pose, catmull_rom};
 use crate::light::CameraCurve;
 
 /// Border of a picture that is not looked at, pixels: interpolation reaches two pixels out.
@@ -48,14 +48,7 @@ impl Views<'_> {
     /// not.
     pub fn pixel(&self, view: usize, place: &Vector3<f64>) -> Option<Vector2<f64>> {
         let at = self.views[view].pose.inverse().transform(&Point3::from(*place));
-        if at.z <= f64::EPSILON {
-            return None;
-        }
-        let ray = at.coords.xy() / at.z;
-        if ray.norm() >= self.camera.valid_radius() {
-            return None;
-        }
-        let pixel = self.camera.project(Normalized(ray)).0;
+        let pixel = self.camera.project(in_field(&self.camera, &at.coords)?).0;
         self.shows(pixel).then_some(pixel)
     }
 
@@ -78,7 +71,7 @@ impl Views<'_> {
         let picture = self.views[view].picture;
         let table = self.curve.light();
         let (i, j) = (pixel.x.floor(), pixel.y.floor());
-        let (across, down) = (weights((pixel.x - i) as f32), weights((pixel.y - j) as f32));
+        let (across, down) = (catmull_rom::weights((pixel.x - i) as f32), catmull_rom::weights((pixel.y - j) as f32));
         let (width, first) = (picture.width() as usize, (i as usize - 1, j as usize - 1));
         let raw = picture.as_raw();
         let row = |dy: usize| {
@@ -89,7 +82,17 @@ impl Views<'_> {
     }
 }
 
-/// Catmull-Rom weights of the four pixels around a place between the middle two.
-fn weights(t: f32) -> [f32; 4] {
-    [((-0.5 * t + 1.0) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1.0, ((-1.5 * t + 2.0) * t + 0.5) * t, (0.5 * t - 0.5) * t * t]
+/// Projects a point in camera axes, metres, to its raw pixel, with the derivative by the point.
+/// `None` if it is not in front of the camera or beyond the lens's field.
+pub fn project(camera: &CameraModel, at: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
+    in_field(camera, at)?;
+    let (pixel, by_point) = camera.project_point_with_jacobian(at);
+    Some((pixel.0, by_point))
+}
+
+/// Returns the direction of a point in camera axes, if it is in front of the camera and within the
+/// lens's field.
+fn in_field(camera: &CameraModel, at: &Vector3<f64>) -> Option<Normalized> {
+    let ray = at.xy() / at.z;
+    (at.z > f64::EPSILON && ray.norm() < camera.valid_radius()).then_some(Normalized(ray))
 }
