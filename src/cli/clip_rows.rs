@@ -7,12 +7,21 @@ use super::interrupt;
 use crate::capture::{ClipEntry, ClipOptions, EntryContent, FrameSource, open_clip};
 use crate::config::Settings;
 
-/// Opens a clip at the size of the config's calibration and logs its notes.
-pub(super) fn open(settings: &Settings, clip: &Path) -> Result<Box<dyn FrameSource>, Failure> {
-    let calibrated = settings.lens.size(&settings.camera);
-    let source = open_clip(clip, ClipOptions { calibrated, is_stopped: Some(interrupt::is_interrupted), ..ClipOptions::default() })?;
+/// Opens a clip at the size of the config's calibration and logs its notes. `fps`: of a clip
+/// without stamps.
+pub(super) fn open(settings: &Settings, clip: &Path, fps: Option<f64>) -> Result<Box<dyn FrameSource>, Failure> {
+    let source = open_again(settings, clip, fps)?;
     source.notes().iter().for_each(|note| tracing::warn!("{note}"));
     Ok(source)
+}
+
+/// Opens a clip like [`open`], without its notes.
+pub(super) fn open_again(settings: &Settings, clip: &Path, fps: Option<f64>) -> Result<Box<dyn FrameSource>, Failure> {
+    let calibrated = settings.lens.size(&settings.camera);
+    match open_clip(clip, ClipOptions { fps, calibrated, is_stopped: Some(interrupt::is_interrupted) }) {
+        Err(_) if interrupt::is_interrupted() => Err(Failure::Interrupted),
+        opened => Ok(opened?),
+    }
 }
 
 /// Counts the rows of a clip.

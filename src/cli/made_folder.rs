@@ -71,8 +71,7 @@ fn replace(folder: &Path, new: &Path, old: &Path) -> std::io::Result<()> {
     remove(old)
 }
 
-/// Restores an earlier folder that was moved aside if nothing took its place: a run may have been
-/// killed in between.
+/// Moves an earlier folder back if no new one took its place, as after a run that was killed.
 fn put_back(old: &Path, folder: &Path) -> std::io::Result<()> {
     if old.exists() && !folder.exists() { fs::rename(old, folder) } else { Ok(()) }
 }

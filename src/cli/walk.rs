@@ -6,7 +6,9 @@ use std::path::PathBuf;
 
 use super::failure::Failure;
 use super::interrupt;
+use super::learnt::LearntArguments;
 use super::replay::progress::Progress;
+use super::replay::tracker_setup;
 use super::walk_file::WalkFile;
 use crate::capture::{ClipOptions, EntryContent, FrameSource, open_clip};
 use crate::config::Settings;
@@ -51,6 +53,15 @@ impl<'a> Clips<'a> {
             size.0,
             size.1
         )))
+    }
+
+    /// Returns the setup of a tracker of the stage alone, with the readout time that the first clip
+    /// brings unless it is configured.
+    pub(super) fn setup(&self, settings: &Settings, size: (u32, u32), learnt: &LearntArguments) -> Result<TrackerSetup, Failure> {
+        let mut setup = TrackerSetup { objects: Vec::new(), ..tracker_setup(settings, size, None)? };
+        let (learnt, _) = learnt.of(&self.files[0])?;
+        setup.shutter.readout_s = setup.shutter.readout_s.or(learnt.readout.map(|readout| readout.seconds));
+        Ok(setup)
     }
 }
 
@@ -124,7 +135,7 @@ impl<'a> WalkReader<'a> {
     }
 }
 
-/// Whether the work goes on: nobody has interrupted it.
+/// Whether the user has not interrupted the command.
 pub(super) fn goes_on() -> bool {
     !interrupt::is_interrupted()
 }

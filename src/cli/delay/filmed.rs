@@ -127,7 +127,7 @@ fn pass(
     mut origin: Option<Timestamp>,
     make: impl FnOnce(TrackerSetup) -> Result<Measuring, Failure>,
 ) -> Result<Pass, Failure> {
-    let mut source = clip_rows::open(settings, clip)?;
+    let mut source = clip_rows::open(settings, clip, None)?;
     let mut measuring = make(tracker_setup(settings, source.size(), None)?)?;
     let mut count = RowCount::default();
     while let Some(row) = source.next_entry() {

@@ -14,7 +14,6 @@ use super::learnt::LearntArguments;
 use super::logging::{self, LogArguments};
 use super::made_folder::MAPPED;
 use super::output_file::print;
-use super::replay::tracker_setup;
 use super::spared::Spared;
 use super::walk::{Clips, WalkReader, goes_on, unfinished};
 use super::walk_file::WalkFile;
@@ -23,8 +22,6 @@ use crate::config::{LensSource, Settings};
 use crate::printable::printable_lines;
 use crate::survey::walked::judgement::Verdict;
 use crate::survey::walked::mapping::map::{MapError, MapStep, map};
-use crate::track::ReferenceKind;
-use crate::tracker::TrackerSetup;
 use crate::utc;
 
 /// Map a set without pictures, from clips of walking around it.
@@ -71,9 +68,7 @@ pub(super) fn run(arguments: &MapArguments) -> Result<(), Failure> {
     let clips = Clips::new(&arguments.clips, arguments.fps, &settings);
     let sources = clips.open()?;
     let size = clips.size(&sources)?;
-    let mut setup = TrackerSetup { objects: Vec::new(), ..tracker_setup(&settings, size, None)? };
-    let (learnt, _) = arguments.learnt.of(&arguments.clips[0])?;
-    setup.shutter.readout_s = setup.shutter.readout_s.or(learnt.readout.map(|readout| readout.seconds));
+    let setup = clips.setup(&settings, size, &arguments.learnt)?;
     let file = WalkFile::new(&arguments.output, &arguments.clips, &setup, &format!("map {:?}", arguments.fps));
     let reader = WalkReader::new(&setup, &sources);
     let walk = reader.walk(&file, sources, || clips.open(), false)?;
@@ -120,7 +115,7 @@ fn refuse_unfit(settings: &Settings) -> Result<(), Failure> {
             settings.file.display()
         )));
     }
-    if settings.stage.surfaces.iter().any(|surface| matches!(surface.kind, ReferenceKind::Facet { .. })) {
+    if settings.stage.has_map() {
         return Err(Failure::Usage(format!(
             "{}: its stage has a map already; map from the config with the poster",
             settings.file.display()

@@ -42,7 +42,7 @@ pub(super) fn measure(settings: &Settings, clip: &Path) -> Result<Measured, Fail
     if clip == Path::new("-") {
         return Err(Failure::Usage("--clip is -; the clips of both cameras must be files or folders".to_owned()));
     }
-    let mut source = clip_rows::open(settings, clip)?;
+    let mut source = clip_rows::open(settings, clip, None)?;
     let setup = tracker_setup(settings, source.size(), None)?;
     let camera = setup.camera;
     // Objects say nothing about the mount.

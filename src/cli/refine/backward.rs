@@ -36,7 +36,7 @@ pub fn find_missing(samples: &mut [PoseSample], mut source: Box<dyn FrameSource>
     let setup = reversed(setup, samples.last().map_or(LearntCamera::default(), |sample| sample.learnt));
     // The last rows with frames: those of a gap, then the first tracked ones after it.
     let mut kept: VecDeque<(usize, Frame)> = VecDeque::new();
-    let (mut missing, mut lead) = (0, 0);
+    let mut lead = 0;
     let mut row = 0;
     while let Some(entry) = source.next_entry() {
         if interrupt::is_interrupted() {
@@ -45,21 +45,20 @@ pub fn find_missing(samples: &mut [PoseSample], mut source: Box<dyn FrameSource>
         let Some(sample) = samples.get(row) else { break };
         let is_tracked = sample.state == State::Tracking;
         if let EntryContent::Frame(frame) = entry.content
-            && !(is_tracked && missing == 0)
+            && !(is_tracked && kept.is_empty())
         {
             kept.push_back((row, frame));
-            (missing, lead) = if is_tracked { (missing, lead + 1) } else { (missing + 1, 0) };
+            lead = if is_tracked { lead + 1 } else { 0 };
         }
         row += 1;
         let is_last = samples.get(row).is_none();
         if lead == LEAD_ROWS || lead > 0 && is_last {
-            if tracker.is_none() {
-                tracker = Some(Backward { tracker: Tracker::new(setup.clone())?, now: Timestamp::default() });
-            }
-            if let Some(tracker) = &mut tracker {
-                tracker.track(samples, &mut kept);
-            }
-            (missing, lead) = (0, 0);
+            let tracker = match &mut tracker {
+                Some(tracker) => tracker,
+                None => tracker.insert(Backward { tracker: Tracker::new(setup.clone())?, now: Timestamp::default() }),
+            };
+            tracker.track(samples, &mut kept);
+            lead = 0;
         }
         while kept.len() > MAX_GAP_FRAMES + lead {
             kept.pop_front();

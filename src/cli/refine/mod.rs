@@ -5,7 +5,9 @@ mod backward;
 
 use std::path::{Path, PathBuf};
 
-use super::clip_rows::RowCount;
+use nalgebra::Matrix6;
+
+use super::clip_rows::{self, RowCount};
 use super::failure::Failure;
 use super::interrupt;
 use super::learnt::LearntArguments;
@@ -15,7 +17,7 @@ use super::replay::progress::Progress;
 use super::replay::records::Output;
 use super::replay::{frames_per_second, tracker_setup};
 use super::spared::Spared;
-use crate::capture::{ClipOptions, FrameSource, open_clip};
+use crate::capture::FrameSource;
 use crate::config::Settings;
 use crate::daemon::track_entry;
 use crate::record::{PoseSample, State};
@@ -58,13 +60,12 @@ pub(super) fn run(arguments: &RefineArguments) -> Result<(), Failure> {
     interrupt::watch();
     let mut spared = Spared::default().with_files(&settings.files, "a file of the config").with_clip(&arguments.clip);
     let poses = spared.open("--poses", Some(&arguments.poses))?;
-    let source = arguments.open(&settings)?;
-    source.notes().iter().for_each(|note| tracing::warn!("{note}"));
+    let source = clip_rows::open(&settings, &arguments.clip, arguments.fps)?;
     let (learnt, _) = arguments.learnt.of(&arguments.clip)?;
     let setup = TrackerSetup { learnt, ..tracker_setup(&settings, source.size(), None)? };
     let mut samples = forward(source, setup.clone(), &arguments.clip)?;
     let tracked = count(&samples, State::Tracking);
-    backward::find_missing(&mut samples, arguments.open(&settings)?, setup)?;
+    backward::find_missing(&mut samples, clip_rows::open_again(&settings, &arguments.clip, arguments.fps)?, setup)?;
     let found = count(&samples, State::Tracking) - tracked;
     let covariances = refine_all(&mut samples);
     if let Some(poses) = poses {
@@ -82,17 +83,6 @@ pub(super) fn run(arguments: &RefineArguments) -> Result<(), Failure> {
         return Ok(());
     }
     print(table.as_bytes())
-}
-
-impl RefineArguments {
-    fn open(&self, settings: &Settings) -> Result<Box<dyn FrameSource>, Failure> {
-        let calibrated = settings.lens.size(&settings.camera);
-        let options = ClipOptions { fps: self.fps, calibrated, is_stopped: Some(interrupt::is_interrupted) };
-        match open_clip(&self.clip, options) {
-            Err(_) if interrupt::is_interrupted() => Err(Failure::Interrupted),
-            opened => Ok(opened?),
-        }
-    }
 }
 
 fn count(samples: &[PoseSample], state: State) -> usize {
@@ -114,7 +104,7 @@ fn forward(mut source: Box<dyn FrameSource>, setup: TrackerSetup, clip: &Path) -
 }
 
 /// Refines the poses of the camera and of every object. Returns the covariance of each camera pose.
-fn refine_all(samples: &mut [PoseSample]) -> Vec<Option<nalgebra::Matrix6<f64>>> {
+fn refine_all(samples: &mut [PoseSample]) -> Vec<Option<Matrix6<f64>>> {
     let rows = |measured: &dyn Fn(&PoseSample) -> Option<Measured>| -> Vec<Row> {
         samples.iter().map(|sample| Row { timestamp: sample.timestamp, measured: measured(sample) }).collect()
     };

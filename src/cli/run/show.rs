@@ -270,8 +270,8 @@ impl Serving {
     }
 }
 
-/// The reader of timecode, which outlives sessions: a program that writes to a pipe ends if nobody
-/// reads it. It restarts only if the config has another `[timecode]`.
+/// The timecode reader. It outlives sessions, because a program that writes to a pipe ends when its
+/// reader closes the pipe. It restarts only if `[timecode]` of the config changes.
 #[derive(Default)]
 struct Timecode(Option<TimecodeReader>);
 

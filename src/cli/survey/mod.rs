@@ -17,7 +17,6 @@ use super::learnt::LearntArguments;
 use super::logging::{self, LogArguments};
 use super::made_folder::SURVEYED;
 use super::output_file::print;
-use super::replay::tracker_setup;
 use super::spared::Spared;
 use super::walk::{Clips, WalkReader, frames, goes_on, unfinished};
 use super::walk_file::WalkFile;
@@ -25,8 +24,6 @@ use crate::config::Settings;
 use crate::printable::printable_lines;
 use crate::survey::walked::judgement::Verdict;
 use crate::survey::walked::stage::{SurveyOptions, survey};
-use crate::track::ReferenceKind;
-use crate::tracker::TrackerSetup;
 use crate::utc;
 
 /// Measure the stage as it hangs and the actual lens, from clips of walking around.
@@ -83,7 +80,7 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
     spared.claim_whole_files(&[("--json", &arguments.json), ("--report", &arguments.report)])?;
     SURVEYED.refuse_unusable(&arguments.output)?;
     interrupt::watch();
-    if settings.stage.surfaces.iter().any(|surface| matches!(surface.kind, ReferenceKind::Facet { .. })) {
+    if settings.stage.has_map() {
         return Err(Failure::Usage(
             "the config's stage has a map, which is surveyed already; map the set again (`stagepose map`)".to_owned(),
         ));
@@ -91,9 +88,7 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
     let clips = Clips::new(&arguments.clips, arguments.fps, &settings);
     let sources = clips.open()?;
     let size = clips.size(&sources)?;
-    let mut setup = TrackerSetup { objects: Vec::new(), ..tracker_setup(&settings, size, None)? };
-    let (learnt, _) = arguments.learnt.of(&arguments.clips[0])?;
-    setup.shutter.readout_s = setup.shutter.readout_s.or(learnt.readout.map(|readout| readout.seconds));
+    let setup = clips.setup(&settings, size, &arguments.learnt)?;
     let options =
         SurveyOptions { refines_lens: arguments.lens == Lens::Refine, constraints: settings.measured.clone(), ..SurveyOptions::default() };
     let file = WalkFile::new(&arguments.output, &arguments.clips, &setup, &format!("{:?} {:?}", arguments.lens, arguments.fps));
