@@ -27,8 +27,8 @@ use input::Input;
 use sound_card::SoundCard;
 use watch::TimecodeWatch;
 
-/// Interval of attempts to open a sound that is not there. Chosen: nobody notices it. Raised, a
-/// sound that comes is heard later.
+/// Interval between attempts to open a missing sound. Chosen short enough that nobody notices it.
+/// Raised, a sound that appears is heard later.
 const AGAIN_EVERY: Duration = Duration::from_millis(500);
 
 /// Reads timecode until it is dropped.
