@@ -9,7 +9,11 @@
 //! another tracker ([`log`]), or from pictures of anything ([`Panorama`]). Rotations over whole
 //! intervals are compared, not rates at instants: this makes cameras of different frame rates
 //! comparable. [`measure_delay`] finds the delay and its sigma, [`judge`] says how far to trust it.
+//!
+//! [`filmed_clock`] measures one camera alone: how late its stamps are, from a screen that shows the
+//! time.
 
+pub mod filmed_clock;
 mod judge;
 #[cfg(test)]
 mod judge_tests;

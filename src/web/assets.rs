@@ -59,6 +59,7 @@ const ASSETS: &[Asset] = &[
     asset!(SCRIPT, "ask.js"),
     asset!(SCRIPT, "backup.js"),
     asset!(SCRIPT, "clip.js"),
+    asset!(SCRIPT, "clock.js"),
     asset!(SCRIPT, "composite.js"),
     asset!(SCRIPT, "daemon.js"),
     asset!(SCRIPT, "drafts.js"),

@@ -1,5 +1,7 @@
 //! `stagepose delay` on rendered clips of a rig that is panned, with exact stamps.
 
+mod clock;
+
 use std::path::Path;
 use std::process::Output;
 use std::sync::OnceLock;

@@ -1,6 +1,8 @@
-//! `delay`: measures how much later one camera's stamps are than another's (contract C14).
+//! `delay`: measures how much later one camera's stamps are than another's (contract C14), or than
+//! the exposure.
 
 mod filmed;
+mod filmed_clock;
 mod report;
 
 use std::path::{Path, PathBuf};
@@ -26,7 +28,8 @@ use report::{Configured, DelayReport, refused_json};
                         sharply, with halts of different lengths. A config with a stage and a calibration is tracked; one with only a \
                         lens (a calibration or fov_deg) may film anything. --with-log compares with the log of another tracker instead: \
                         a TUM trajectory (t tx ty tz qx qy qz qw), a pose record (.jsonl), or FreeD packets captured by tcpdump (.pcap).\nPrints the \
-                        delay, its uncertainty, and the lines for the configs."
+                        delay, its uncertainty, and the lines for the configs.\n\n  stagepose delay --config camera.toml --clip a --clock\n\nmeasures \
+                        one camera alone: the clip films the clock that the page shows."
 )]
 pub(super) struct DelayArguments {
     /// The config of the first camera, whose stamps are the reference
@@ -36,7 +39,7 @@ pub(super) struct DelayArguments {
     #[arg(long, value_name = "CLIP")]
     clip: PathBuf,
     /// The config of the second camera, whose delay is measured
-    #[arg(long, value_name = "FILE", required_unless_present = "with_log", requires = "with_clip")]
+    #[arg(long, value_name = "FILE", required_unless_present_any = ["with_log", "clock"], requires = "with_clip")]
     with: Option<PathBuf>,
     /// The second camera's clip
     #[arg(long, value_name = "CLIP", requires = "with")]
@@ -44,6 +47,13 @@ pub(super) struct DelayArguments {
     /// The log of another tracker, instead of a second clip
     #[arg(long, value_name = "FILE", conflicts_with_all = ["with", "with_clip"])]
     with_log: Option<PathBuf>,
+    /// Measure one camera alone: its clip films the page's clock (Health, "Clock to film") on any
+    /// screen, for ten seconds or more
+    #[arg(long, conflicts_with_all = ["with", "with_clip", "with_log", "range_s"])]
+    clock: bool,
+    /// The screen's lag from drawing to light, milliseconds [default: 15, with a sigma of 15]
+    #[arg(long, value_name = "MS", requires = "clock", value_parser = screen_lag)]
+    screen_lag_ms: Option<f64>,
     /// Largest delay that is looked for, in either direction, seconds
     #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = range)]
     range_s: f64,
@@ -59,6 +69,11 @@ fn range(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|s| (0.05..=60.0).contains(s)).ok_or_else(|| "give seconds from 0.05 to 60".to_owned())
 }
 
+/// Reads the lag of a screen.
+fn screen_lag(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|ms| (0.0..=500.0).contains(ms)).ok_or_else(|| "give milliseconds from 0 to 500".to_owned())
+}
+
 /// The second camera: its config and clip, or the log of another tracker.
 enum Second<'a> {
     Clip(&'a Path, Box<Settings>, &'a Path),
@@ -70,7 +85,9 @@ impl<'a> Second<'a> {
         match (&arguments.with, &arguments.with_clip, &arguments.with_log) {
             (Some(config), Some(clip), _) => Ok(Self::Clip(config, Box::new(Settings::load_camera(config)?), clip)),
             (_, _, Some(log)) => Ok(Self::Log(log)),
-            _ => Err(Failure::Usage("give the second camera: --with FILE and --with-clip CLIP, or --with-log FILE".to_owned())),
+            _ => Err(Failure::Usage(
+                "give the second camera: --with FILE and --with-clip CLIP, or --with-log FILE; or --clock for one camera".to_owned(),
+            )),
         }
     }
 
@@ -99,6 +116,16 @@ impl<'a> Second<'a> {
 
 pub(super) fn run(arguments: &DelayArguments) -> Result<(), Failure> {
     let first = Settings::load_camera(&arguments.config)?;
+    if arguments.clock {
+        logging::start_for_trials(&arguments.log, first.log);
+        first.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
+        interrupt::watch();
+        let mut spared = Spared::default().with_files(&first.files, "a file of the config").with_clip(&arguments.clip);
+        if let Some(file) = &arguments.json {
+            spared.claim("--json", file)?;
+        }
+        return filmed_clock::run(arguments, &first);
+    }
     let second = Second::of(arguments)?;
     logging::start_for_trials(&arguments.log, first.log);
     first.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));

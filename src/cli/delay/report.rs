@@ -84,17 +84,6 @@ impl DelayReport<'_> {
     /// in the clip's stamps, so the new one is added to it.
     fn sections(&self) -> String {
         let (delay_s, mut text) = (self.delay.delay_s, String::new());
-        let latency = |camera: Configured<'_>, more_s: f64| {
-            let Configured { config, latency_s } = camera;
-            let seconds = latency_s + more_s;
-            if seconds > LONGEST_LATENCY_S {
-                return "\nthe stamps are of different clocks: no camera is that late\n".to_owned();
-            }
-            format!(
-                "\n# for {}: that camera's pictures are stamped that much earlier\n[camera]\nlatency_s = {seconds:.4}\n",
-                config.display()
-            )
-        };
         if self.second.is_some() && (0.0..=LONGEST_OF_MOUNT_S).contains(&delay_s) {
             let _ = write!(
                 text,
@@ -104,11 +93,11 @@ impl DelayReport<'_> {
             );
         }
         match self.second {
-            Some(second) if second.latency_s + delay_s >= 0.0 => text.push_str(latency(second, delay_s).trim_start()),
+            Some(second) if second.latency_s + delay_s >= 0.0 => text.push_str(latency_section(second, delay_s).trim_start()),
             None if delay_s >= 0.0 => {
                 text.push_str("\nthe log is that late: set it as the other tracker's delay where its poses are received\n")
             }
-            _ => text.push_str(&latency(self.first, -delay_s)),
+            _ => text.push_str(&latency_section(self.first, -delay_s)),
         }
         text
     }
@@ -134,6 +123,17 @@ impl DelayReport<'_> {
         });
         format!("{json:#}\n")
     }
+}
+
+/// Returns the lines for the config of a camera whose stamps are later by `more_s` seconds than its
+/// config corrects.
+pub(super) fn latency_section(camera: Configured<'_>, more_s: f64) -> String {
+    let Configured { config, latency_s } = camera;
+    let seconds = latency_s + more_s;
+    if seconds > LONGEST_LATENCY_S {
+        return "\nthe stamps are of different clocks: no camera is that late\n".to_owned();
+    }
+    format!("\n# for {}: that camera's pictures are stamped that much earlier\n[camera]\nlatency_s = {seconds:.4}\n", config.display())
 }
 
 /// Returns the JSON of a delay that could not be measured.

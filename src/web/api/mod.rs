@@ -2,6 +2,7 @@
 //! runs on a separate thread with lower priority than the tracker's.
 
 mod backup;
+mod clock;
 mod config;
 mod findings;
 mod gltf;
@@ -31,7 +32,7 @@ pub fn routes(supervisor: &Arc<Supervisor>, clock: &Arc<FrameClock>) -> Vec<Rout
     let lines: Arc<LineIndex> = Arc::default();
     let of_recordings = [recordings::routes(supervisor, &lines), retrack::routes(supervisor, &lines)].concat();
     let probes = health::probes(&supervisor.link.statistics, clock);
-    resources.into_iter().flat_map(|resource| resource(supervisor)).chain(of_recordings).chain(probes).collect()
+    resources.into_iter().flat_map(|resource| resource(supervisor)).chain(of_recordings).chain(probes).chain([clock::route()]).collect()
 }
 
 /// Returns the daemon's description for /api/v1/session.

@@ -5,6 +5,7 @@ import { useEffect, useRef } from "./vendor/hooks.js";
 import { session } from "./access.js";
 import { ask, read, reason, sentence } from "./ask.js";
 import { Backup } from "./backup.js";
+import { ClockToFilm } from "./clock.js";
 import { contact } from "./daemon.js";
 import { html } from "./ui.js";
 
@@ -158,6 +159,7 @@ export function Health() {
     </section>
     <${Diagnostics} />
     <${Backup} />
+    <${ClockToFilm} />
     <${Log} />
   </main>`;
 }
