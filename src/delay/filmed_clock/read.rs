@@ -1,7 +1,7 @@
 //! Reads the time that the code shows in a picture.
 //!
-//! A frame whose exposure sees the code change has grey cells where the two codes differ. Each such
-//! cell shows the share of the exposure after the change. These shares must agree, and the two times
+//! A frame whose exposure sees the code change has grey cells where the two codes differ. Each of
+//! these shows the share of the exposure after the change. The shares must agree, and the two times
 //! must be close, or the frame is not read.
 
 use image::GrayImage;
