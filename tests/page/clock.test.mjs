@@ -33,7 +33,8 @@ test("the clock covers the page, shows the daemon's time, and goes with Escape",
       const canvas = /** @type {HTMLCanvasElement} */ (document.querySelector("canvas.clock"));
       const cell = Math.floor(Math.min(canvas.width / 20, canvas.height / 10));
       const [left, top] = [Math.round((canvas.width - cell * 18) / 2), Math.round((canvas.height - cell * 8) / 2)];
-      const context = canvas.getContext("2d");
+      const context = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
+      context.drawImage(canvas, 0, 0);
       const isWhite = (column, row) => context.getImageData(left + cell * (column + 0.5), top + cell * (row + 0.5), 1, 1).data[0] > 127;
       let gray = 0;
       for (let bit = 0; bit < 28; bit += 1) {

@@ -23,7 +23,8 @@ const SYNCHRONISED_EVERY = 10000;
 export function cells(ms) {
   const time = ms % PERIOD_MS;
   const gray = time ^ (time >> 1);
-  return Array.from({ length: SIZE[1] }, (_, row) => Array.from({ length: SIZE[0] }, (_, column) => isWhite(column, row, gray)));
+  const [columns, rows] = SIZE.map((count) => [...Array(count).keys()]);
+  return rows.map((row) => columns.map((column) => isWhite(column, row, gray)));
 }
 
 /** @param {number} column @param {number} row @param {number} gray */
