@@ -78,6 +78,7 @@ pub mod publish {
     pub use crate::publish::freed::{FreedSettings, Spare};
     pub use crate::publish::opentrackio::OpenTrackIoSettings;
     pub use crate::publish::osc::{OscMessageKind, OscSettings};
+    pub use crate::publish::otp::OtpSettings;
     pub use crate::publish::psn::PsnSettings;
     pub use crate::publish::{
         BlendRates, BodyChoice, ClipStart, Clocks, Context, FixedRate, FrameClock, JsonSettings, OnLoss, OutputSettings, Placement,

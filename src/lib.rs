@@ -12,8 +12,8 @@
 //! The types at the root are what a program needs to build a [`TrackerSetup`], feed frames and read
 //! samples. Features add clips (`capture`), the config and the `Daemon` (`daemon`), calibration
 //! files (`calibration-files`), the virtual stage (`simulate`) and shutter estimation from a clip
-//! (`survey`). The module `protocols` (`protocols`) has the codecs of FreeD, OpenTrackIO and
-//! PosiStageNet. The module `two_views` (`two-views`) has features, matching and geometry of two
+//! (`survey`). The module `protocols` (`protocols`) has the codecs of FreeD, OpenTrackIO,
+//! PosiStageNet and OTP. The module `two_views` (`two-views`) has features, matching and geometry of two
 //! pictures. [`diagnostics`] exposes internals to studies, benches and tests, without any stability
 //! promise. The crates whose types appear in signatures are re-exported: [`nalgebra`], [`image`],
 //! [`crossbeam_channel`], and with `protocols` also `serde_json`.
@@ -63,10 +63,11 @@
 //! - `compare` (`compare`): two pictures: how points of one map to the other, and how the camera
 //!   moved between them
 //! - `diagnose` (`daemon`): why a clip is not tracked: tries likely mistakes and names what fits
-//! - `protocols` (`protocols`): encoding and decoding of FreeD, OpenTrackIO and PosiStageNet
+//! - `protocols` (`protocols`): encoding and decoding of FreeD, OpenTrackIO, PosiStageNet
+//!   and OTP
 //! - `delay` (`cli`): how much later one camera's stamps are than another's, from their turn rates
 //! - `publish` (`publish`): one file per protocol, one thread per output: FreeD, OpenTrackIO,
-//!   PosiStageNet, OSC, JSON
+//!   PosiStageNet, OTP, OSC, JSON
 //! - `telemetry` (`daemon`): counters, health and metrics of a running daemon
 //! - `config` (`daemon`): the config as typed, then resolved
 //! - `daemon` (`daemon`): the tracker on its own threads: `Daemon`

@@ -296,7 +296,7 @@ pub struct Http {
 /// `[[output]]`: first the keys common to all protocols, then the keys of each.
 #[derive(Debug, Deserialize)]
 pub struct Output {
-    /// The protocol: freed, opentrackio, psn, osc, json.
+    /// The protocol: freed, opentrackio, psn, otp, osc, json.
     pub kind: Option<Spanned<String>>,
     /// Its name in messages and metrics.
     pub name: Option<Spanned<String>>,
@@ -350,10 +350,22 @@ pub struct Output {
     pub source_number: Option<Spanned<Count>>,
     /// opentrackio: projection, both.
     pub principal_point: Option<Spanned<String>>,
-    /// psn: the system's name.
+    /// psn, otp: the system's name.
     pub system: Option<Spanned<String>>,
     /// psn: tracker number of the first body.
     pub first_tracker: Option<Spanned<Count>>,
+    /// otp: system, 1 to 200.
+    pub system_number: Option<Spanned<Count>>,
+    /// otp: group of all bodies.
+    pub group_number: Option<Spanned<Count>>,
+    /// otp: point number of the first body.
+    pub first_point: Option<Spanned<Count>>,
+    /// otp: 0 to 200.
+    pub priority: Option<Spanned<Count>>,
+    /// otp: system, group and point in whose frame the stage is.
+    pub reference_point: Option<Spanned<Exactly<Count, 3>>>,
+    /// otp: where receivers' advertisements arrive.
+    pub listen: Option<Spanned<String>>,
     /// osc: first part of the addresses.
     pub prefix: Option<Spanned<String>>,
     /// osc: pose, quat, status.

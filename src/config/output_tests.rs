@@ -87,7 +87,10 @@ fn every_wrong_value_is_named_with_its_line() {
     let value = |more: &str| format!("{OSC}[[output.value]]\naddress = \"/a\"\nquantity = \"x\"\n{more}");
     let cases = [
         ("[[output]]\nto = [\"127.0.0.1:1\"]".to_owned(), "[[output]], line 1, has no `kind`; add kind = \"freed\""),
-        (FREED.replace("freed", "vrpn"), "`kind` in [[output]], line 2: `vrpn` cannot be used; give freed, opentrackio, psn, osc or json"),
+        (
+            FREED.replace("freed", "vrpn"),
+            "`kind` in [[output]], line 2: `vrpn` cannot be used; give freed, opentrackio, psn, otp, osc or json",
+        ),
         (FREED.replace("to = [\"127.0.0.1:40000\"]", ""), "[[output]], line 1, has no `to`; add the receiver's address and port"),
         (FREED.replace("127.0.0.1", "desk.local"), "`to` in [[output]], line 3: `desk.local:40000` cannot be used; give an IPv4 address"),
         (FREED.replace("127.0.0.1", "192.168.1.300"), "`to` in [[output]], line 3: `192.168.1.300:40000` cannot be used"),
@@ -101,7 +104,7 @@ fn every_wrong_value_is_named_with_its_line() {
         (format!("{FREED}rate_hz = 25\nrate_divider = 2"), "`rate_divider` in [[output]], line 5: an output has either"),
         (
             FREED.replace("\"freed\"", "\"fred\""),
-            "`kind` in [[output]], line 2: `fred` cannot be used; give freed, opentrackio, psn, osc or json; did you mean `freed`?",
+            "`kind` in [[output]], line 2: `fred` cannot be used; give freed, opentrackio, psn, otp, osc or json; did you mean `freed`?",
         ),
         (
             FREED.replace("[\"127.0.0.1:40000\"]", "\"127.0.0.1\""),
@@ -167,6 +170,39 @@ fn every_wrong_key_of_an_output_is_named_with_its_line() {
         let said = message(&format!("{output}{added}"));
         assert!(said.starts_with(&format!("`{key}` in [[output]], line 4: {wanted}")), "{added}\n{said}");
     }
+}
+
+#[test]
+fn otp_goes_to_the_standards_groups_unless_told_otherwise() {
+    let text = |more: &str| format!("[[output]]\nkind = \"otp\"\n{more}");
+    let usual = load(&text("interface = \"127.0.0.1\"\nsystem_number = 7\n")).unwrap().outputs.remove(0);
+    assert_eq!(usual.udp.to, ["239.159.1.7:5568".parse().unwrap()]);
+    let Protocol::Otp(otp) = &usual.protocol else { panic!("otp") };
+    assert_eq!((otp.component.as_str(), otp.group, otp.first_point, otp.priority, otp.reference), ("stagepose", 1, 1, 100, None));
+    assert_eq!(otp.listen, "239.159.2.1:5568".parse().unwrap());
+    let own = load(&text(
+        "to = \"127.0.0.1:9\"\nlisten = \"127.0.0.1:5568\"\nsystem = \"rig\"\ngroup_number = 60000\nfirst_point = 500\npriority = 200\n\
+         reference_point = [1, 2, 3]\n",
+    ));
+    let own = own.unwrap().outputs.remove(0);
+    let Protocol::Otp(otp) = &own.protocol else { panic!("otp") };
+    assert_eq!((otp.component.as_str(), otp.group, otp.first_point, otp.priority), ("rig", 60_000, 500, 200));
+    assert_eq!((own.udp.to.len(), otp.reference.unwrap().point, own.listen()), (1, 3, Some("127.0.0.1:5568".parse().unwrap())));
+    let v6 = load(&text("to = \"[ff18::9f:0:1:1]:5568\"\ninterface = \"lo\"")).unwrap().outputs.remove(0);
+    assert_eq!(v6.listen(), Some("[ff18::9f:0:2:1]:5568".parse().unwrap()));
+    for (more, wanted) in [
+        ("", "[[output]], line 1, has no `interface`; add this machine's IPv4 address on the network of OTP's multicasts"),
+        ("interface = \"127.0.0.1\"\nsystem_number = 0", "`system_number` in [[output]], line 4: 0 cannot be used; give a whole number"),
+        ("interface = \"127.0.0.1\"\npriority = 201", "`priority` in [[output]], line 4: 201 cannot be used"),
+        ("interface = \"127.0.0.1\"\nreference_point = [1, 0, 3]", "`reference_point` in [[output]], line 4: [1, 0, 3] cannot be used"),
+        ("interface = \"127.0.0.1\"\nlisten = \"5568\"", "`listen` in [[output]], line 4: `5568` cannot be used"),
+        ("interface = \"127.0.0.1\"\non_loss = \"flag\"", "`on_loss` in [[output]], line 4: there is nothing to flag a loss with"),
+        ("to = \"127.0.0.1:9\"", "[[output]], line 1, has no `interface`"),
+    ] {
+        let said = message(&text(more));
+        assert!(said.starts_with(wanted), "{more}\n{said}");
+    }
+    assert!(message(&format!("{FREED}priority = 1")).starts_with("`priority` in [[output]], line 4: it belongs to otp; remove it"));
 }
 
 #[test]

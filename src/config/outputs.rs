@@ -11,6 +11,7 @@ use super::rotation::Turned;
 use super::typed_values::{Number, Texts};
 use super::values::Section;
 use super::{ConfigError, Problem};
+use crate::protocols::otp;
 use crate::publish::{
     Axes, BlendRates, BodyChoice, FixedRate, Interface, MountSettings, OnLoss, OutputSettings, Placement, Protocol, Rate, SafetySettings,
     TickPhase, UdpSettings, needs_interface,
@@ -58,7 +59,7 @@ impl OutputReader<'_> {
             Some(name) => section.text("name", name, "a name for messages, such as \"studio\"")?,
             None => format!("{}-{line}", protocol.word()),
         };
-        let udp = self.udp(&section, output)?;
+        let udp = self.udp(&section, output, &protocol, &span)?;
         self.has_somewhere_to_go(&protocol, &udp, &span)?;
         let on_loss = on_loss(&section, output, &protocol)?;
         let placement = placement(&section, output, &protocol)?;
@@ -92,7 +93,13 @@ impl OutputReader<'_> {
         Err(self.origin.missing(self.origin.section_at(OUTPUT, span), "to", hint))
     }
 
-    fn udp(&self, section: &Section<'_>, output: &as_typed::Output) -> Result<UdpSettings, ConfigError> {
+    fn udp(
+        &self,
+        section: &Section<'_>,
+        output: &as_typed::Output,
+        protocol: &Protocol,
+        span: &std::ops::Range<usize>,
+    ) -> Result<UdpSettings, ConfigError> {
         let mut to = Vec::new();
         for typed in output.to.iter().flat_map(Texts::all) {
             let wanted =
@@ -101,6 +108,15 @@ impl OutputReader<'_> {
             to.push(address.ok_or_else(|| section.unusable("to", &typed, wanted))?);
         }
         let interface = self.interface(section, output, &to)?;
+        if let Protocol::Otp(otp) = protocol {
+            if to.is_empty() {
+                to.push(SocketAddr::from((otp::transforms(otp.system), otp::PORT)));
+            }
+            if interface.is_none() && to.iter().chain([&otp.listen]).any(needs_interface) {
+                let hint = "this machine's IPv4 address on the network of OTP's multicasts, such as interface = \"192.168.1.10\"";
+                return Err(self.origin.missing(self.origin.section_at(OUTPUT, span), "interface", hint));
+            }
+        }
         let needs = |v6: bool| to.iter().any(|a| a.is_ipv6() == v6 && needs_interface(a));
         let problem = match &interface {
             None | Some(Interface::Name(_)) if needs(false) => {
@@ -168,13 +184,14 @@ fn on_loss(section: &Section<'_>, output: &as_typed::Output, protocol: &Protocol
     let words = [("stop", OnLoss::Stop), ("hold", OnLoss::Hold), ("flag", OnLoss::Flag)];
     let chosen = section.word("on_loss", output.on_loss.as_ref(), OnLoss::Stop, &words, "stop, hold or flag")?;
     let has_no_flag = match protocol {
+        Protocol::Otp(_) => true,
         Protocol::Freed(freed) => freed.spare != crate::publish::freed::Spare::Quality,
         Protocol::Osc(osc) => !osc.messages.contains(&crate::publish::osc::OscMessageKind::Status),
         _ => false,
     };
     match &output.on_loss {
         Some(typed) if chosen == OnLoss::Flag && has_no_flag => {
-            let problem = "there is nothing to flag a loss with; add spare = \"quality\" (freed) or the message \"status\" (osc)";
+            let problem = "there is nothing to flag a loss with; add spare = \"quality\" (freed) or the message \"status\" (osc), or use stop or hold";
             Err(section.conflict("on_loss", typed, problem))
         }
         _ => Ok(chosen),
@@ -208,7 +225,7 @@ fn rate(section: &Section<'_>, output: &as_typed::Output, mount_delay: Duration)
     Ok(Rate::Fixed { rate, delay: Duration::from_secs_f64(delay), phase })
 }
 
-/// Returns the named receiver's axes. FreeD, OpenTrackIO and PSN define their own axes, which every
+/// Returns the named receiver's axes. FreeD, OpenTrackIO, PSN and OTP define their own axes, which every
 /// receiver knows, so the name has no effect there. OSC sends bare numbers.
 fn receiver_axes(section: &Section<'_>, output: &as_typed::Output, protocol: &Protocol) -> Result<Axes, ConfigError> {
     let receivers =

@@ -11,9 +11,11 @@ use super::values::Section;
 use super::{ConfigError, Problem};
 use crate::protocols::opentrackio::Encoding;
 use crate::protocols::opentrackio_lens::PrincipalPoint;
+use crate::protocols::otp::{ADVERTISEMENTS, ADVERTISEMENTS_V6, MAX_NAME, OtpAddress, PORT};
 use crate::publish::freed::{FreedSettings, Spare};
 use crate::publish::opentrackio::OpenTrackIoSettings;
 use crate::publish::osc::{AddressTemplate, OscMessageKind, OscSettings, OscValue, Quantity};
+use crate::publish::otp::OtpSettings;
 use crate::publish::psn::PsnSettings;
 use crate::publish::{JsonSettings, Protocol, StreamSettings};
 
@@ -26,23 +28,32 @@ enum Kind {
     Freed,
     OpenTrackIo,
     Psn,
+    Otp,
     Osc,
     Json,
 }
 
 /// Reads the protocol of an output whose section starts at `span`.
 pub(super) fn protocol(section: &Section<'_>, output: &as_typed::Output, span: &Range<usize>) -> Result<Protocol, ConfigError> {
-    let kinds = [("freed", Kind::Freed), ("opentrackio", Kind::OpenTrackIo), ("psn", Kind::Psn), ("osc", Kind::Osc), ("json", Kind::Json)];
+    let kinds = [
+        ("freed", Kind::Freed),
+        ("opentrackio", Kind::OpenTrackIo),
+        ("psn", Kind::Psn),
+        ("otp", Kind::Otp),
+        ("osc", Kind::Osc),
+        ("json", Kind::Json),
+    ];
     let Some(typed) = &output.kind else {
-        let hint = "kind = \"freed\", \"opentrackio\", \"psn\", \"osc\" or \"json\"";
+        let hint = "kind = \"freed\", \"opentrackio\", \"psn\", \"otp\", \"osc\" or \"json\"";
         return Err(section.origin.missing(section.origin.section_at(section.name, span), "kind", hint));
     };
-    let kind = section.word("kind", Some(typed), Kind::Json, &kinds, "freed, opentrackio, psn, osc or json")?;
+    let kind = section.word("kind", Some(typed), Kind::Json, &kinds, "freed, opentrackio, psn, otp, osc or json")?;
     refuse_others_keys(section, output, kind)?;
     Ok(match kind {
         Kind::Freed => Protocol::Freed(freed(section, output)?),
         Kind::OpenTrackIo => Protocol::OpenTrackIo(opentrackio(section, output)?),
         Kind::Psn => Protocol::Psn(psn(section, output)?),
+        Kind::Otp => Protocol::Otp(otp(section, output)?),
         Kind::Osc => Protocol::Osc(osc(section, output)?),
         Kind::Json => Protocol::Json(json(section, output)?),
     })
@@ -56,8 +67,8 @@ fn refuse_others_keys(section: &Section<'_>, o: &as_typed::Output, kind: Kind) -
     fn at<T>(typed: &Option<Spanned<T>>) -> Option<Range<usize>> {
         typed.as_ref().map(Spanned::span)
     }
-    use Kind::{Freed, Json, OpenTrackIo, Osc, Psn};
-    let keys: [Owned; 14] = [
+    use Kind::{Freed, Json, OpenTrackIo, Osc, Otp, Psn};
+    let keys: [Owned; 20] = [
         ("sensor_width_mm", at(&o.sensor_width_mm), &[Freed, OpenTrackIo], "it belongs to freed and opentrackio; remove it"),
         ("camera_id", at(&o.camera_id), &[Freed], "it belongs to freed; remove it"),
         ("spare", at(&o.spare), &[Freed], "it belongs to freed; remove it"),
@@ -66,7 +77,13 @@ fn refuse_others_keys(section: &Section<'_>, o: &as_typed::Output, kind: Kind) -
         ("encoding", at(&o.encoding), &[OpenTrackIo], "it belongs to opentrackio; remove it"),
         ("source_number", at(&o.source_number), &[OpenTrackIo], "it belongs to opentrackio; remove it"),
         ("principal_point", at(&o.principal_point), &[OpenTrackIo], "it belongs to opentrackio; remove it"),
-        ("system", at(&o.system), &[Psn], "it belongs to psn; remove it"),
+        ("system", at(&o.system), &[Psn, Otp], "it belongs to psn and otp; remove it"),
+        ("system_number", at(&o.system_number), &[Otp], "it belongs to otp; remove it"),
+        ("group_number", at(&o.group_number), &[Otp], "it belongs to otp; remove it"),
+        ("first_point", at(&o.first_point), &[Otp], "it belongs to otp; remove it"),
+        ("priority", at(&o.priority), &[Otp], "it belongs to otp; remove it"),
+        ("reference_point", at(&o.reference_point), &[Otp], "it belongs to otp; remove it"),
+        ("listen", at(&o.listen), &[Otp], "it belongs to otp; remove it"),
         ("first_tracker", at(&o.first_tracker), &[Psn], "it belongs to psn; remove it"),
         ("prefix", at(&o.prefix), &[Osc], "it belongs to osc; remove it"),
         ("messages", at(&o.messages), &[Osc], "it belongs to osc; remove it"),
@@ -125,8 +142,45 @@ fn opentrackio(section: &Section<'_>, o: &as_typed::Output) -> Result<OpenTrackI
 
 fn psn(section: &Section<'_>, o: &as_typed::Output) -> Result<PsnSettings, ConfigError> {
     let first = section.count("first_tracker", o.first_tracker.as_ref(), 1, 0..=65_000, "a whole number from 0 to 65000")?;
+    Ok(PsnSettings { system: system_name(section, o)?, first_tracker: first as u16 })
+}
+
+fn system_name(section: &Section<'_>, o: &as_typed::Output) -> Result<String, ConfigError> {
     let system = o.system.as_ref().map(|s| section.text("system", s, "a name of the system, such as \"stagepose\"")).transpose()?;
-    Ok(PsnSettings { system: system.unwrap_or_else(|| "stagepose".to_owned()), first_tracker: first as u16 })
+    Ok(system.unwrap_or_else(|| "stagepose".to_owned()))
+}
+
+fn otp(section: &Section<'_>, o: &as_typed::Output) -> Result<OtpSettings, ConfigError> {
+    let component = system_name(section, o)?;
+    if let Some(typed) = o.system.as_ref().filter(|_| component.len() > MAX_NAME) {
+        return Err(section.unusable("system", typed, "a name of at most 32 bytes, such as \"stagepose\""));
+    }
+    let system = section.count("system_number", o.system_number.as_ref(), 1, 1..=200, "a whole number from 1 to 200")?;
+    let group = section.count("group_number", o.group_number.as_ref(), 1, 1..=60_000, "a whole number from 1 to 60000")?;
+    let first = section.count("first_point", o.first_point.as_ref(), 1, 1..=3_999_000_000, "a whole number from 1 to 3999000000")?;
+    let priority = section.count("priority", o.priority.as_ref(), 100, 0..=200, "a whole number from 0 to 200")?;
+    let has_v6 = o.to.iter().flat_map(as_typed::Texts::all).any(|to| to.get_ref().parse().is_ok_and(|to: SocketAddr| to.is_ipv6()));
+    let usual: SocketAddr = if has_v6 { (ADVERTISEMENTS_V6, PORT).into() } else { (ADVERTISEMENTS, PORT).into() };
+    Ok(OtpSettings {
+        component,
+        // The ranges above fit the types.
+        system: system as u8,
+        group: group as u16,
+        first_point: first as u32,
+        priority: priority as u8,
+        reference: o.reference_point.as_ref().map(|typed| reference_point(section, typed)).transpose()?,
+        listen: o.listen.as_ref().map_or(Ok(usual), |typed| address(section, "listen", typed))?,
+    })
+}
+
+fn reference_point(section: &Section<'_>, typed: &Spanned<as_typed::Exactly<as_typed::Count, 3>>) -> Result<OtpAddress, ConfigError> {
+    let [system, group, point] = typed.get_ref().0.map(|as_typed::Count(n)| n);
+    if (1..=200).contains(&system) && (1..=60_000).contains(&group) && (1..=4_000_000_000).contains(&point) {
+        return Ok(OtpAddress { system: system as u8, group: group as u16, point: point as u32 });
+    }
+    let wanted = "system (1 to 200), group (1 to 60000) and point (1 to 4000000000), such as [1, 1, 5]";
+    let value = format!("[{system}, {group}, {point}]");
+    Err(section.refuse("reference_point", &typed.span(), Problem::Range { value, wanted }))
 }
 
 fn osc(section: &Section<'_>, o: &as_typed::Output) -> Result<OscSettings, ConfigError> {

@@ -66,7 +66,10 @@ impl Settings {
 
     /// Returns the addresses it listens on.
     pub(crate) fn listens(&self) -> impl Iterator<Item = SocketAddr> + '_ {
-        let of_outputs = self.outputs.iter().filter(|output| output.enabled).filter_map(|output| output.stream()?.tcp_listen);
+        let of_outputs = self.outputs.iter().filter(|output| output.enabled).flat_map(|output| {
+            let tcp = output.stream().and_then(|stream| stream.tcp_listen);
+            tcp.into_iter().chain(output.listen())
+        });
         of_outputs.chain(self.http.as_ref().map(|http| http.listen))
     }
 
@@ -138,6 +141,7 @@ fn place_of(error: &TransportError, output: &Output, section: Range<usize>) -> (
     let (key, span) = match error {
         TransportError::Udp(_) => ("interface", output.interface.as_ref().map(Spanned::span)),
         TransportError::Listen { .. } => ("tcp_listen", output.tcp_listen.as_ref().map(Spanned::span)),
+        TransportError::Hear { .. } => ("listen", output.listen.as_ref().map(Spanned::span)),
         TransportError::File { .. } => ("file", output.file.as_ref().map(Spanned::span)),
     };
     (key, span.unwrap_or(section))

@@ -5,7 +5,7 @@
 //! chunks). Data packets come with every frame, info packets with the names once a second. PSN's
 //! axes are left-handed (x right, y up, z depth): position is (x, z, y) of the stage, orientation
 //! is a rotation vector whose components are the negated (x, z, y) of the stage's. Only known
-//! fields are sent: position, orientation, validity, time.
+//! fields are sent: position, speed, orientation, validity, time.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
@@ -81,6 +81,11 @@ pub fn to_psn(pose: &Pose<Stage, Body>) -> ([f32; 3], [f32; 3]) {
     let (p, w) = (pose.translation, pose.rotation.scaled_axis());
     // `+ 0.0` turns -0 into 0.
     ([p.x, p.z, p.y].map(|v| v as f32), [-w.x, -w.z, -w.y].map(|v| (v + 0.0) as f32))
+}
+
+/// Converts a velocity in the stage's axes, m/s, to PSN's.
+pub fn speed_to_psn(velocity: &Vector3<f64>) -> [f32; 3] {
+    [velocity.x, velocity.z, velocity.y].map(|v| (v + 0.0) as f32)
 }
 
 /// Converts PSN's position and rotation vector to a pose.

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crossbeam_channel::Sender;
+use nalgebra::Vector3;
 
 use super::complaints::Complaints;
 use super::limiter::{Limiter, Verdict};
@@ -15,8 +16,13 @@ use super::resample::{Known, Resampler};
 use super::settings::{OnLoss, OutputSettings, Rate, SafetySettings};
 use crate::frame::Timestamp;
 use crate::geometry::{Body, Pose, Stage};
+use crate::motion::Motion;
 use crate::protocols::to_body_axes;
 use crate::record::{PoseSample, State};
+
+/// Maximum step between two poses of which a velocity is made, seconds. Chosen: four frames a second
+/// still have one. Raised, an average over a longer time is sent as the velocity of now.
+const LONGEST_STEP_S: f64 = 0.25;
 
 /// Event: the safety limits began to withhold a body's pose.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,6 +44,8 @@ pub(super) struct BodyChannel {
     resampler: Resampler,
     /// The last pose sent, and its instant.
     sent: Option<(Timestamp, Pose<Stage, Body>)>,
+    /// Of the report before, the tracker's own pose as it was sent.
+    passed: Option<(Timestamp, Pose<Stage, Body>)>,
     placement: Placement,
     on_loss: OnLoss,
     complaints: Complaints,
@@ -67,6 +75,7 @@ impl BodyChannel {
             limiter: Limiter::new(limits),
             resampler: Resampler::new(delay),
             sent: None,
+            passed: None,
             placement: output.placement,
             on_loss: output.on_loss,
             complaints: Complaints::new(&output.name),
@@ -105,6 +114,7 @@ impl BodyChannel {
             state: known.state,
             withheld: None,
             pose: None,
+            velocity: None,
             held: None,
             is_blended: false,
             is_predicted: known.is_predicted,
@@ -120,6 +130,9 @@ impl BodyChannel {
             None => self.limiter.gap(),
         }
         self.is_withheld = report.withheld.is_some();
+        let passed = report.pose.filter(|_| report.is_passed).map(|pose| (at, pose));
+        let before = std::mem::replace(&mut self.passed, passed);
+        report.velocity = before.zip(passed).and_then(|(before, passed)| velocity(&before, &passed));
         match (report.pose, self.sent) {
             (Some(pose), _) => self.sent = Some((at, pose)),
             (None, Some((sent, pose))) if self.on_loss == OnLoss::Hold => {
@@ -147,6 +160,14 @@ impl BodyChannel {
             let _ = self.events.try_send(PoseWithheld { output: self.output.clone(), body: self.name.to_string(), reason });
         }
     }
+}
+
+/// Returns the velocity and the angular velocity between two poses that are sent, if they are near
+/// enough in time to tell it.
+fn velocity(before: &(Timestamp, Pose<Stage, Body>), now: &(Timestamp, Pose<Stage, Body>)) -> Option<[Vector3<f64>; 2]> {
+    let step_s = now.0.seconds_since(before.0);
+    let motion = || Motion::between(&before.1, &now.1, step_s);
+    (step_s > 0.0 && step_s <= LONGEST_STEP_S).then(motion).map(|motion| [motion.velocity, motion.angular_velocity])
 }
 
 /// Returns what a sample states about a body that is tracked itself.

@@ -1,5 +1,7 @@
 //! The interface of all protocols: takes a report, returns datagrams or lines.
 
+use std::net::SocketAddr;
+
 use super::report::Report;
 use crate::frame::Timestamp;
 use crate::geometry::{Body, Pose, Stage};
@@ -33,4 +35,12 @@ pub(super) trait Encoder: Send {
     /// Sends what the protocol repeats once a second regardless of frames; called about ten times a
     /// second. `now` is on the monotonic clock.
     fn repeat(&mut self, _now: Timestamp, _send: &mut dyn FnMut(&[u8])) {}
+
+    /// Takes a datagram that a receiver has sent to this output. `now` is on the monotonic clock.
+    fn hear(&mut self, _now: Timestamp, _from: SocketAddr, _packet: &[u8]) {}
+
+    /// Returns the answers that are due, and to whom; called about ten times a second.
+    fn answers(&mut self, _now: Timestamp) -> Vec<(SocketAddr, Vec<u8>)> {
+        Vec::new()
+    }
 }

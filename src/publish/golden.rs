@@ -16,6 +16,7 @@ pub(crate) fn golden_body(state: State) -> BodyReport {
         state,
         withheld: None,
         pose: Some(to_body_axes(&golden_camera())),
+        velocity: None,
         held: None,
         is_blended: false,
         is_predicted: false,

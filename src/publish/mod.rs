@@ -10,6 +10,7 @@
 mod channel;
 mod clocks;
 mod complaints;
+mod ear;
 mod encoder;
 mod frame_clock;
 pub mod freed;
@@ -21,6 +22,8 @@ mod mounted;
 mod network;
 pub mod opentrackio;
 pub mod osc;
+pub mod otp;
+mod otp_demand;
 mod placement;
 pub mod psn;
 mod publisher;

@@ -7,10 +7,10 @@ use std::time::Duration;
 use super::encoder::Encoder;
 use super::report::{BodyReport, Report};
 use crate::frame::Timestamp;
-use crate::protocols::psn::{MAX_PACKET, PsnHeader, PsnPacket, PsnTracker, to_psn};
+use crate::protocols::psn::{MAX_PACKET, PsnHeader, PsnPacket, PsnTracker, speed_to_psn, to_psn};
 
-/// Maximum bytes of trackers in one data packet, counting 60 for each, which takes at most 56; with
-/// the headers it stays below [`MAX_PACKET`]. Raised beyond that, packets are fragmented.
+/// Maximum bytes of trackers in one data packet, counting 72 for each; with the headers it stays
+/// below [`MAX_PACKET`]. Raised beyond that, packets are fragmented.
 const MAX_TRACKER_BYTES: usize = 1400;
 /// Maximum length of a name, bytes: a desk shows fewer letters, and a packet must have room for
 /// one.
@@ -79,6 +79,7 @@ impl PsnEncoder {
         PsnTracker {
             id,
             position_m: pose.map(|(p, _)| p),
+            speed_m_s: body.velocity.map(|[velocity, _]| speed_to_psn(&velocity)),
             orientation_rad: pose.map(|(_, w)| w),
             validity: Some(body.confidence()),
             // The time of the pose: a held pose keeps its time.
@@ -94,8 +95,8 @@ impl Encoder for PsnEncoder {
         // made to announce that.
         let trackers: Vec<PsnTracker> =
             report.bodies.iter().zip(self.settings.first_tracker..).map(|(body, id)| self.tracker(report, body, id)).collect();
-        // A tracker takes 4 bytes of chunk header and at most 52 of fields.
-        let groups: Vec<&[PsnTracker]> = trackers.chunks(MAX_TRACKER_BYTES / 60).collect();
+        // A tracker takes 4 bytes of chunk header and at most 68 of fields.
+        let groups: Vec<&[PsnTracker]> = trackers.chunks(MAX_TRACKER_BYTES / 72).collect();
         let timestamp_us = self.since_start_us(report.sent_monotonic);
         // A frame has only a few packets, since a config names few objects.
         let header = PsnHeader { timestamp_us, frame_id: self.frame_id, packets: groups.len().min(255) as u8 };

@@ -19,6 +19,7 @@ use super::json::JsonEncoder;
 use super::mounted::MountSettings;
 use super::opentrackio::OpenTrackIoEncoder;
 use super::osc::OscEncoder;
+use super::otp::OtpEncoder;
 use super::psn::PsnEncoder;
 use super::report::BodyChoice;
 use super::settings::{OutputSettings, Protocol, SafetySettings};
@@ -160,7 +161,7 @@ impl Publisher {
     /// files can be used. Addresses for which `is_held` is true are held by this process and will
     /// be free. Returns the index of the output that cannot be opened, with the reason.
     pub fn rehearse(outputs: &[OutputSettings], is_held: &dyn Fn(SocketAddr) -> bool) -> Result<(), (usize, TransportError)> {
-        let rehearse = |output: &OutputSettings| Transport::rehearse(&output.name, &output.udp, output.stream(), is_held);
+        let rehearse = |output: &OutputSettings| Transport::rehearse(output, is_held);
         let mut enabled = outputs.iter().enumerate().filter(|(_, o)| o.enabled);
         enabled.try_for_each(|(index, output)| rehearse(output).map_err(|e| (index, e)))
     }
@@ -238,7 +239,7 @@ impl RunningOutput {
         events: &Sender<PoseWithheld>,
     ) -> Result<Self, PublishError> {
         let (name, protocol) = (settings.name.clone(), settings.protocol.word());
-        let transport = Transport::open(&name, &settings.udp, settings.stream())
+        let transport = Transport::open(&name, &settings.udp, settings.stream(), settings.listen())
             .map_err(|source| PublishError::Open { output: name.clone(), source })?;
         let (queue, inbox) = drop_oldest(QUEUE);
         let counters = Arc::new(Counters::default());
@@ -304,13 +305,12 @@ fn encoder(settings: &OutputSettings, context: &Context, clock: &FrameClock) -> 
         (Some(BodyChoice::Mount), Some(mount)) => mount.camera.as_ref(),
         _ => Some(&context.camera),
     };
+    let names = || -> Vec<Arc<str>> { settings.bodies.iter().map(|body| body_name(*body, context).into()).collect() };
     match &settings.protocol {
         Protocol::Freed(freed) => Box::new(FreedEncoder::new(freed.clone(), camera)),
         Protocol::OpenTrackIo(otrk) => Box::new(OpenTrackIoEncoder::new(otrk, camera, &settings.name)),
-        Protocol::Psn(psn) => {
-            let names: Vec<Arc<str>> = settings.bodies.iter().map(|body| body_name(*body, context).into()).collect();
-            Box::new(PsnEncoder::new(psn, &names, clock.now().monotonic))
-        }
+        Protocol::Psn(psn) => Box::new(PsnEncoder::new(psn, &names(), clock.now().monotonic)),
+        Protocol::Otp(otp) => Box::new(OtpEncoder::new(otp, &names(), &settings.name, clock.now().monotonic)),
         Protocol::Osc(osc) => Box::new(OscEncoder::new(osc, &settings.name)),
         Protocol::Json(_) => Box::new(JsonEncoder::new(settings.placement, context.mount.as_ref().map(|mount| mount.mount))),
     }

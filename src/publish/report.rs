@@ -4,6 +4,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use nalgebra::Vector3;
+
 use super::system_clock::ClockQuality;
 use crate::frame::Timestamp;
 use crate::geometry::{Body, Pose, Stage};
@@ -65,6 +67,10 @@ pub struct BodyReport {
     pub withheld: Option<Withheld>,
     /// `T_stage_body` after safety and the output's own offset, inversion and scale.
     pub pose: Option<Pose<Stage, Body>>,
+    /// Its velocity, m/s in the stage's axes, and its angular velocity, rad/s about its own, both
+    /// after the output's offset, inversion and scale: the step from the pose of the report before.
+    /// `None` if there was none just before, or one of the two is not the tracker's own.
+    pub velocity: Option<[Vector3<f64>; 2]>,
     /// If the last pose is repeated because nothing newer is known: its age at the report's
     /// instant.
     pub held: Option<Duration>,

@@ -1,11 +1,13 @@
 //! Settings of an output, from the validated config.
 
+use std::net::SocketAddr;
 use std::time::Duration;
 
 use super::freed::FreedSettings;
 use super::json::JsonSettings;
 use super::opentrackio::OpenTrackIoSettings;
 use super::osc::OscSettings;
+use super::otp::OtpSettings;
 use super::placement::Placement;
 use super::psn::PsnSettings;
 use super::report::BodyChoice;
@@ -45,6 +47,14 @@ impl OutputSettings {
             _ => None,
         }
     }
+
+    /// Returns where receivers ask it for something.
+    pub(crate) fn listen(&self) -> Option<SocketAddr> {
+        match &self.protocol {
+            Protocol::Otp(otp) => Some(otp.listen),
+            _ => None,
+        }
+    }
 }
 
 /// The protocol of an output, with its settings.
@@ -56,6 +66,8 @@ pub enum Protocol {
     OpenTrackIo(OpenTrackIoSettings),
     /// PosiStageNet 2.03.
     Psn(PsnSettings),
+    /// OTP, ANSI E1.59-2021.
+    Otp(OtpSettings),
     /// Open Sound Control 1.0.
     Osc(OscSettings),
     /// Lines of JSON.
@@ -69,6 +81,7 @@ impl Protocol {
             Self::Freed(_) => "freed",
             Self::OpenTrackIo(_) => "opentrackio",
             Self::Psn(_) => "psn",
+            Self::Otp(_) => "otp",
             Self::Osc(_) => "osc",
             Self::Json(_) => "json",
         }

@@ -12,7 +12,9 @@ use std::path::{Path, PathBuf};
 use socket2::{Domain, Protocol, Socket, Type};
 
 use super::complaints::Complaints;
+use super::ear::Ear;
 use super::network::{Interface, needs_interface};
+use super::settings::OutputSettings;
 use crate::safe_file;
 
 /// UDP destinations.
@@ -46,6 +48,7 @@ pub(super) struct Transport {
     udp: Option<UdpSender>,
     clients: Option<TcpClients>,
     file: Option<LineFile>,
+    ear: Option<Ear>,
 }
 
 /// Why an output's destinations cannot be opened.
@@ -62,6 +65,14 @@ pub enum TransportError {
         /// The system's error.
         source: io::Error,
     },
+    /// The port is taken, or there is no such network.
+    #[error("cannot hear receivers on {address} ({source}); end the program that has the port, or give a network of this machine")]
+    Hear {
+        /// The address.
+        address: SocketAddr,
+        /// The system's error.
+        source: io::Error,
+    },
     /// The file cannot be created.
     #[error("{file}: cannot be written ({source}); give a writable path with free space")]
     File {
@@ -73,28 +84,27 @@ pub enum TransportError {
 }
 
 impl Transport {
-    /// Opens all destinations.
-    pub fn open(name: &str, udp: &UdpSettings, stream: Option<&StreamSettings>) -> Result<Self, TransportError> {
+    /// Opens all destinations, and where receivers ask.
+    pub fn open(name: &str, udp: &UdpSettings, stream: Option<&StreamSettings>, hear: Option<SocketAddr>) -> Result<Self, TransportError> {
         let listen = stream.and_then(|s| s.tcp_listen);
+        let ear = |address| Ear::open(address, udp.interface.as_ref()).map_err(|source| TransportError::Hear { address, source });
         let file = stream.and_then(|s| s.file.as_deref());
         Ok(Self {
             udp: if udp.to.is_empty() { None } else { Some(UdpSender::open(name, udp).map_err(TransportError::Udp)?) },
             clients: listen.map(|address| TcpClients::listen(name, address)).transpose()?,
             file: file.map(|file| LineFile::create(name, file)).transpose()?,
+            ear: hear.map(ear).transpose()?,
         })
     }
 
     /// Checks whether [`open`](Self::open) would succeed once the addresses for which `is_held` is
     /// true are free; creates or truncates no file.
-    pub fn rehearse(
-        name: &str,
-        udp: &UdpSettings,
-        stream: Option<&StreamSettings>,
-        is_held: &dyn Fn(SocketAddr) -> bool,
-    ) -> Result<(), TransportError> {
+    pub fn rehearse(output: &OutputSettings, is_held: &dyn Fn(SocketAddr) -> bool) -> Result<(), TransportError> {
+        let stream = output.stream();
         let free = |stream: &StreamSettings| stream.tcp_listen.filter(|address| !is_held(*address));
         let without_file = stream.map(|stream| StreamSettings { file: None, tcp_listen: free(stream) });
-        Self::open(name, udp, without_file.as_ref())?;
+        let hear = output.listen().filter(|address| !is_held(*address));
+        Self::open(&output.name, &output.udp, without_file.as_ref(), hear)?;
         let file = stream.and_then(|stream| stream.file.as_deref()).filter(|file| *file != Path::new("-"));
         file.map_or(Ok(()), |file| {
             safe_file::may_write(file).map_err(|source| TransportError::File { file: file.display().to_string(), source })
@@ -118,6 +128,20 @@ impl Transport {
     pub fn attend(&mut self) {
         if let Some(clients) = &mut self.clients {
             clients.accept();
+        }
+    }
+
+    /// Returns what receivers have asked since the last call, and their addresses.
+    pub fn heard(&self) -> Vec<(SocketAddr, Vec<u8>)> {
+        self.ear.as_ref().map_or_else(Vec::new, Ear::heard)
+    }
+
+    /// Sends an answer to a receiver that asked; returns how many were accepted and how many not.
+    pub fn answer(&self, to: SocketAddr, packet: &[u8]) -> (u64, u64) {
+        match self.ear.as_ref().map(|ear| ear.answer(to, packet)) {
+            Some(true) => (1, 0),
+            Some(false) => (0, 1),
+            None => (0, 0),
         }
     }
 }

@@ -17,7 +17,7 @@ fn receiver() -> UdpSocket {
 #[test]
 fn a_closed_port_changes_nothing_for_the_others() {
     let (open, closed) = (receiver(), receiver().local_addr().unwrap());
-    let mut transport = Transport::open("desk", &udp_to(vec![closed, open.local_addr().unwrap()]), None).unwrap();
+    let mut transport = Transport::open("desk", &udp_to(vec![closed, open.local_addr().unwrap()]), None, None).unwrap();
     let mut buffer = [0; 64];
     for k in 0..20_u8 {
         transport.send(&[k; 5]);
@@ -34,7 +34,7 @@ fn a_multicast_reaches_a_member_on_the_interface() {
     member.join_multicast_v4(&group, &Ipv4Addr::LOCALHOST).unwrap();
     let to = SocketAddr::from((group, member.local_addr().unwrap().port()));
     let udp = UdpSettings { to: vec![to], interface: Some(Interface::Address(Ipv4Addr::LOCALHOST)), ttl: 1 };
-    let mut transport = Transport::open("desk", &udp, None).unwrap();
+    let mut transport = Transport::open("desk", &udp, None, None).unwrap();
     assert_eq!(transport.send(b"hello"), (1, 0));
     let mut buffer = [0; 64];
     assert_eq!(member.recv(&mut buffer).unwrap(), 5);
@@ -47,14 +47,14 @@ fn ipv4_and_ipv6_are_sent_and_a_missing_network_reported() {
     let v4 = receiver();
     v6.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
     let to = vec![v4.local_addr().unwrap(), v6.local_addr().unwrap()];
-    let mut transport = Transport::open("desk", &udp_to(to), None).unwrap();
+    let mut transport = Transport::open("desk", &udp_to(to), None, None).unwrap();
     assert_eq!(transport.send(b"hello"), (2, 0));
     let mut buffer = [0; 64];
     assert_eq!((v4.recv(&mut buffer).unwrap(), v6.recv(&mut buffer).unwrap()), (5, 5));
 
     let to = vec!["[ff12::77]:40000".parse().unwrap()];
     let missing = UdpSettings { to, interface: Some(Interface::Name("nonet7".to_owned())), ttl: 1 };
-    let said = Transport::open("desk", &missing, None).map(drop).unwrap_err().to_string();
+    let said = Transport::open("desk", &missing, None, None).map(drop).unwrap_err().to_string();
     assert!(said.contains("this machine has no network nonet7"), "{said}");
 }
 
@@ -76,7 +76,7 @@ fn wait_for_clients(transport: &mut Transport, count: usize) {
 
 #[test]
 fn a_client_that_does_not_read_is_dropped_without_delay() {
-    let mut transport = Transport::open("desk", &UdpSettings::default(), Some(&lines_on("127.0.0.1:0"))).unwrap();
+    let mut transport = Transport::open("desk", &UdpSettings::default(), Some(&lines_on("127.0.0.1:0")), None).unwrap();
     let sleeper = TcpStream::connect(address(&transport)).unwrap();
     wait_for_clients(&mut transport, 1);
     let mut reader = TcpStream::connect(address(&transport)).unwrap();
@@ -98,7 +98,7 @@ fn a_client_that_does_not_read_is_dropped_without_delay() {
 
 #[test]
 fn a_client_that_leaves_is_forgotten() {
-    let mut transport = Transport::open("desk", &UdpSettings::default(), Some(&lines_on("127.0.0.1:0"))).unwrap();
+    let mut transport = Transport::open("desk", &UdpSettings::default(), Some(&lines_on("127.0.0.1:0")), None).unwrap();
     drop(TcpStream::connect(address(&transport)).unwrap());
     wait_for_clients(&mut transport, 1);
     let begun = Instant::now();
@@ -113,9 +113,9 @@ fn a_client_that_leaves_is_forgotten() {
 fn a_port_in_use_and_a_bad_file_are_refused_with_their_names() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let at = taken.local_addr().unwrap().to_string();
-    let refusal = Transport::open("desk", &UdpSettings::default(), Some(&lines_on(&at))).err().unwrap().to_string();
+    let refusal = Transport::open("desk", &UdpSettings::default(), Some(&lines_on(&at)), None).err().unwrap().to_string();
     assert!(refusal.contains(&at) && refusal.contains("free port"), "{refusal}");
     let stream = StreamSettings { tcp_listen: None, file: Some("no-such-folder/poses.jsonl".into()) };
-    let refusal = Transport::open("desk", &UdpSettings::default(), Some(&stream)).err().unwrap().to_string();
+    let refusal = Transport::open("desk", &UdpSettings::default(), Some(&stream), None).err().unwrap().to_string();
     assert!(refusal.contains("no-such-folder/poses.jsonl"), "{refusal}");
 }

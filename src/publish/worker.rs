@@ -195,6 +195,12 @@ impl Worker {
         let pause = if until_stale.is_zero() { self.stale_after } else { until_stale };
         self.memory.next_round = now.boot.after(ROUND.min(pause));
         self.transport.attend();
+        for (from, packet) in self.transport.heard() {
+            self.encoder.hear(now.monotonic, from, &packet);
+        }
+        for (to, packet) in self.encoder.answers(now.monotonic) {
+            count(&self.counters, &packet, self.transport.answer(to, &packet));
+        }
         let (transport, counters) = (&mut self.transport, &self.counters);
         self.encoder.repeat(now.monotonic, &mut |packet| count(counters, packet, transport.send(packet)));
         if matches!(self.rate, Rate::Every(_)) && self.is_stale(now) {
@@ -359,7 +365,7 @@ mod tests {
         let mut worker = Worker {
             inbox: crossbeam_channel::never(),
             encoder: Box::new(Stopped { clocks, stop_ms }),
-            transport: Transport::open("desk", &settings.udp, None).unwrap(),
+            transport: Transport::open("desk", &settings.udp, None, None).unwrap(),
             bodies: vec![body],
             rate: settings.rate,
             delay: settings.delay,

@@ -14,6 +14,7 @@ use stagepose::diagnostics::timecode::{LtcDecoder, LtcSignal, RawFormat, Sound, 
 use stagepose::diagnostics::web::judge_model;
 use stagepose::protocols::freed::FreedPacket;
 use stagepose::protocols::opentrackio::{self, Encoding};
+use stagepose::protocols::otp::{OtpHeader, OtpMessage, OtpModule, OtpPoint, OtpTransform};
 use stagepose::protocols::psn::{PsnHeader, PsnPacket, PsnTracker};
 use stagepose::{Facet, FacetTexture, LearntCamera, Pose, Settings, StageMap, parse_calibration};
 
@@ -146,6 +147,20 @@ fn packets() {
         PsnTracker { id: 1, position_m: Some([1.0, 2.0, 3.0]), validity: Some(1.0), timestamp_us: Some(9), ..PsnTracker::default() };
     let psn = PsnPacket::Data(PsnHeader::default(), vec![tracker]).encode().expect("short enough");
     fuzz("psn", binary(psn), MAX_OF_TEXT, |bytes| drop(PsnPacket::decode(bytes)));
+    let point = OtpPoint { position_um: Some([1, 2, 3]), rotation_udeg: Some([4, 5, 6]), ..OtpPoint::default() };
+    let messages = [
+        OtpMessage::Transform(OtpTransform { system: 1, is_full: true, points: vec![point; 2], ..OtpTransform::default() }),
+        OtpMessage::Modules(OtpModule::STANDARD.to_vec()),
+    ];
+    for message in messages {
+        let packet = message.encode(&OtpHeader::default()).expect("short enough");
+        fuzz("otp", binary(packet), MAX_OF_TEXT, |bytes| {
+            // What is understood can be said again, except for a position that came in millimetres.
+            if let Ok((header, message)) = OtpMessage::decode(bytes) {
+                let _ = message.encode(&header).map(|again| assert!(OtpMessage::decode(&again).is_ok()));
+            }
+        });
+    }
     // Nothing is read behind a wrong checksum, so the payload is changed, not the datagram.
     let json = br#"{"protocol":{"name":"OpenTrackIO","version":[1,0,1]},"transforms":[{"translation":{"x":1.5,"y":0,"z":2}}]}"#;
     let mut cbor = Vec::new();

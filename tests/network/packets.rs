@@ -4,15 +4,17 @@
 use rosc::{OscArray, OscBundle, OscColor, OscMessage, OscMidiMessage, OscPacket, OscTime, OscType, encoder};
 use stagepose::protocols::freed::FreedPacket;
 use stagepose::protocols::opentrackio::{Encoding, HEADER, datagram};
+use stagepose::protocols::otp::{OtpAddress, OtpHeader, OtpMessage, OtpModule, OtpPoint, OtpTransform};
 use stagepose::protocols::psn::{PsnHeader, PsnPacket, PsnTracker};
 
 /// The protocols' names on the command line.
-pub const PROTOCOLS: [&str; 5] = ["freed", "psn", "opentrackio", "osc", "json"];
+pub const PROTOCOLS: [&str; 6] = ["freed", "psn", "otp", "opentrackio", "osc", "json"];
 
 pub fn good(protocol: &str) -> Vec<Vec<u8>> {
     match protocol {
         "freed" => freed(),
         "psn" => psn(),
+        "otp" => otp(),
         "opentrackio" => opentrackio(),
         "json" => {
             vec![br#"{"sequence":12,"state":"tracking","pose":{"position_m":[1.5,-2,1e-9]},"objects":[{"name":"B\u00fchne"}]}"#.to_vec()]
@@ -57,6 +59,30 @@ fn psn() -> Vec<Vec<u8>> {
     let names = vec![(1, "camera".to_owned()), (2, "Bühne".to_owned())];
     let packets = [PsnPacket::Data(header, (1..4).map(tracker).collect()), PsnPacket::Info(header, "stage".to_owned(), names)];
     packets.iter().map(|packet| packet.encode().expect("it fits")).collect()
+}
+
+fn otp() -> Vec<Vec<u8>> {
+    let address = OtpAddress { system: 1, group: 2, point: 3 };
+    let point = OtpPoint {
+        priority: 100,
+        group: 1,
+        point: 1,
+        timestamp_us: 1_000_000,
+        position_um: Some([1, -2, 3]),
+        velocity: Some([[4; 3], [0; 3]]),
+        rotation_udeg: Some([5; 3]),
+        rotation_velocity: Some([[6; 3], [0; 3]]),
+        scale: Some([1_000_000; 3]),
+        reference: Some(address),
+    };
+    let header = OtpHeader { component: "Bühne".to_owned(), ..OtpHeader::default() };
+    let messages = [
+        OtpMessage::Transform(OtpTransform { system: 1, timestamp_us: 9, is_full: true, points: vec![point; 2] }),
+        OtpMessage::Modules(OtpModule::STANDARD.to_vec()),
+        OtpMessage::Names { is_answer: true, names: vec![(address, "Bühnenwagen".to_owned())] },
+        OtpMessage::Systems { is_answer: true, systems: vec![1, 2] },
+    ];
+    messages.iter().map(|message| message.encode(&header).expect("it fits")).collect()
 }
 
 fn opentrackio() -> Vec<Vec<u8>> {

@@ -1,5 +1,5 @@
 //! Small decoders written from the protocols' documents: free-d manual A.3.2, OpenTrackIO 1.0.1,
-//! RFC 8949, PosiStageNet 2.03, OSC 1.0, RFC 6455. Any deviation from the document fails the test.
+//! RFC 8949, PosiStageNet 2.03, ANSI E1.59 (by way of its public implementations), OSC 1.0, RFC 6455. Any deviation from the document fails the test.
 
 use serde_json::{Map, Value};
 
@@ -129,6 +129,65 @@ fn chunks(mut bytes: &[u8]) -> Vec<(u32, &[u8])> {
         bytes = rest;
     }
     found
+}
+
+/// An OTP point: position in metres and the three angles in degrees, each if it is there.
+pub struct OtpPoint {
+    pub number: u32,
+    pub time_us: u64,
+    pub position_m: Option<[f64; 3]>,
+    pub angles_deg: Option<[f64; 3]>,
+}
+
+/// Decodes OTP's transforms, or `None` for an advertisement (here: an answer).
+pub fn otp(packet: &[u8]) -> Option<Vec<OtpPoint>> {
+    let two = |at: usize| usize::from(u16::from_be_bytes([packet[at], packet[at + 1]]));
+    let four = |at: usize| u32::from_be_bytes(packet[at..at + 4].try_into().unwrap());
+    assert_eq!((&packet[..12], two(14) + 16), (&b"OTP-E1.59\0\0\0"[..], packet.len()));
+    if two(12) == 2 {
+        return None;
+    }
+    // The OTP layer has 79 bytes, the transform layer 18.
+    assert_eq!((two(12), two(79), two(81) + 83, packet[92]), (1, 1, packet.len(), 0x80), "a full set of points");
+    let (mut at, mut points) = (97, Vec::new());
+    while at < packet.len() {
+        assert_eq!(two(at), 1);
+        let end = at + 4 + two(at + 2);
+        let time_us = u64::from_be_bytes(packet[at + 11..at + 19].try_into().unwrap());
+        let mut point = OtpPoint { number: four(at + 7), time_us, position_m: None, angles_deg: None };
+        at += 24;
+        while at < end {
+            assert_eq!(two(at), 0, "ESTA's module");
+            let (number, data, next) = (two(at + 4), at + 6, at + 4 + two(at + 2));
+            let three = |from: usize| [0, 4, 8].map(|k| four(from + k));
+            match number {
+                1 => {
+                    assert_eq!(packet[data], 0, "micrometres");
+                    point.position_m = Some(three(data + 1).map(|v| f64::from(v as i32) / 1e6));
+                }
+                3 => point.angles_deg = Some(three(data).map(|v| f64::from(v) / 1e6)),
+                2 | 4 => assert_eq!(next - data, 24),
+                other => panic!("module {other}"),
+            }
+            at = next;
+        }
+        assert_eq!(at, end);
+        points.push(point);
+    }
+    Some(points)
+}
+
+/// Returns the packet with which an OTP consumer asks for position, rotation and their velocities,
+/// and the one with which it asks for systems.
+pub fn otp_questions() -> [Vec<u8>; 2] {
+    let packet = |vector: u8, list: &[u8]| {
+        let list = [&[0, 1, 0, list.len() as u8], list].concat();
+        let inner = [&[0, vector, 0, (list.len() + 4) as u8, 0, 0, 0, 0], &list[..]].concat();
+        let mut header = vec![0; 63];
+        header[31..35].copy_from_slice(b"desk");
+        [b"OTP-E1.59\0\0\0\0\x02\0", &[(63 + inner.len()) as u8][..], &header, &inner].concat()
+    };
+    [packet(1, &[0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 4]), packet(3, &[0; 5])]
 }
 
 /// Decodes an OSC bundle with /pose and possibly /status, whose word and confidence are the mark.

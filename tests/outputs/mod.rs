@@ -4,6 +4,7 @@
 
 mod clocks;
 mod decoders;
+mod otp;
 mod places;
 mod stopped;
 mod table;

@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use stagepose::diagnostics::publish::{
-    BodyChoice, FreedSettings, JsonSettings, OnLoss, OpenTrackIoSettings, OscMessageKind, OscSettings, OutputSettings, Placement, Protocol,
-    PsnSettings, Rate, Spare, StreamSettings, UdpSettings,
+    BodyChoice, FreedSettings, JsonSettings, OnLoss, OpenTrackIoSettings, OscMessageKind, OscSettings, OtpSettings, OutputSettings,
+    Placement, Protocol, PsnSettings, Rate, Spare, StreamSettings, UdpSettings,
 };
 use stagepose::protocols::opentrackio::Encoding;
 use stagepose::protocols::opentrackio_lens::PrincipalPoint;
@@ -20,6 +20,7 @@ pub enum Way {
     Freed(Spare),
     OpenTrackIo(Encoding),
     Psn,
+    Otp,
     Osc { has_status: bool },
     JsonByUdp,
     JsonByTcp,
@@ -28,7 +29,7 @@ pub enum Way {
 
 /// The columns, by their titles in docs/protocols.md. JSON has one column there, because it says
 /// the same over every transport.
-pub const WAYS: [(&str, Way); 12] = [
+pub const WAYS: [(&str, Way); 13] = [
     ("FreeD `quality`", Way::Freed(Spare::Quality)),
     ("FreeD `frame`", Way::Freed(Spare::Frame)),
     ("FreeD `sony`", Way::Freed(Spare::Sony)),
@@ -36,6 +37,7 @@ pub const WAYS: [(&str, Way); 12] = [
     ("OpenTrackIO `json`", Way::OpenTrackIo(Encoding::Json)),
     ("OpenTrackIO `cbor`", Way::OpenTrackIo(Encoding::Cbor)),
     ("PSN", Way::Psn),
+    ("OTP", Way::Otp),
     ("OSC", Way::Osc { has_status: true }),
     ("OSC, no `status`", Way::Osc { has_status: false }),
     ("JSON", Way::JsonByUdp),
@@ -45,10 +47,10 @@ pub const WAYS: [(&str, Way); 12] = [
 
 impl Way {
     pub fn can_flag(self) -> bool {
-        !matches!(self, Self::Freed(Spare::Frame | Spare::Sony | Spare::Zero) | Self::Osc { has_status: false })
+        !matches!(self, Self::Freed(Spare::Frame | Spare::Sony | Spare::Zero) | Self::Otp | Self::Osc { has_status: false })
     }
 
-    fn protocol(self, stream: StreamSettings) -> Protocol {
+    fn protocol(self, stream: StreamSettings, asked_at: std::net::SocketAddr) -> Protocol {
         let (sensor_width_mm, principal_point) = (4.8, PrincipalPoint::Projection);
         match self {
             Self::Freed(spare) => Protocol::Freed(FreedSettings { camera_id: 1, spare, zoom: None, sensor_width_mm, focus: 0 }),
@@ -56,6 +58,15 @@ impl Way {
                 Protocol::OpenTrackIo(OpenTrackIoSettings { encoding, source_number: 1, sensor_width_mm, principal_point })
             }
             Self::Psn => Protocol::Psn(PsnSettings { system: "test".to_owned(), first_tracker: 1 }),
+            Self::Otp => Protocol::Otp(OtpSettings {
+                component: "test".to_owned(),
+                system: 1,
+                group: 1,
+                first_point: 1,
+                priority: 100,
+                reference: None,
+                listen: asked_at,
+            }),
             Self::Osc { has_status } => {
                 let mut messages = vec![OscMessageKind::Pose];
                 messages.extend(has_status.then_some(OscMessageKind::Status));
@@ -72,6 +83,10 @@ pub struct Place {
     pub way: Way,
     of_object: bool,
     udp: UdpSocket,
+    /// Where the output hears receivers, if it does.
+    asked_at: std::net::SocketAddr,
+    /// Whether it has answered.
+    is_answered: bool,
     listen: Option<std::net::SocketAddr>,
     client: Option<TcpStream>,
     /// Bytes received by TCP that are not a whole line yet.
@@ -87,11 +102,12 @@ impl Place {
     pub fn new((title, way): (&'static str, Way), of_object: bool, folder: &std::path::Path) -> Self {
         let udp = UdpSocket::bind("127.0.0.1:0").unwrap();
         udp.set_nonblocking(true).unwrap();
+        let asked_at = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let free = || TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let listen = (way == Way::JsonByTcp).then(free);
         let file = (way == Way::JsonInFile).then(|| folder.join("lines.jsonl"));
         let (client, begun, said, sequences) = (None, Vec::new(), Vec::new(), Vec::new());
-        Self { title, way, of_object, udp, listen, client, begun, file, lines_read: 0, said, sequences }
+        Self { title, way, of_object, udp, asked_at, is_answered: false, listen, client, begun, file, lines_read: 0, said, sequences }
     }
 
     pub fn output(&self, on_loss: OnLoss, rate: Rate) -> OutputSettings {
@@ -100,7 +116,7 @@ impl Place {
         OutputSettings {
             name: format!("{:?}", self.way),
             enabled: true,
-            protocol: self.way.protocol(StreamSettings { tcp_listen: self.listen, file: self.file.clone() }),
+            protocol: self.way.protocol(StreamSettings { tcp_listen: self.listen, file: self.file.clone() }, self.asked_at),
             udp: UdpSettings { to, ..UdpSettings::default() },
             bodies: vec![if self.of_object { BodyChoice::Object(0) } else { BodyChoice::Camera }],
             rate,
@@ -118,6 +134,18 @@ impl Place {
             stream.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
             stream
         });
+    }
+
+    /// Asks the output for poses, if it sends none unasked.
+    pub fn ask(&self) {
+        if self.way == Way::Otp {
+            decoders::otp_questions().iter().for_each(|question| drop(self.udp.send_to(question, self.asked_at).unwrap()));
+        }
+    }
+
+    /// Whether the output has heard what it was asked.
+    pub fn is_heard(&self) -> bool {
+        self.way != Way::Otp || self.is_answered
     }
 
     /// Reads everything that has arrived.
@@ -169,6 +197,13 @@ impl Place {
                 Some(said)
             }
             Way::Psn => decoders::psn(packet),
+            Way::Otp => match decoders::otp(packet) {
+                Some(points) => Some(Said { x: points[0].position_m.map(|[x, ..]| x), mark: String::new() }),
+                None => {
+                    self.is_answered = true;
+                    None
+                }
+            },
             Way::Osc { .. } => Some(decoders::osc(packet)),
             _ => Some(decoders::json(std::str::from_utf8(packet).unwrap(), self.of_object)),
         };

@@ -135,7 +135,20 @@ impl Show {
         let outputs: Vec<_> = places.iter().map(|place| place.output(story.on_loss(), rate)).collect();
         let publisher = Publisher::start_with_clocks(&outputs, &context, Arc::new(clocks.clone())).unwrap();
         places.iter_mut().for_each(Place::connect);
-        Self { clocks, publisher, places, sequence: 0 }
+        let mut show = Self { clocks, publisher, places, sequence: 0 };
+        show.ask();
+        show
+    }
+
+    /// Asks the outputs that send nothing unasked, and lets the time pass in which they wait.
+    fn ask(&mut self) {
+        self.places.iter().for_each(Place::ask);
+        self.wait(&|clocks| clocks.advance_ms(100), &Place::is_heard);
+        self.clocks.advance_ms(12_000);
+        // What was sent meanwhile (that there is no frame) belongs to no state.
+        std::thread::sleep(Duration::from_millis(300));
+        self.hear();
+        self.forget();
     }
 
     fn frame(&mut self, state: State, x: f64) {
@@ -280,9 +293,13 @@ fn every_documented_cell_matches_what_is_sent() {
 #[test]
 fn on_loss_flag_is_refused_without_a_field_to_flag() {
     let scene = crate::cli::scene::Scene::new();
-    for kind in
-        ["\"freed\"\nspare = \"frame\"", "\"freed\"\nspare = \"sony\"", "\"freed\"\nspare = \"zero\"", "\"osc\"\nmessages = [\"pose\"]"]
-    {
+    for kind in [
+        "\"freed\"\nspare = \"frame\"",
+        "\"freed\"\nspare = \"sony\"",
+        "\"freed\"\nspare = \"zero\"",
+        "\"osc\"\nmessages = [\"pose\"]",
+        "\"otp\"\nlisten = \"127.0.0.1:9\"",
+    ] {
         scene.write("outputs.toml", &format!("[[output]]\nkind = {kind}\nto = [\"127.0.0.1:9\"]\non_loss = \"flag\"\n"));
         let run = scene.run(&["send-test", "--config", "outputs.toml", "--seconds", "0.1"]);
         run.assert_refused(2, &["`on_loss` in [[output]], line 5: ", "there is nothing to flag a loss with"]);

@@ -1,5 +1,6 @@
 //! `listen`: prints the packets that arrive on a port, decoded.
 
+mod asking;
 mod packets;
 
 use std::io::{self, Write};
@@ -9,6 +10,8 @@ use std::time::Duration;
 
 use socket2::{Domain, Protocol, Socket, Type};
 
+use asking::Asking;
+
 use super::failure::Failure;
 use super::interrupt;
 use crate::printable::printable;
@@ -17,7 +20,8 @@ use crate::publish::Interface;
 /// Print the packets that arrive on a UDP port, decoded.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Example:\n  stagepose listen freed 40000\n  stagepose listen psn 56565 --group 236.10.10.10 --interface 192.168.1.10"
+    after_help = "Example:\n  stagepose listen freed 40000\n  stagepose listen psn 56565 --group 236.10.10.10 --interface 192.168.1.10\n  \
+    stagepose listen otp 5568 --group 239.159.1.1 --interface 192.168.1.10 --ask 239.159.2.1:5568"
 )]
 pub(super) struct ListenArguments {
     /// The protocol
@@ -32,6 +36,9 @@ pub(super) struct ListenArguments {
     /// name, such as eth0
     #[arg(long, value_name = "NETWORK", requires = "group", value_parser = network)]
     interface: Option<Interface>,
+    /// Ask for OTP's transforms at this address, every 10 s: nobody sends them unasked
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    ask: Option<SocketAddr>,
     /// Stop after this many packets [default: at Ctrl-C]
     #[arg(long, value_name = "N")]
     count: Option<u64>,
@@ -41,6 +48,7 @@ pub(super) struct ListenArguments {
 enum Spoken {
     Freed,
     Psn,
+    Otp,
     #[value(name = "opentrackio")]
     OpenTrackIo,
     Osc,
@@ -54,7 +62,15 @@ pub(super) fn run(arguments: &ListenArguments) -> Result<(), Failure> {
     let socket = open(arguments).map_err(|e| Failure::Publishing(format!("cannot listen on UDP port {port} ({e}); {hint}")))?;
     let mut buffer = vec![0; 65_536];
     let mut received = 0;
+    let mut asking = arguments
+        .ask
+        .map(|to| Asking::new(to, arguments.interface.as_ref()))
+        .transpose()
+        .map_err(|e| Failure::Publishing(format!("cannot ask ({e}); check --ask and --interface")))?;
     while !interrupt::is_interrupted() && arguments.count.is_none_or(|count| received < count) {
+        if let Some(asking) = &mut asking {
+            asking.ask_if_due();
+        }
         // The timeout lets Ctrl-C through; an error with one packet does not stop listening.
         let Ok((length, from)) = socket.recv_from(&mut buffer) else { continue };
         received += 1;

@@ -5,6 +5,7 @@ use rosc::{OscMessage, OscPacket, OscTime, OscType, decoder};
 use super::Spoken;
 use crate::protocols::freed::FreedPacket;
 use crate::protocols::opentrackio;
+use crate::protocols::otp::{OtpAddress, OtpHeader, OtpMessage, OtpPoint};
 use crate::protocols::psn::{PsnPacket, PsnTracker};
 use crate::publish::osc::FROM_1900_TO_1970_S;
 use crate::utc;
@@ -22,6 +23,7 @@ pub(super) fn line(protocol: Spoken, bytes: &[u8]) -> String {
     let decoded = match protocol {
         Spoken::Freed => FreedPacket::decode(bytes).map(|p| freed(&p)).map_err(|e| e.to_string()),
         Spoken::Psn => PsnPacket::decode(bytes).map(|p| psn(&p)).map_err(|e| e.to_string()),
+        Spoken::Otp => OtpMessage::decode(bytes).map(|(header, message)| otp(&header, &message)).map_err(|e| e.to_string()),
         Spoken::OpenTrackIo => {
             opentrackio::decode(bytes).map(|(sequence, sample)| format!("#{sequence} {sample}")).map_err(|e| e.to_string())
         }
@@ -71,6 +73,47 @@ fn psn_tracker(tracker: &PsnTracker) -> String {
         }
     }
     text + &tracker.validity.map_or(String::new(), |v| format!(" validity {v}"))
+}
+
+fn otp(header: &OtpHeader, message: &OtpMessage) -> String {
+    let what = match message {
+        OtpMessage::Transform(transform) => {
+            let points: Vec<String> = transform.points.iter().map(|point| otp_point(transform.system, point)).collect();
+            format!("{}: {}", if transform.is_full { "all points" } else { "changed points" }, points.join("; "))
+        }
+        OtpMessage::Modules(modules) => {
+            let modules: Vec<String> = modules.iter().map(|module| format!("{:04x}:{}", module.0, module.1)).collect();
+            format!("asks for the modules {}", modules.join(", "))
+        }
+        OtpMessage::Names { is_answer: false, .. } => "asks for names".to_owned(),
+        OtpMessage::Names { names, .. } => {
+            let names: Vec<String> = names.iter().map(|(address, name)| format!("{} {name}", otp_address(*address))).collect();
+            format!("names {}", names.join(", "))
+        }
+        OtpMessage::Systems { is_answer: false, .. } => "asks for systems".to_owned(),
+        OtpMessage::Systems { systems, .. } => format!("systems {systems:?}"),
+    };
+    format!("{} folio {} page {} of {}: {what}", header.component, header.folio, header.page, header.last_page)
+}
+
+fn otp_address(OtpAddress { system, group, point }: OtpAddress) -> String {
+    format!("{system}/{group}/{point}")
+}
+
+fn otp_point(system: u8, point: &OtpPoint) -> String {
+    let address = OtpAddress { system, group: point.group, point: point.point };
+    let mut text = format!("point {} priority {} at {} us", otp_address(address), point.priority, point.timestamp_us);
+    let mut add = |what: &str, vector: Option<[f64; 3]>, per_unit: f64, unit: &str| {
+        if let Some([x, y, z]) = vector.map(|v| v.map(|v| v / per_unit)) {
+            text += &format!(" {what} {x:.6} {y:.6} {z:.6}{unit}");
+        }
+    };
+    add("position", point.position_um.map(|v| v.map(|v| v as f64)), 1e6, " m");
+    add("velocity", point.velocity.map(|[v, _]| v.map(f64::from)), 1e6, " m/s");
+    add("rotation", point.rotation_udeg.map(|v| v.map(f64::from)), 1e6, " deg");
+    add("rates", point.rotation_velocity.map(|[v, _]| v.map(f64::from)), 1e3, " deg/s");
+    add("scale", point.scale.map(|v| v.map(f64::from)), 1e6, "");
+    text + &point.reference.map_or_else(String::new, |address| format!(" in the frame of {}", otp_address(address)))
 }
 
 /// Formats a message or bundle; `None` if there is neither an address nor a bundle marker. The

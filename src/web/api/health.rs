@@ -15,7 +15,7 @@ use crate::camera::KnownShutter;
 use crate::capture::timestamping::monotonic_now;
 use crate::daemon::{Mode, Supervisor};
 use crate::printable::printable;
-use crate::protocols::{freed::FreedPacket, opentrackio, psn::PsnPacket};
+use crate::protocols::{freed::FreedPacket, opentrackio, otp::OtpMessage, psn::PsnPacket};
 use crate::publish::{ClockQuality, FrameClock, OutputStatistics, Stamps};
 use crate::record::State;
 use crate::telemetry::{CameraState, Page, RecorderState, Statistics, TimecodeStatus, health, log_tail, metrics};
@@ -311,6 +311,7 @@ fn decoded(protocol: &str, packet: &[u8]) -> Value {
     match protocol {
         "freed" => FreedPacket::decode(packet).map_or(Value::Null, |packet| format!("{packet:?}").into()),
         "psn" => PsnPacket::decode(packet).map_or(Value::Null, |packet| format!("{packet:?}").into()),
+        "otp" => OtpMessage::decode(packet).map_or(Value::Null, |(_, message)| format!("{message:?}").into()),
         "opentrackio" => opentrackio::decode(packet).map_or(Value::Null, |(_, sample)| sample),
         "json" => serde_json::from_slice(packet).unwrap_or(Value::Null),
         _ => Value::Null,
