@@ -225,8 +225,8 @@ fn rate(section: &Section<'_>, output: &as_typed::Output, mount_delay: Duration)
     Ok(Rate::Fixed { rate, delay: Duration::from_secs_f64(delay), phase })
 }
 
-/// Returns the named receiver's axes. FreeD, OpenTrackIO, PSN and OTP define their own axes, which every
-/// receiver knows, so the name has no effect there. OSC sends bare numbers.
+/// Returns the named receiver's axes. FreeD, OpenTrackIO, PSN and OTP define their own axes, which
+/// every receiver knows, so the name has no effect there. OSC sends bare numbers.
 fn receiver_axes(section: &Section<'_>, output: &as_typed::Output, protocol: &Protocol) -> Result<Axes, ConfigError> {
     let receivers =
         [("unreal", Axes::UNREAL), ("disguise", Axes::DISGUISE), ("touchdesigner", Axes::TOUCHDESIGNER), ("lighting", Axes::STAGE)];

@@ -24,7 +24,9 @@ pub const MAX_PACKET: usize = 1472;
 /// Maximum bytes of a component's or a point's name.
 pub const MAX_NAME: usize = 32;
 
+/// What every packet begins with.
 const IDENTIFIER: &[u8; 12] = b"OTP-E1.59\0\0\0";
+/// Vectors of the OTP layer.
 const TRANSFORM: u16 = 1;
 const ADVERTISEMENT: u16 = 2;
 /// Vectors of the advertisement layer.

@@ -20,8 +20,8 @@ use crate::motion::Motion;
 use crate::protocols::to_body_axes;
 use crate::record::{PoseSample, State};
 
-/// Maximum step between two poses of which a velocity is made, seconds. Chosen: four frames a second
-/// still have one. Raised, an average over a longer time is sent as the velocity of now.
+/// Maximum step between two poses of which a velocity is made, seconds. Chosen: four frames a
+/// second still have one. Raised, an average over a longer time is sent as the velocity of now.
 const LONGEST_STEP_S: f64 = 0.25;
 
 /// Event: the safety limits began to withhold a body's pose.

@@ -161,7 +161,7 @@ impl Publisher {
     /// files can be used. Addresses for which `is_held` is true are held by this process and will
     /// be free. Returns the index of the output that cannot be opened, with the reason.
     pub fn rehearse(outputs: &[OutputSettings], is_held: &dyn Fn(SocketAddr) -> bool) -> Result<(), (usize, TransportError)> {
-        let rehearse = |output: &OutputSettings| Transport::rehearse(output, is_held);
+        let rehearse = |output: &OutputSettings| Transport::rehearse(&output.name, &output.udp, output.stream(), output.listen(), is_held);
         let mut enabled = outputs.iter().enumerate().filter(|(_, o)| o.enabled);
         enabled.try_for_each(|(index, output)| rehearse(output).map_err(|e| (index, e)))
     }
@@ -197,6 +197,16 @@ impl Publisher {
             let dropped = output.queue.send(arrival.clone());
             output.counters.dropped.fetch_add(dropped as u64, Ordering::Relaxed);
         }
+    }
+
+    /// Returns the latest time from a sample's arrival to its last packet, microseconds, of the
+    /// slowest output; `None` while nothing was sent.
+    pub fn slowest_us(&self) -> Option<u64> {
+        let latency = |output: &RunningOutput| {
+            let has_sent = output.counters.sent.load(Ordering::Relaxed) > 0;
+            has_sent.then(|| output.counters.latency_us.load(Ordering::Relaxed))
+        };
+        self.outputs.iter().filter_map(latency).max()
     }
 
     /// Returns a function with which other threads can read the outputs' statistics.

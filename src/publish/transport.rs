@@ -14,7 +14,6 @@ use socket2::{Domain, Protocol, Socket, Type};
 use super::complaints::Complaints;
 use super::ear::Ear;
 use super::network::{Interface, needs_interface};
-use super::settings::OutputSettings;
 use crate::safe_file;
 
 /// UDP destinations.
@@ -99,12 +98,17 @@ impl Transport {
 
     /// Checks whether [`open`](Self::open) would succeed once the addresses for which `is_held` is
     /// true are free; creates or truncates no file.
-    pub fn rehearse(output: &OutputSettings, is_held: &dyn Fn(SocketAddr) -> bool) -> Result<(), TransportError> {
-        let stream = output.stream();
+    pub fn rehearse(
+        name: &str,
+        udp: &UdpSettings,
+        stream: Option<&StreamSettings>,
+        hear: Option<SocketAddr>,
+        is_held: &dyn Fn(SocketAddr) -> bool,
+    ) -> Result<(), TransportError> {
         let free = |stream: &StreamSettings| stream.tcp_listen.filter(|address| !is_held(*address));
         let without_file = stream.map(|stream| StreamSettings { file: None, tcp_listen: free(stream) });
-        let hear = output.listen().filter(|address| !is_held(*address));
-        Self::open(&output.name, &output.udp, without_file.as_ref(), hear)?;
+        let hear = hear.filter(|address| !is_held(*address));
+        Self::open(name, udp, without_file.as_ref(), hear)?;
         let file = stream.and_then(|stream| stream.file.as_deref()).filter(|file| *file != Path::new("-"));
         file.map_or(Ok(()), |file| {
             safe_file::may_write(file).map_err(|source| TransportError::File { file: file.display().to_string(), source })

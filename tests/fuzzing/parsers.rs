@@ -181,6 +181,9 @@ fn pose_logs() {
     let capture = seeds::freed_capture();
     assert_eq!(read_pose_log(&capture).expect("the seed is good").rows.len(), 2);
     fuzz("freed-capture", Mutator::new(seed(), Form::Binary, vec![capture]), MAX_OF_TEXT, read);
+    let capture = seeds::opentrackio_capture();
+    assert_eq!(read_pose_log(&capture).expect("the seed is good").rows.len(), 1);
+    fuzz("opentrackio-capture", Mutator::new(seed(), Form::Binary, vec![capture]), MAX_OF_TEXT, read);
 }
 
 /// Decodes all samples of a sound; every frame lies in it, and is a possible one.

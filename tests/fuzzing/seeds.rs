@@ -198,6 +198,18 @@ pub const TUM: &str = "# t tx ty tz qx qy qz qw\n1.5 0.1 -4 1.6 -0.7071068 0 0 0
 pub const RECORD: &str = "{\"sequence\":0,\"timestamp_ns\":0,\"state\":\"searching\",\"pose\":null,\"measured\":null}\n\
     {\"sequence\":1,\"timestamp_ns\":40000000,\"state\":\"tracking\",\"pose\":{\"position_m\":[0,-4,0],\"orientation_xyzw\":[0,0,0,1]}}\n";
 
+/// An OpenTrackIO sample in a capture file of libpcap.
+pub fn opentrackio_capture() -> Vec<u8> {
+    let text = br#"{"sourceId":"a","transforms":[{"translation":{"x":1,"y":-4,"z":1.5},"rotation":{"pan":30,"tilt":-5,"roll":1}}]}"#;
+    let packet =
+        stagepose::protocols::opentrackio::datagram(stagepose::protocols::opentrackio::Encoding::Json, 1, text).expect("short enough");
+    let length = packet.len() as u32;
+    let mut bytes = [0xA1B2_3C4D_u32.to_le_bytes().as_slice(), &[0; 20]].concat();
+    [1, 0, length, length].iter().for_each(|n: &u32| bytes.extend(n.to_le_bytes()));
+    bytes.extend(packet);
+    bytes
+}
+
 /// Two FreeD packets in a capture file of libpcap.
 pub fn freed_capture() -> Vec<u8> {
     let mut bytes = [0xA1B2_C3D4_u32.to_le_bytes().as_slice(), &[0; 20]].concat();

@@ -1,5 +1,6 @@
 //! Small decoders written from the protocols' documents: free-d manual A.3.2, OpenTrackIO 1.0.1,
-//! RFC 8949, PosiStageNet 2.03, ANSI E1.59 (by way of its public implementations), OSC 1.0, RFC 6455. Any deviation from the document fails the test.
+//! RFC 8949, PosiStageNet 2.03, ANSI E1.59 (by way of its public implementations), OSC 1.0, RFC
+//! 6455. Any deviation from the document fails the test.
 
 use serde_json::{Map, Value};
 

@@ -55,8 +55,11 @@ fn what_listen_asks_for_arrives_and_equals_json() {
     let lines = std::fs::read_to_string(lines).unwrap();
     let lines: Vec<Value> =
         lines.lines().map(|line| serde_json::from_str(line).unwrap()).filter(|l: &Value| !l["pose"].is_null()).collect();
+    let mut last_us = 0;
     for packet in packets {
         let point = decoders::otp(&packet).unwrap().remove(0);
+        assert!(point.number == 1 && point.time_us > last_us, "the camera, at rising times");
+        last_us = point.time_us;
         let (position, angles) = (point.position_m.unwrap(), point.angles_deg.unwrap().map(f64::to_radians));
         let rotation = UnitQuaternion::from_euler_angles(angles[0], angles[1], angles[2]);
         let off = |line: &Value| (0..3).map(|k| (line["pose"]["position_m"][k].as_f64().unwrap() - position[k]).abs()).fold(0.0, f64::max);

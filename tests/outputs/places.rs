@@ -139,7 +139,9 @@ impl Place {
     /// Asks the output for poses, if it sends none unasked.
     pub fn ask(&self) {
         if self.way == Way::Otp {
-            decoders::otp_questions().iter().for_each(|question| drop(self.udp.send_to(question, self.asked_at).unwrap()));
+            for question in decoders::otp_questions() {
+                self.udp.send_to(&question, self.asked_at).unwrap();
+            }
         }
     }
 
