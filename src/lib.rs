@@ -8,15 +8,14 @@
 //!                                   candidates, verified) prediction)
 //! ```
 //!
-//! # What is public
-//! The types at the root are what a program needs to build a [`TrackerSetup`], feed frames and read
-//! samples. Features add clips (`capture`), the config and the `Daemon` (`daemon`), calibration
-//! files (`calibration-files`), the virtual stage (`simulate`) and shutter estimation from a clip
-//! (`survey`). The module `protocols` (`protocols`) has the codecs of FreeD, OpenTrackIO,
-//! PosiStageNet and OTP. The module `two_views` (`two-views`) has features, matching and geometry of two
-//! pictures. [`diagnostics`] exposes internals to studies, benches and tests, without any stability
-//! promise. The crates whose types appear in signatures are re-exported: [`nalgebra`], [`image`],
-//! [`crossbeam_channel`], and with `protocols` also `serde_json`.
+//! # What is public The types at the root are what a program needs to build a [`TrackerSetup`],
+//! feed frames and read samples. Features add clips (`capture`), the config and the `Daemon`
+//! (`daemon`), calibration files (`calibration-files`), the virtual stage (`simulate`) and shutter
+//! estimation from a clip (`survey`). The module `protocols` (`protocols`) has the codecs of FreeD,
+//! OpenTrackIO, PosiStageNet and OTP. The module `two_views` (`two-views`) has features, matching
+//! and geometry of two pictures. [`diagnostics`] exposes internals to studies, benches and tests,
+//! without any stability promise. The crates whose types appear in signatures are re-exported:
+//! [`nalgebra`], [`image`], [`crossbeam_channel`], and with `protocols` also `serde_json`.
 //!
 //! # Map of the modules
 //! Data flows one way. A module (a folder or file of `src/`) uses only modules above it in this
@@ -66,6 +65,7 @@
 //! - `protocols` (`protocols`): encoding and decoding of FreeD, OpenTrackIO, PosiStageNet
 //!   and OTP
 //! - `delay` (`cli`): how much later one camera's stamps are than another's, from their turn rates
+//! - `other_tracker` (`cli`): another tracker beside this one: alignment, differences, verdict
 //! - `publish` (`publish`): one file per protocol, one thread per output: FreeD, OpenTrackIO,
 //!   PosiStageNet, OTP, OSC, JSON
 //! - `telemetry` (`daemon`): counters, health and metrics of a running daemon
@@ -97,6 +97,8 @@ mod geometry;
 mod light;
 mod matching;
 mod motion;
+#[cfg(feature = "cli")]
+mod other_tracker;
 mod pose;
 mod record;
 mod simd;
@@ -170,7 +172,7 @@ pub use compute_clock::ComputeClock;
 pub use frame::{Frame, Timestamp};
 pub use geometry::{Body, Camera, Pose, ReferenceCamera, Stage, SurfaceFrame};
 pub use light::Transfer;
-pub use pose::{FilterKind, FilterSettings, KalmanSettings, OneEuroSettings};
+pub use pose::{FilterKind, FilterSettings, FixedCamera, KalmanSettings, OneEuroSettings};
 pub use record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
 pub use track::{
     BodySpec, Facet, FacetTexture, LearntCamera, LearntError, LearntTime, MapFileError, Reason, ReferenceKind, StageMap, SurfaceError,

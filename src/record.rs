@@ -42,16 +42,24 @@ pub struct Measurement {
     /// The part of `covariance` that is the same error in all frames (lens, layout, map, shutter);
     /// the rest is noise, new in every frame. Not in the record.
     pub common: Matrix6<f64>,
-    /// The better two-view model.
-    pub model: TwoViewModel,
+    /// The better two-view model; `None` for a camera whose pose is configured.
+    pub model: Option<TwoViewModel>,
     /// Maps reference pixels of the first stage surface to undistorted frame pixels, h33 = 1.
     pub homography: Option<Matrix3<f64>>,
     /// Motion from the reference camera.
     pub essential: Option<EssentialMotion>,
-    /// Number of correspondences used.
-    pub inliers: usize,
-    /// Their RMS residual, pixels.
-    pub rms_px: f64,
+    /// Number of correspondences used; `None` as for `model`.
+    pub inliers: Option<usize>,
+    /// Their RMS residual, pixels; `None` as for `model`.
+    pub rms_px: Option<f64>,
+}
+
+impl Measurement {
+    /// Creates the measurement of a pose that no picture is evidence for, yet without a covariance.
+    pub fn without_evidence(pose: Pose<Stage, Camera>) -> Self {
+        let none = Matrix6::zeros();
+        Self { pose, covariance: none, common: none, model: None, homography: None, essential: None, inliers: None, rms_px: None }
+    }
 }
 
 /// A tracked object in one frame.
@@ -234,11 +242,11 @@ impl PoseSample {
         map.serialize_field("pose", &self.pose)?;
         map.serialize_field("measured", &m.map(|m| m.pose))?;
         map.serialize_field("covariance", &covariance.as_deref().map(Numbers))?;
-        map.serialize_field("model", &m.map(|m| m.model))?;
+        map.serialize_field("model", &m.and_then(|m| m.model))?;
         map.serialize_field("homography", &homography.as_deref().map(Numbers))?;
         map.serialize_field("essential", &m.and_then(|m| m.essential))?;
-        map.serialize_field("inliers", &m.map(|m| m.inliers))?;
-        map.serialize_field("rms_px", &m.map(|m| m.rms_px))?;
+        map.serialize_field("inliers", &m.and_then(|m| m.inliers))?;
+        map.serialize_field("rms_px", &m.and_then(|m| m.rms_px))?;
         map.serialize_field("objects", &self.objects)?;
         map.end()
     }

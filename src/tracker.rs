@@ -9,9 +9,9 @@ use thiserror::Error;
 use crate::camera::{CameraModel, KnownShutter};
 use crate::compute_clock::ComputeClock;
 use crate::frame::{Frame, Timestamp};
-use crate::pose::{BodyEstimate, FilterSettings, PoseEstimate, PoseStage};
+use crate::pose::{BodyEstimate, FilterSettings, FixedCamera, PoseEstimate, PoseStage};
 use crate::record::{EssentialMotion, Measurement, ObjectSample, PoseSample, StageTimes, State, TwoViewModel};
-use crate::track::{BodySpec, BodyTracker, FrameObservation, LearntCamera, SurfaceError, TrackerSettings, UsedPixels, ViewStore};
+use crate::track::{BodySpec, BodyTracker, FrameObservation, LearntCamera, Reason, SurfaceError, TrackerSettings, UsedPixels, ViewStore};
 
 /// Everything needed to build a tracker.
 #[derive(Debug, Clone)]
@@ -27,6 +27,9 @@ pub struct TrackerSetup {
     pub stage: BodySpec,
     /// Tracked objects.
     pub objects: Vec<BodySpec>,
+    /// A camera that stands still, at this pose: the stage need not be seen, and may have no
+    /// surfaces. `None`: the pose is measured.
+    pub fixed: Option<FixedCamera>,
     /// Tuning parameters.
     pub settings: TrackerSettings,
     /// The clock that measures a sample's compute times; the default never advances.
@@ -85,6 +88,7 @@ impl TrackerSetup {
             mask: None,
             stage,
             objects: Vec::new(),
+            fixed: None,
             settings: TrackerSettings::default(),
             clock: ComputeClock::default(),
             learnt: LearntCamera::default(),
@@ -108,7 +112,8 @@ impl TrackerSetup {
         }
         for body in std::iter::once(&self.stage).chain(&self.objects) {
             let name = || body.name.clone();
-            if body.surfaces.is_empty() {
+            let may_be_empty = self.fixed.is_some() && std::ptr::eq(body, &self.stage);
+            if body.surfaces.is_empty() && !may_be_empty {
                 return Err(SetupError::NoSurface { body: name() });
             }
             for surface in &body.surfaces {
@@ -163,6 +168,7 @@ pub struct Tracker {
 /// The pose stage, with the object names for the records.
 pub(crate) struct PoseRecorder {
     stage: PoseStage,
+    fixed: Option<FixedCamera>,
     names: Vec<String>,
     clock: ComputeClock,
 }
@@ -179,12 +185,16 @@ impl Tracker {
         let bodies: Vec<&BodySpec> = std::iter::once(&setup.stage).chain(&setup.objects).collect();
         let mut matcher = BodyTracker::new(setup.camera, setup.shutter, setup.mask, &bodies, setup.settings, setup.clock, setup.store);
         matcher.begin_with(&setup.learnt);
-        Ok(Self { matcher, poses: PoseRecorder { stage: PoseStage::default(), names, clock: setup.clock }, last: None })
+        Ok(Self {
+            matcher,
+            poses: PoseRecorder { stage: PoseStage::default().fixed(setup.fixed), fixed: setup.fixed, names, clock: setup.clock },
+            last: None,
+        })
     }
 
     /// Adds a filter between the measured pose and the reported one, from the next frame on.
     pub fn with_filter(mut self, filter: FilterSettings) -> Self {
-        self.poses.stage = PoseStage::with_filter(filter);
+        self.poses.stage = PoseStage::with_filter(filter).fixed(self.poses.fixed);
         self
     }
 
@@ -230,8 +240,9 @@ impl PoseRecorder {
     pub(crate) fn sample(&mut self, observation: &FrameObservation, decode_ms: f64) -> PoseSample {
         let _span = tracing::debug_span!("pose", sequence = observation.sequence).entered();
         let start = self.clock.start();
-        let PoseEstimate { camera, objects } = self.stage.estimate(observation);
-        let measurement = measurement(observation, &camera);
+        let PoseEstimate { camera, objects, is_moved } = self.stage.estimate(observation);
+        let measurement = if self.fixed.is_some() { standing(&camera) } else { measurement(observation, &camera) };
+        let reason = if is_moved { Some(Reason::CameraMoved) } else { observation.stage.reason };
         let objects = self.names.iter().zip(objects).map(|(name, o)| object_sample(name, o)).collect();
         let pose_ms = start.elapsed_ms();
         PoseSample {
@@ -241,7 +252,7 @@ impl PoseRecorder {
             pose: camera.pose,
             measurement,
             objects,
-            reason: observation.stage.reason.filter(|_| camera.state != State::Tracking),
+            reason: reason.filter(|_| camera.state != State::Tracking),
             learnt: observation.learnt,
             times: StageTimes { decode_ms, acquire_ms: observation.acquire_ms, align_ms: observation.align_ms, pose_ms, age_ms: None },
         }
@@ -261,12 +272,19 @@ fn measurement(observation: &FrameObservation, camera: &BodyEstimate<crate::geom
         pose: measured.pose,
         covariance: measured.covariance(),
         common: measured.common(),
-        model: if two_view.has_depth { TwoViewModel::Essential } else { TwoViewModel::Homography },
+        model: Some(if two_view.has_depth { TwoViewModel::Essential } else { TwoViewModel::Homography }),
         homography: two_view.homography,
         essential,
-        inliers: verified.inliers,
-        rms_px: observation.stage.rms_px?,
+        inliers: Some(verified.inliers),
+        rms_px: Some(observation.stage.rms_px?),
     })
+}
+
+/// Returns the measurement of a camera whose pose is configured: no frame has evidence for it.
+fn standing(camera: &BodyEstimate<crate::geometry::Camera>) -> Option<Measurement> {
+    let measured = camera.measured?;
+    let (covariance, common) = (measured.covariance(), measured.common());
+    Some(Measurement { covariance, common, ..Measurement::without_evidence(measured.pose) })
 }
 
 fn object_sample(name: &str, estimate: BodyEstimate<crate::geometry::Body>) -> ObjectSample {

@@ -114,6 +114,12 @@ pub enum Failure {
     /// Two clips yield no delay, or none that should be used.
     #[error("{0}")]
     Delay(String),
+    /// Two logs cannot be compared, or do not agree.
+    #[error("{0}")]
+    PoseComparison(String),
+    /// A clip does not say where its camera stands.
+    #[error("{0}")]
+    Standing(String),
     /// The browser pairing code is missing.
     #[error("{0}")]
     Pairing(String),

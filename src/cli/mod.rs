@@ -10,6 +10,7 @@ mod check;
 mod clip_rows;
 mod clip_timecode;
 mod compare;
+mod compare_poses;
 mod completions;
 mod delay;
 mod demo;
@@ -17,6 +18,7 @@ mod detectors;
 mod devices;
 mod export;
 mod failure;
+mod freeze;
 mod interrupt;
 mod learnt;
 mod listen;
@@ -79,6 +81,7 @@ enum Command {
     Poster(poster::PosterArguments),
     Mount(mount::MountArguments),
     Delay(delay::DelayArguments),
+    ComparePoses(compare_poses::ComparePosesArguments),
     Devices(devices::DevicesArguments),
     Run(run::RunArguments),
     #[cfg(feature = "http")]
@@ -93,6 +96,7 @@ enum Command {
     Map(map::MapArguments),
     Export(export::ExportArguments),
     Refine(refine::RefineArguments),
+    Freeze(freeze::FreezeArguments),
     Timecode(timecode::TimecodeArguments),
     Completions(completions::CompletionsArguments),
     Man(man::ManArguments),
@@ -120,6 +124,7 @@ pub fn run(started: Instant) -> ExitCode {
         Command::Poster(arguments) => poster::run(&arguments),
         Command::Mount(arguments) => mount::run(&arguments),
         Command::Delay(arguments) => delay::run(&arguments),
+        Command::ComparePoses(arguments) => compare_poses::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),
         #[cfg(feature = "http")]
@@ -134,6 +139,7 @@ pub fn run(started: Instant) -> ExitCode {
         Command::Map(arguments) => map::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Refine(arguments) => refine::run(&arguments),
+        Command::Freeze(arguments) => freeze::run(&arguments),
         Command::Timecode(arguments) => timecode::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
         Command::Man(arguments) => man::run(&arguments),

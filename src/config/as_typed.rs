@@ -77,6 +77,25 @@ pub struct Camera {
     pub latency_s: Option<Spanned<Number>>,
     /// Driver controls by name.
     pub controls: Option<BTreeMap<String, Spanned<ControlValue>>>,
+    /// `[camera.pose]`.
+    pub pose: Option<Spanned<CameraPose>>,
+}
+
+/// `[camera.pose]`: where a camera stands still.
+#[derive(Debug, Deserialize)]
+pub struct CameraPose {
+    /// Its place in the stage, metres.
+    pub position_m: Option<Spanned<Exactly<Number, 3>>>,
+    /// Orientation of its optical frame.
+    pub orientation_xyzw: Option<Spanned<Exactly<Number, 4>>>,
+    /// The same as pan, tilt and roll, degrees.
+    pub rotation_deg: Option<Spanned<Exactly<Number, 3>>>,
+    /// One sigma of the place, metres.
+    pub position_sigma_m: Option<Spanned<Number>>,
+    /// One sigma of the orientation, degrees.
+    pub rotation_sigma_deg: Option<Spanned<Number>>,
+    /// Or the covariance of both, row by row, m and rad.
+    pub covariance: Option<Spanned<Exactly<Number, 36>>>,
 }
 
 /// `[stage]`.

@@ -15,9 +15,10 @@ use super::{ConfigError, Problem};
 type Keys = fn() -> &'static [&'static str];
 
 /// Every section of this version: its path, its name in messages, its keys.
-const SECTIONS: [(&[&str], &str, Keys); 20] = [
+const SECTIONS: [(&[&str], &str, Keys); 21] = [
     (&[], "the config", fields::<as_typed::Config>),
     (&["camera"], "[camera]", fields::<as_typed::Camera>),
+    (&["camera", "pose"], "[camera.pose]", fields::<as_typed::CameraPose>),
     (&["stage"], "[stage]", fields::<as_typed::Stage>),
     (&["stage", "surface"], "[[stage.surface]]", fields::<as_typed::Surface>),
     (&["stage", "map"], "[stage.map]", fields::<as_typed::MapOfStage>),

@@ -12,6 +12,7 @@ pub mod as_typed;
 mod bodies;
 mod error;
 mod filter;
+mod fixed;
 mod http;
 mod known_keys;
 mod lens;

@@ -29,6 +29,9 @@ pub(super) enum Turned {
     Mount,
     /// A receiver's frame: x right, y forward, z up.
     Output,
+    /// A camera in the stage: the quaternion is that of its optical frame (x right, y down, z
+    /// forward), the angles are pan, tilt and roll.
+    Camera,
 }
 
 impl Turned {
@@ -36,6 +39,7 @@ impl Turned {
         match self {
             Self::Surface => UnitQuaternion::from_quaternion(Quaternion::new(FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0, 0.0)),
             Self::Mount | Self::Output => UnitQuaternion::identity(),
+            Self::Camera => UnitQuaternion::from_quaternion(Quaternion::new(FRAC_1_SQRT_2, -FRAC_1_SQRT_2, 0.0, 0.0)),
         }
     }
 
@@ -46,6 +50,7 @@ impl Turned {
         match self {
             Self::Surface => turn * self.default() * tilt * about(Vector3::z_axis(), roll),
             Self::Mount | Self::Output => turn * tilt * about(Vector3::y_axis(), roll),
+            Self::Camera => turn * tilt * about(Vector3::y_axis(), roll) * self.default(),
         }
     }
 
@@ -62,6 +67,7 @@ impl Turned {
                 ("orientation_xyzw", "a surface has either `orientation_xyzw` or `rotation_deg`, this one has both; remove one")
             }
             Self::Mount => ("orientation_xyzw", "a mount has either `orientation_xyzw` or `rotation_deg`, this one has both; remove one"),
+            Self::Camera => ("orientation_xyzw", "a camera has either `orientation_xyzw` or `rotation_deg`, this one has both; remove one"),
             Self::Output => ("rotation_xyzw", "an output has either `rotation_xyzw` or `rotation_deg`, this one has both; remove one"),
         };
         match (quaternion, angles) {

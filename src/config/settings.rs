@@ -13,6 +13,7 @@ use tracing::level_filters::LevelFilter;
 use super::as_typed;
 use super::bodies::{BodyReader, refuse_many};
 use super::filter::filter;
+use super::fixed::fixed;
 use super::http::{HostName, HttpSettings};
 use super::lens::{self, LensSource, lens};
 use super::measured::measured;
@@ -31,7 +32,7 @@ use crate::camera::{CameraModel, KnownShutter};
 use crate::capture::camera::PixelLayout;
 use crate::geometry::{Body, Pose, SurfaceFrame};
 use crate::light::Transfer;
-use crate::pose::FilterSettings;
+use crate::pose::{FilterSettings, FixedCamera};
 use crate::publish::{MountSettings, OutputSettings, SafetySettings};
 use crate::survey::measured::Constraint;
 use crate::track::{BodySpec, TrackerSettings};
@@ -64,6 +65,8 @@ pub struct Settings {
     pub(crate) first_as_typed: Pose<Body, SurfaceFrame>,
     /// The tracked objects, in the order of the file.
     pub objects: Vec<BodySpec>,
+    /// A camera that stands still; `None`: its pose is measured.
+    pub fixed: Option<FixedCamera>,
     /// Measurements on the stage, for a survey.
     pub(crate) measured: Vec<Constraint>,
     /// The filming camera on the rig; `None` without `[mount]`.
@@ -232,6 +235,9 @@ impl Settings {
         if let Some(calibration) = &camera.calibration {
             bodies.note_camera(calibration.get_ref(), &model);
         }
+        let fixed = camera.pose.as_ref().map(|pose| fixed(&section, pose)).transpose()?;
+        // What a fixed camera tracks are objects.
+        let needs_stage = needs_stage && (fixed.is_none() || typed.object.is_empty());
         let (stage, objects) = (bodies.stage(typed.stage.as_ref(), needs_stage)?, bodies.objects(&typed.object)?);
         let first_as_typed = bodies.first_as_typed;
         let names: Vec<String> = objects.iter().map(|o| o.name.clone()).collect();
@@ -256,6 +262,7 @@ impl Settings {
             stage,
             first_as_typed,
             objects,
+            fixed,
             outputs: outputs.outputs(&typed.output)?,
             mount,
             tracker: tracker(&origin, typed.tracker.as_ref(), transfer)?,
@@ -330,6 +337,7 @@ impl Settings {
             shutter: self.shutter,
             mask: self.mask_for(width, height),
             objects: self.objects.clone(),
+            fixed: self.fixed,
             settings: self.tracker.clone(),
             ..TrackerSetup::new(camera, self.stage.clone())
         };

@@ -408,7 +408,7 @@ fn the_example_has_every_key_and_nothing_else() {
     for (section, keys) in known_keys() {
         let bare = section.trim_matches(['[', ']']);
         assert!(EXAMPLE.contains(section) || keys.contains(&"surface") || section == "[survey]", "{section} is not in the example");
-        for key in keys.iter().filter(|key| !["surface", "map", "value", "distance", "point"].contains(*key)) {
+        for key in keys.iter().filter(|key| !["surface", "map", "pose", "value", "distance", "point"].contains(*key)) {
             let there = EXAMPLE.lines().any(|line| line.trim_start_matches(['#', ' ']).starts_with(&format!("{key} = ")));
             assert!(there, "{bare}.{key} is not in the example");
         }
@@ -418,6 +418,7 @@ fn the_example_has_every_key_and_nothing_else() {
 #[test]
 fn the_example_parses_with_every_key_uncommented() {
     let sections = [
+        "[camera.pose]",
         "[mount]",
         "[stage]",
         "[[object]]",

@@ -18,6 +18,7 @@ mod sight;
 mod solve;
 #[cfg(test)]
 mod solve_tests;
+mod standing;
 mod start;
 mod still;
 mod views;
@@ -26,5 +27,6 @@ pub use crate::calibrate::judge::Verdict;
 pub use advice::{NextView, is_doubt_of_lenses, judge, next_view, worst_sigmas};
 pub use sight::ObservationModel;
 pub use solve::{Solution, Unsolvable, Used, solve};
+pub use standing::{StandingRow, standing};
 pub use still::{StillPair, Unpaired, still_pairs};
 pub use views::{Stages, View, ViewPair};

@@ -18,8 +18,8 @@ const MIN_ROWS: usize = 5;
 /// since covariances do not include all the drift of a still pose. Chosen, not tuned. Raised, slow
 /// movements are merged into one view; lowered, a standstill falls into pieces.
 const SIGMAS: f64 = 4.0;
-const SLACK_M: f64 = 5e-4;
-const SLACK_RAD: f64 = 4e-4;
+pub(super) const SLACK_M: f64 = 5e-4;
+pub(super) const SLACK_RAD: f64 = 4e-4;
 
 /// Two matching views, one from each clip.
 #[derive(Debug, Clone, Copy, PartialEq)]

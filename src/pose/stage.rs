@@ -3,6 +3,8 @@
 use nalgebra::Matrix6;
 
 use super::filter::{FilterSettings, PoseFilter};
+use super::fixed::{FixedCamera, FixedWatch};
+use super::measured::Measured;
 use crate::frame::Timestamp;
 use crate::geometry::covariance::covariance_of_object;
 use crate::geometry::{Body, Camera, Pose, Stage};
@@ -20,30 +22,6 @@ pub struct BodyEstimate<From> {
     pub measured: Option<Measured<From>>,
 }
 
-/// A measured pose.
-#[derive(Debug, Clone, Copy)]
-pub struct Measured<From> {
-    /// The pose.
-    pub pose: Pose<Stage, From>,
-    /// Covariance of [δp, δθ] in stage axes due to the frame's noise; the filter weights by it.
-    pub noise: Matrix6<f64>,
-    /// The same due to uncertainty of lens and shapes and to model errors, which persist over
-    /// frames.
-    pub by_model: Option<Matrix6<f64>>,
-}
-
-impl<From> Measured<From> {
-    /// Returns the total covariance.
-    pub fn covariance(&self) -> Matrix6<f64> {
-        self.by_model.map_or(self.noise, |by_model| self.noise + by_model)
-    }
-
-    /// Returns the part of the covariance that persists over frames; zero if there is none.
-    pub fn common(&self) -> Matrix6<f64> {
-        self.by_model.unwrap_or_else(Matrix6::zeros)
-    }
-}
-
 /// The estimates of the camera and the objects after a frame.
 #[derive(Debug, Clone)]
 pub struct PoseEstimate {
@@ -51,12 +29,16 @@ pub struct PoseEstimate {
     pub camera: BodyEstimate<Camera>,
     /// `T_stage_object` of each object.
     pub objects: Vec<BodyEstimate<Body>>,
+    /// Whether a fixed camera does not stand where it should.
+    pub is_moved: bool,
 }
 
 /// Turns observations into estimates; keeps the motion history for predictions.
 #[derive(Debug)]
 pub struct PoseStage {
     filter: FilterSettings,
+    /// A camera whose pose is configured.
+    fixed: Option<FixedWatch>,
     camera: BodyMotion<Camera>,
     objects: Vec<BodyMotion<Body>>,
 }
@@ -84,7 +66,13 @@ impl Default for PoseStage {
 impl PoseStage {
     /// Creates the stage with the configured filter, one for every body.
     pub fn with_filter(filter: FilterSettings) -> Self {
-        Self { filter, camera: BodyMotion::new(filter), objects: Vec::new() }
+        Self { filter, fixed: None, camera: BodyMotion::new(filter), objects: Vec::new() }
+    }
+
+    /// Takes the camera's pose as configured, from the next frame on.
+    pub fn fixed(mut self, camera: Option<FixedCamera>) -> Self {
+        self.fixed = camera.map(FixedWatch::new);
+        self
     }
 
     /// Processes the observation of the next frame.
@@ -95,19 +83,23 @@ impl PoseStage {
             return PoseEstimate {
                 camera: unseen(&self.camera.history),
                 objects: self.objects.iter().map(|o| unseen(&o.history)).collect(),
+                is_moved: self.fixed.as_ref().is_some_and(FixedWatch::is_moved),
             };
         }
         // The stage's body frame is the stage frame.
         let measured = |v: &Verified| Measured { pose: v.pose.renamed(), noise: v.covariance, by_model: v.by_model };
         let seen = observation.stage.verified.as_ref().map(measured);
-        let camera = settle(observation.stage.state, seen, observation.timestamp, &mut self.camera);
+        let camera = match self.fixed.as_mut().map(|fixed| fixed.look(seen.as_ref())) {
+            None => settle(observation.stage.state, seen, observation.timestamp, &mut self.camera),
+            Some(measured) => standing(measured, observation.timestamp, &mut self.camera),
+        };
         let objects = observation
             .objects
             .iter()
             .zip(&mut self.objects)
             .map(|(object, motion)| object_estimate(object, &camera, observation.timestamp, motion))
             .collect();
-        PoseEstimate { camera, objects }
+        PoseEstimate { camera, objects, is_moved: self.fixed.as_ref().is_some_and(FixedWatch::is_moved) }
     }
 }
 
@@ -178,6 +170,16 @@ fn settle<From>(state: State, measured: Option<Measured<From>>, timestamp: Times
     history.reset();
     filter.reset();
     unseen(history)
+}
+
+/// Returns the estimate of a camera that stands still, or counts as moved: never filtered, never
+/// predicted.
+fn standing(measured: Option<Measured<Camera>>, timestamp: Timestamp, motion: &mut BodyMotion<Camera>) -> BodyEstimate<Camera> {
+    let Some(measured) = measured else {
+        return unseen(&motion.history);
+    };
+    motion.history.measured(timestamp, &measured.pose);
+    BodyEstimate { state: State::Tracking, pose: Some(measured.pose), measured: Some(measured) }
 }
 
 /// Returns an estimate without a pose; the state tells whether the body was ever measured in the

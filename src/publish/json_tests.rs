@@ -20,11 +20,11 @@ fn sample() -> PoseSample {
         pose: golden_camera(),
         covariance: covariance(),
         common: Matrix6::zeros(),
-        model: TwoViewModel::Homography,
+        model: Some(TwoViewModel::Homography),
         homography: None,
         essential: None,
-        inliers: 7,
-        rms_px: 0.25,
+        inliers: Some(7),
+        rms_px: Some(0.25),
     };
     let cart = |name: &str, x| ObjectSample {
         name: name.to_owned(),

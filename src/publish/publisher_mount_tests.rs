@@ -84,11 +84,11 @@ fn json_reports_the_mounted_cameras_frame_and_covariance() {
         pose: golden_camera(),
         covariance,
         common: Matrix6::zeros(),
-        model: TwoViewModel::Homography,
+        model: Some(TwoViewModel::Homography),
         homography: None,
         essential: None,
-        inliers: 9,
-        rms_px: 0.1,
+        inliers: Some(9),
+        rms_px: Some(0.1),
     });
     let all = OutputSettings { bodies: vec![BodyChoice::Camera, BodyChoice::Mount], ..output(json(), &ear) };
     let publisher = started(&[all], mount(BodyChoice::Camera, None, Duration::ZERO));

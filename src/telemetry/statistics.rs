@@ -4,7 +4,9 @@ use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use super::budget::{Budget, MeanTimes};
 use super::histogram::Histogram;
+use crate::camera::KnownShutter;
 use crate::frame::Timestamp;
 use crate::publish::FrameClock;
 use crate::record::{PoseSample, State};
@@ -81,6 +83,9 @@ pub struct Statistics {
     /// Decode, acquire, align, pose, total.
     stages: [Histogram; 5],
     age: Histogram,
+    send: Histogram,
+    /// What is known of the camera's shutter, by the config and its driver.
+    shutter: Mutex<KnownShutter>,
     /// The camera's name; written when it is opened, read for a page.
     camera: Mutex<String>,
     /// What has been learnt of the camera, as of the last sample.
@@ -106,7 +111,8 @@ impl Statistics {
         if let Some(age_ms) = t.age_ms {
             self.age.observe_ms(age_ms);
         }
-        let (inliers, rms_px) = sample.measurement.as_ref().map_or((0, 0.0), |m| (m.inliers, m.rms_px));
+        let evidence = sample.measurement.as_ref().and_then(|m| m.inliers.zip(m.rms_px));
+        let (inliers, rms_px) = evidence.unwrap_or_default();
         self.inliers.store(inliers as u64, Ordering::Relaxed);
         self.rms_bits.store(rms_px.to_bits(), Ordering::Relaxed);
         *self.learnt.lock().unwrap_or_else(PoisonError::into_inner) = sample.learnt;
@@ -115,6 +121,24 @@ impl Statistics {
     /// Returns what has been learnt of the camera, as of the last sample.
     pub fn learnt(&self) -> LearntCamera {
         *self.learnt.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Notes what config and driver say of the camera's shutter.
+    pub fn set_shutter(&self, shutter: KnownShutter) {
+        *self.shutter.lock().unwrap_or_else(PoisonError::into_inner) = shutter;
+    }
+
+    /// Notes how long the slowest output took from a sample to its last packet, milliseconds.
+    pub fn sent_after_ms(&self, ms: f64) {
+        self.send.observe_ms(ms);
+    }
+
+    /// Returns where the time between a pose's instant and its packet goes.
+    pub fn budget(&self) -> Budget {
+        let shutter = *self.shutter.lock().unwrap_or_else(PoisonError::into_inner);
+        let [decode, .., total] = &self.stages;
+        let times = MeanTimes { age_s: self.age.mean_s(), decode_s: decode.mean_s(), track_s: total.mean_s(), send_s: self.send.mean_s() };
+        Budget::of(&shutter, &self.learnt(), &times)
     }
 
     /// Notes where timecode comes from; `None` without `[timecode]`.

@@ -78,11 +78,11 @@ mod tests {
             pose,
             covariance,
             common: Matrix6::zeros(),
-            model,
+            model: Some(model),
             homography: None,
             essential: None,
-            inliers: 0,
-            rms_px: 0.0,
+            inliers: Some(0),
+            rms_px: Some(0.0),
         });
         sample
     }

@@ -8,6 +8,7 @@ mod files;
 mod good;
 mod kept_views;
 mod mistakes;
+mod other_tracker;
 mod outputs;
 mod overlay;
 mod plain_surface;

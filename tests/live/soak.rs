@@ -54,7 +54,7 @@ fn soak() {
                 });
                 if errors.is_none_or(|(m, deg)| m > MAX_M || deg > MAX_DEG) {
                     println!(
-                        "soak: WRONG POSE in frame {}: {errors:?} m and degrees off, inliers {}, rms {:.2} px",
+                        "soak: WRONG POSE in frame {}: {errors:?} m and degrees off, inliers {:?}, rms {:?} px",
                         sample.sequence, measured_by.0, measured_by.1
                     );
                     wrong.push((sample.sequence, errors));

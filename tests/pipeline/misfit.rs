@@ -28,7 +28,7 @@ fn a_stretched_print_is_covered_by_the_covariance() {
     let samples = track_rows(told, &rows(&scene, 30));
     let tracked: Vec<&PoseSample> = samples.iter().filter(|s| s.state == State::Tracking).collect();
     let mean = |of: &dyn Fn(&PoseSample) -> f64, samples: &[&PoseSample]| samples.iter().map(|s| of(s)).sum::<f64>() / samples.len() as f64;
-    let rms_px = |s: &PoseSample| s.measurement.expect("it tracks").rms_px;
+    let rms_px = |s: &PoseSample| s.measurement.expect("it tracks").rms_px.expect("it is measured");
     let nees = mean(&|s| nees_per_freedom(&scene, s), &tracked);
     let off = mean(&|s| (truth_of(&scene, s).translation - s.measurement.unwrap().pose.translation).norm(), &tracked);
     let right = track(&scene, 30);

@@ -5,6 +5,7 @@ mod any_frame;
 mod bent;
 mod copies;
 mod daemon;
+mod fixed;
 mod misfit;
 mod mixtures;
 mod objects;

@@ -20,7 +20,7 @@ use modules::{Modules, Name};
 use syn::{Item, Visibility};
 
 /// The rooms from the top. Each uses only those above it.
-const ROOMS: [&str; 42] = [
+const ROOMS: [&str; 43] = [
     // The core.
     "compute_clock",
     "simd",
@@ -56,6 +56,7 @@ const ROOMS: [&str; 42] = [
     "diagnose",
     "protocols",
     "delay",
+    "other_tracker",
     "publish",
     "telemetry",
     "config",

@@ -197,9 +197,9 @@ pub(super) fn log_turns(file: &Path, clip: &Path, origin: Timestamp) -> Result<F
                 clip.display()
             ))
         })?;
-        rows.iter_mut().for_each(|(at, _)| *at = at.after_ns(ahead_ns.saturating_neg()));
+        rows.iter_mut().for_each(|row| row.at = row.at.after_ns(ahead_ns.saturating_neg()));
     }
     let measured = rows.len();
-    let turns = Turns::of_orientations(origin, rows);
+    let turns = Turns::of_orientations(origin, rows.into_iter().map(|row| (row.at, row.rotation)));
     Ok(Filmed { turns, means: Means::Log, name, origin, rows: measured, measured, row_mean: RowMean::default(), readout_s: None })
 }

@@ -21,11 +21,11 @@ fn tracked(frame: &Frame, pose: Pose<Stage, Camera>) -> PoseSample {
         pose,
         covariance: Matrix6::identity(),
         common: Matrix6::zeros(),
-        model: TwoViewModel::Homography,
+        model: Some(TwoViewModel::Homography),
         homography: None,
         essential: None,
-        inliers: 100,
-        rms_px: 0.1,
+        inliers: Some(100),
+        rms_px: Some(0.1),
     };
     PoseSample {
         sequence: frame.sequence,

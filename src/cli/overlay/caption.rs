@@ -86,8 +86,8 @@ pub(super) fn status(canvas: &mut Canvas, sample: &PoseSample, edge: f32) {
         let [pan, tilt, roll] = camera_angles(pose).map(|degrees| signed(degrees, 2));
         facts.push(Phrase::plain(WHITE, format!("pan {pan}\u{b0}  tilt {tilt}\u{b0}  roll {roll}\u{b0}")));
     }
-    if let Some(measurement) = &sample.measurement {
-        facts.push(Phrase::plain(PALE, format!("off by {:.2} px", measurement.rms_px)));
+    if let Some(rms_px) = sample.measurement.as_ref().and_then(|measurement| measurement.rms_px) {
+        facts.push(Phrase::plain(PALE, format!("off by {rms_px:.2} px")));
     }
     for object in sample.objects.iter().filter(|object| object.state != State::Tracking) {
         let colour = state_colour(object.state);

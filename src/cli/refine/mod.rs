@@ -63,11 +63,12 @@ pub(super) fn run(arguments: &RefineArguments) -> Result<(), Failure> {
     let source = clip_rows::open(&settings, &arguments.clip, arguments.fps)?;
     let (learnt, _) = arguments.learnt.of(&arguments.clip)?;
     let setup = TrackerSetup { learnt, ..tracker_setup(&settings, source.size(), None)? };
+    let is_fixed = setup.fixed.is_some();
     let mut samples = forward(source, setup.clone(), &arguments.clip)?;
     let tracked = count(&samples, State::Tracking);
     backward::find_missing(&mut samples, clip_rows::open_again(&settings, &arguments.clip, arguments.fps)?, setup)?;
     let found = count(&samples, State::Tracking) - tracked;
-    let covariances = refine_all(&mut samples);
+    let covariances = refine_all(&mut samples, is_fixed);
     if let Some(poses) = poses {
         let mut output = Output::begin(poses)?;
         for (sample, covariance) in samples.iter().zip(&covariances) {
@@ -103,13 +104,14 @@ fn forward(mut source: Box<dyn FrameSource>, setup: TrackerSetup, clip: &Path) -
     Ok(samples)
 }
 
-/// Refines the poses of the camera and of every object. Returns the covariance of each camera pose.
-fn refine_all(samples: &mut [PoseSample]) -> Vec<Option<Matrix6<f64>>> {
+/// Refines the poses of the camera, unless it is fixed, and of every object. Returns the covariance
+/// of each camera pose.
+fn refine_all(samples: &mut [PoseSample], is_fixed: bool) -> Vec<Option<Matrix6<f64>>> {
     let rows = |measured: &dyn Fn(&PoseSample) -> Option<Measured>| -> Vec<Row> {
         samples.iter().map(|sample| Row { timestamp: sample.timestamp, measured: measured(sample) }).collect()
     };
     let camera = rows(&|sample| {
-        let m = sample.measurement.as_ref()?;
+        let m = sample.measurement.as_ref().filter(|_| !is_fixed)?;
         Some(Measured { pose: m.pose.renamed(), noise: m.covariance - m.common, common: m.common })
     });
     let objects = samples.first().map_or(0, |sample| sample.objects.len());
@@ -123,8 +125,12 @@ fn refine_all(samples: &mut [PoseSample]) -> Vec<Option<Matrix6<f64>>> {
     let refined_objects: Vec<Vec<Option<Refined>>> = (0..objects).map(|k| refine(&of_object(k))).collect();
     let mut covariances = Vec::with_capacity(samples.len());
     for (k, (sample, refined)) in samples.iter_mut().zip(refine(&camera)).enumerate() {
-        covariances.push(refined.map(|refined| refined.covariance));
-        (sample.state, sample.pose) = (state_of(sample.state, refined.as_ref()), refined.map(|refined| refined.pose.renamed()));
+        if is_fixed {
+            covariances.push(sample.measurement.as_ref().map(|m| m.covariance));
+        } else {
+            covariances.push(refined.map(|refined| refined.covariance));
+            (sample.state, sample.pose) = (state_of(sample.state, refined.as_ref()), refined.map(|refined| refined.pose.renamed()));
+        }
         for (object, refined) in sample.objects.iter_mut().zip(&refined_objects) {
             let refined = refined[k];
             object.state = state_of(object.state, refined.as_ref());

@@ -1,13 +1,14 @@
-//! Orientations from the log of another tracker: a TUM trajectory, a pose record (contract C3), or
-//! a capture of FreeD packets.
+//! Poses from the log of another tracker: a TUM trajectory, a pose record (contract C3), or a
+//! capture of FreeD or OpenTrackIO packets.
 //!
-//! The format is recognised by the first bytes. Positions are not used.
+//! The format is recognised by the first bytes. The tracked axes differ between formats (a record's
+//! are the camera's optical ones, FreeD's and OpenTrackIO's the body's).
 
-mod freed;
+mod capture;
 mod record;
 mod tum;
 
-use nalgebra::{Quaternion, UnitQuaternion};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use thiserror::Error;
 
 use crate::frame::Timestamp;
@@ -17,12 +18,22 @@ use crate::protocols::freed::FreedPacket;
 /// another order pass for a quaternion.
 const LENGTH_TOLERANCE: f64 = 0.02;
 
+/// A pose in a log.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LoggedPose {
+    /// Its stamp, on the log's own clock.
+    pub at: Timestamp,
+    /// Rotation from the tracked axes to fixed ones.
+    pub rotation: UnitQuaternion<f64>,
+    /// Position in the fixed axes, metres.
+    pub position: Vector3<f64>,
+}
+
 /// What a log holds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseLog {
-    /// Orientations in the order of the file: rotations from the tracked camera's axes to fixed
-    /// ones, each with its stamp on the log's own clock.
-    pub rows: Vec<(Timestamp, UnitQuaternion<f64>)>,
+    /// Poses in the order of the file.
+    pub rows: Vec<LoggedPose>,
     /// Whether the stamps are UTC, by the format's definition.
     pub is_utc: bool,
 }
@@ -40,7 +51,9 @@ pub enum LogError {
         problem: String,
     },
     /// There are no poses in it.
-    #[error("no pose in it; give a TUM trajectory (t tx ty tz qx qy qz qw), a pose record (.jsonl) or a capture of FreeD packets (.pcap)")]
+    #[error(
+        "no pose in it; give a TUM trajectory (t tx ty tz qx qy qz qw), a pose record (.jsonl) or a capture of FreeD or OpenTrackIO packets (.pcap)"
+    )]
     Empty,
     /// FreeD packets without stamps.
     #[error(
@@ -60,7 +73,7 @@ pub enum LogError {
 pub fn read(bytes: &[u8]) -> Result<PoseLog, LogError> {
     let is_text_of_json = bytes.trim_ascii_start().first() == Some(&b'{');
     let log = match bytes {
-        _ if freed::is_capture(bytes) => PoseLog { rows: freed::read(bytes)?, is_utc: true },
+        _ if capture::is_capture(bytes) => PoseLog { rows: capture::read(bytes)?, is_utc: true },
         _ if bytes.get(..crate::protocols::freed::LENGTH).is_some_and(|first| FreedPacket::decode(first).is_ok()) => {
             return Err(LogError::NoStamps);
         }
@@ -100,8 +113,8 @@ mod tests {
     fn every_format_is_recognised() {
         let tum = "# t tx ty tz qx qy qz qw\n\n1.5 0 0 0 0 0 0 1\r\n2,0,0,0,0.7071,0,0,0.7071\n";
         let read_tum = read(tum.as_bytes()).unwrap();
-        assert_eq!(read_tum.rows.iter().map(|(at, _)| at.ns()).collect::<Vec<_>>(), [1_500_000_000, 2_000_000_000]);
-        assert!((read_tum.rows[1].1.angle() - std::f64::consts::FRAC_PI_2).abs() < 1e-3 && !read_tum.is_utc);
+        assert_eq!(read_tum.rows.iter().map(|row| row.at.ns()).collect::<Vec<_>>(), [1_500_000_000, 2_000_000_000]);
+        assert!((read_tum.rows[1].rotation.angle() - std::f64::consts::FRAC_PI_2).abs() < 1e-3 && !read_tum.is_utc);
         let pose = r#"{"position_m":[0,0,0],"orientation_xyzw":[0,0,0,1]}"#;
         let jsonl = format!(
             "{{\"timestamp_ns\":7,\"state\":\"tracking\",\"pose\":null,\"measured\":{pose}}}\n{{\"timestamp_ns\":8,\"state\":\"lost\",\"pose\":null}}\n"
@@ -142,7 +155,8 @@ mod tests {
                 format!("{t:.9} 1 2 3 {} {} {} {}\n", q.x, q.y, q.z, q.w)
             };
             let read = read(rows.iter().map(line).collect::<String>().as_bytes()).unwrap();
-            for ((at, rotation), (t, x, y)) in read.rows.iter().zip(&rows) {
+            for (LoggedPose { at, rotation, position }, (t, x, y)) in read.rows.iter().zip(&rows) {
+                prop_assert_eq!(*position, Vector3::new(1.0, 2.0, 3.0));
                 prop_assert!((at.seconds() - t).abs() < 1e-6 && rotation.angle_to(&rotated(*x, *y)) < 1e-7);
             }
         }

@@ -45,6 +45,8 @@ pub enum Reason {
     Repeated,
     /// The frame shows two moments at once: interlaced fields, blended or torn frames.
     Mixed,
+    /// The stage is seen from another pose than a fixed camera's configured one.
+    CameraMoved,
 }
 
 impl From<PictureFault> for Reason {
@@ -60,7 +62,7 @@ impl From<PictureFault> for Reason {
 
 impl Reason {
     /// All reasons, in the order of their numbers.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 18] = [
         Self::NoPoseFits,
         Self::Covered,
         Self::TooSmall,
@@ -78,6 +80,7 @@ impl Reason {
         Self::LensMoved,
         Self::Repeated,
         Self::Mixed,
+        Self::CameraMoved,
     ];
 
     /// Returns the word used in the summary and in events.
@@ -100,6 +103,7 @@ impl Reason {
             Self::LensMoved => "lens_moved",
             Self::Repeated => "repeated",
             Self::Mixed => "mixed",
+            Self::CameraMoved => "camera_moved",
         }
     }
 
@@ -128,6 +132,7 @@ impl Reason {
             Self::LensMoved => "the picture is recognised, but through a lens of another focal length than the calibration's",
             Self::Repeated => "the picture is identical to the one before: the camera or the capture device is frozen",
             Self::Mixed => "the frame mixes two moments, like interlaced, converted or torn video",
+            Self::CameraMoved => "the stage is seen from another place than [camera.pose]: the camera was moved",
         }
     }
 
@@ -156,19 +161,20 @@ impl Reason {
             Self::Mixed => {
                 "set the camera to progressive video, and the capture card to the camera's own frame rate and to whole frames, without conversion"
             }
+            Self::CameraMoved => "set the camera back as it stood, or measure where it stands now (`stagepose freeze`)",
             Self::Repeated => "check the cable, the capture card and the USB port; set the card to the camera's own frame rate",
         }
     }
 
     /// Whether the picture was found in the frame.
     pub fn is_recognised(self) -> bool {
-        use Reason::{Ambiguous, Covered, Jumped, LensMoved, Mixed, NoPoseFits, TooSmall, Uncertain, Unconfirmed};
-        matches!(self, NoPoseFits | Covered | TooSmall | Uncertain | Ambiguous | Jumped | Unconfirmed | LensMoved | Mixed)
+        use Reason::{Ambiguous, CameraMoved, Covered, Jumped, LensMoved, Mixed, NoPoseFits, TooSmall, Uncertain, Unconfirmed};
+        matches!(self, NoPoseFits | Covered | TooSmall | Uncertain | Ambiguous | Jumped | Unconfirmed | LensMoved | Mixed | CameraMoved)
     }
 
     /// Whether a pose was found and verified in the frame, though not reported.
     pub fn is_verified(self) -> bool {
-        matches!(self, Self::Jumped | Self::Unconfirmed | Self::LensMoved | Self::Mixed)
+        matches!(self, Self::Jumped | Self::Unconfirmed | Self::LensMoved | Self::Mixed | Self::CameraMoved)
     }
 }
 

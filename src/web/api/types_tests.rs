@@ -196,11 +196,11 @@ pub(in crate::web) fn samples() -> [PoseSample; 2] {
         pose: golden_camera(),
         covariance: Matrix6::identity(),
         common: Matrix6::zeros(),
-        model: TwoViewModel::Homography,
+        model: Some(TwoViewModel::Homography),
         homography: Some(Matrix3::identity()),
         essential: Some(essential),
-        inliers: 900,
-        rms_px: 0.21,
+        inliers: Some(900),
+        rms_px: Some(0.21),
     };
     let body = crate::geometry::Pose::new(UnitQuaternion::identity(), Vector3::z());
     let seen = ObjectSample { pose: Some(body), covariance: Some(Matrix6::identity()), ..ObjectSample::new("cart", State::Tracking) };

@@ -1,17 +1,19 @@
-//! FreeD packets in a capture file of libpcap, which stamps each packet with the time of its
-//! arrival in UTC.
+//! FreeD or OpenTrackIO packets in a capture file of libpcap, which stamps each packet with the
+//! time of its arrival in UTC.
 //!
 //! The file's format is that of `pcap-savefile(5)`: a header of 24 bytes, whose magic number tells
 //! the byte order and the unit of fractions, then packets, each with a header of 16 bytes. A FreeD
-//! packet is the last 29 bytes of a network packet, whatever the link layer before it is; its
-//! checksum tells it from others.
+//! packet is the last 29 bytes of a network packet, whatever the link layer before it is; an
+//! OpenTrackIO packet begins with its identifier. Checksums tell both from others.
 
-use nalgebra::UnitQuaternion;
+use nalgebra::Vector3;
+use serde_json::Value;
 
-use super::LogError;
+use super::{LogError, LoggedPose};
 use crate::frame::Timestamp;
 use crate::protocols::PanTiltRoll;
 use crate::protocols::freed::{FreedPacket, LENGTH};
+use crate::protocols::opentrackio;
 
 /// The format's magic numbers, with microseconds and with nanoseconds, and that of `pcapng`, which
 /// is another format.
@@ -54,26 +56,52 @@ pub(super) fn is_capture(bytes: &[u8]) -> bool {
     Form::of(bytes).is_some() || bytes.get(..4) == Some(&NEXT_GENERATION.to_be_bytes())
 }
 
-/// Reads the FreeD packets of the camera that sends first; other packets are skipped.
-pub(super) fn read(bytes: &[u8]) -> Result<Vec<(Timestamp, UnitQuaternion<f64>)>, LogError> {
+/// The sender of a packet: a FreeD camera, or an OpenTrackIO source.
+#[derive(Debug, Clone, PartialEq)]
+enum Sender {
+    Freed(u8),
+    OpenTrackIo(Option<String>),
+}
+
+/// Reads the packets of the sender that comes first; other packets are skipped.
+pub(super) fn read(bytes: &[u8]) -> Result<Vec<LoggedPose>, LogError> {
     let pcapng = "a pcapng capture, which is not read; save it as pcap (`tcpdump -w` does, or Wireshark's \"Save As\")";
     let form = Form::of(bytes).ok_or(LogError::Capture(pcapng))?;
     let mut rest = bytes.get(FILE_HEADER..).unwrap_or_default();
-    let (mut rows, mut camera) = (Vec::new(), None);
+    let (mut rows, mut first) = (Vec::new(), None);
     // The last packet may be cut off when a capture is stopped.
     while let (Some(seconds), Some(fraction), Some(length)) = (form.number(rest, 0), form.number(rest, 4), form.number(rest, 8)) {
         let Some(packet) = rest.get(PACKET_HEADER..).and_then(|rest| rest.get(..length as usize)) else { break };
         rest = &rest[PACKET_HEADER + packet.len()..];
-        let Some(Ok(freed)) = packet.len().checked_sub(LENGTH).map(|at| FreedPacket::decode(&packet[at..])) else { continue };
-        if *camera.get_or_insert(freed.camera_id) != freed.camera_id {
+        let Some((sender, angles, position)) = freed(packet).or_else(|| sample(packet)) else { continue };
+        if *first.get_or_insert(sender.clone()) != sender {
             continue;
         }
         let at = Timestamp::from_ns(i64::from(seconds) * 1_000_000_000 + i64::from(fraction) * form.ns_per_unit);
-        // FreeD's pan is positive to the right.
-        let angles = PanTiltRoll { pan_deg: -freed.pan_deg, tilt_deg: freed.tilt_deg, roll_deg: freed.roll_deg };
-        rows.push((at, angles.rotation()));
+        rows.push(LoggedPose { at, rotation: angles.rotation(), position });
     }
     Ok(rows)
+}
+
+/// Decodes the FreeD packet at the end of a network packet.
+fn freed(packet: &[u8]) -> Option<(Sender, PanTiltRoll, Vector3<f64>)> {
+    let freed = FreedPacket::decode(packet.get(packet.len().checked_sub(LENGTH)?..)?).ok()?;
+    // FreeD's pan is positive to the right.
+    let angles = PanTiltRoll { pan_deg: -freed.pan_deg, tilt_deg: freed.tilt_deg, roll_deg: freed.roll_deg };
+    Some((Sender::Freed(freed.camera_id), angles, Vector3::from(freed.position_mm) / 1000.0))
+}
+
+/// Decodes the OpenTrackIO sample in a network packet; one without a pose is skipped.
+fn sample(packet: &[u8]) -> Option<(Sender, PanTiltRoll, Vector3<f64>)> {
+    let at = packet.windows(4).position(|four| four == b"OTrk")?;
+    let (_, sample) = opentrackio::decode(&packet[at..]).ok()?;
+    let transform = sample.get("transforms")?.get(0)?;
+    let number = |of: &str, key: &str| transform.get(of)?.get(key)?.as_f64().filter(|v| v.is_finite());
+    let position = Vector3::new(number("translation", "x")?, number("translation", "y")?, number("translation", "z")?);
+    let angles =
+        PanTiltRoll { pan_deg: number("rotation", "pan")?, tilt_deg: number("rotation", "tilt")?, roll_deg: number("rotation", "roll")? };
+    let source = sample.get("sourceId").and_then(Value::as_str).map(str::to_owned);
+    Some((Sender::OpenTrackIo(source), angles, position))
 }
 
 #[cfg(test)]
@@ -99,15 +127,39 @@ mod tests {
         for is_big_endian in [false, true] {
             let bytes = capture(is_big_endian, &[(5, 40, packet(1, 10.0)), (5, 60, packet(2, 50.0)), (6, 1, packet(1, 12.0))]);
             let rows = read(&bytes).unwrap();
-            assert_eq!(rows.iter().map(|(at, _)| at.ns()).collect::<Vec<_>>(), [5_000_000_040, 6_000_000_001]);
-            assert!((rows[0].1.angle_to(&rows[1].1).to_degrees() - 2.0).abs() < 1e-4);
+            assert_eq!(rows.iter().map(|row| row.at.ns()).collect::<Vec<_>>(), [5_000_000_040, 6_000_000_001]);
+            assert!((rows[0].rotation.angle_to(&rows[1].rotation).to_degrees() - 2.0).abs() < 1e-4);
             // To the right is clockwise from above.
-            assert!((rows[0].1.scaled_axis().z.to_degrees() + 10.0).abs() < 1e-4);
+            assert!((rows[0].rotation.scaled_axis().z.to_degrees() + 10.0).abs() < 1e-4);
             // A capture that was cut off, anywhere.
             for length in 0..bytes.len() {
                 assert!(read(&bytes[..length]).is_ok_and(|rows| rows.len() < 2) || length < 4, "{length}");
             }
         }
+    }
+
+    #[test]
+    fn samples_of_one_opentrackio_source_are_read() {
+        let sample = |source: &str, x: f64| {
+            let text = format!(
+                r#"{{"sourceId":"{source}","transforms":[{{"translation":{{"x":{x},"y":-4,"z":1.5}},"rotation":{{"pan":30,"tilt":-5,"roll":1}}}}]}}"#
+            );
+            opentrackio::datagram(opentrackio::Encoding::Json, 1, text.as_bytes()).unwrap()
+        };
+        let lost =
+            opentrackio::datagram(opentrackio::Encoding::Json, 2, br#"{"sourceId":"a","tracker":{"status":"Optical Lost"}}"#).unwrap();
+        let mut bytes = [NANOSECONDS.to_le_bytes().as_slice(), &[0; 20]].concat();
+        for (second, packet) in [sample("a", 1.0), sample("b", 9.0), lost, sample("a", 2.0)].iter().enumerate() {
+            let length = (42 + packet.len()) as u32;
+            [second as u32, 0, length, length].iter().for_each(|n| bytes.extend(n.to_le_bytes()));
+            bytes.extend([7; 42]);
+            bytes.extend(packet);
+        }
+        let rows = read(&bytes).unwrap();
+        let found: Vec<_> = rows.iter().map(|row| (row.at.ns(), row.position.x)).collect();
+        assert_eq!(found, [(0, 1.0), (3_000_000_000, 2.0)]);
+        let angles = PanTiltRoll { pan_deg: 30.0, tilt_deg: -5.0, roll_deg: 1.0 };
+        assert!(rows[0].rotation.angle_to(&angles.rotation()) < 1e-12);
     }
 
     #[test]
