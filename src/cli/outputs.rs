@@ -43,6 +43,11 @@ impl Outputs {
         self.pages.publish(sample);
     }
 
+    /// Returns how long the slowest output last took to send a sample, milliseconds.
+    pub fn slowest_ms(&self) -> Option<f64> {
+        self.publisher.slowest_us().map(|us| us as f64 * 1e-3)
+    }
+
     /// Returns a function that reports the outputs' statistics to the HTTP server.
     pub fn watch(&self) -> impl Fn() -> Vec<OutputStatistics> + Send + Sync + 'static {
         self.publisher.watch()

@@ -3,18 +3,23 @@
 //! Channels: `/stagepose/record`, each record as it was read; `/tf`, poses as
 //! `foxglove.FrameTransform` from `stage` to `camera` and to each object; with a lens,
 //! `/stagepose/camera`, one `foxglove.CameraCalibration` with its distortion; with timecode,
-//! `/stagepose/timecode`, that of each record. All are JSON.
+//! `/stagepose/timecode`, that of each record; of a recording, `/stagepose/image`, its JPEGs as
+//! `foxglove.CompressedImage`, and `/stagepose/event`, its events. All are JSON.
 //! Foxglove's camera frames have our axes.
 //!
 //! The file has neither chunks nor a summary: readers go through it once. Source: the MCAP format
 //! specification (mcap.dev) and Foxglove's message schemas.
+
+use std::io::{self, Write};
 
 use serde_json::{Value, json};
 use thiserror::Error;
 
 use super::take::Take;
 use crate::camera::Intrinsics;
+use crate::frame::Timestamp;
 use crate::geometry::Pose;
+use crate::html_page::svg::base64;
 
 /// First and last bytes of a file.
 const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
@@ -31,9 +36,11 @@ const RECORDS: u16 = 1;
 const TRANSFORMS: u16 = 2;
 const CAMERA: u16 = 3;
 const TIMECODES: u16 = 4;
+const IMAGES: u16 = 5;
+const EVENTS: u16 = 6;
 
 /// Why a take cannot be written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+#[derive(Debug, Error)]
 pub enum McapError {
     /// A stamp is negative.
     #[error("record {row} (counted from 0) has a `timestamp_ns` below 0, which MCAP cannot hold; export to another format")]
@@ -41,14 +48,26 @@ pub enum McapError {
         /// The row.
         row: usize,
     },
+    /// The file cannot be written.
+    #[error("cannot be written ({0}); give a path with free space")]
+    Write(io::Error),
 }
 
-/// Writes a take, and the lens if it is known.
+/// What a recording has besides its poses.
+pub struct Recording<'a> {
+    /// Returns the JPEG of a row; `None` if it has none.
+    pub picture: &'a dyn Fn(usize) -> Option<Vec<u8>>,
+    /// Its events, each one line of JSON, in order of their stamps.
+    pub events: Vec<(Timestamp, String)>,
+}
+
+/// Writes a take, and what is known of its lens and its recording.
 ///
 /// # Errors
-/// A stamp below 0.
-pub fn write(take: &Take, lens: Option<&Intrinsics>) -> Result<Vec<u8>, McapError> {
-    let mut file = Mcap { bytes: MAGIC.to_vec(), sent: [0; 5] };
+/// A stamp below 0, or `out` fails.
+pub fn write(take: &Take, lens: Option<&Intrinsics>, recording: Option<&Recording<'_>>, out: &mut dyn Write) -> Result<(), McapError> {
+    let mut file = Mcap { out, failed: None, sent: [0; 7] };
+    file.bytes(MAGIC);
     file.record(HEADER, &[string(""), string(concat!("stagepose ", env!("CARGO_PKG_VERSION")))]);
     file.channel(RECORDS, "/stagepose/record", "stagepose.PoseRecord", &record_schema());
     file.channel(TRANSFORMS, "/tf", "foxglove.FrameTransform", &transform_schema());
@@ -62,9 +81,20 @@ pub fn write(take: &Take, lens: Option<&Intrinsics>) -> Result<Vec<u8>, McapErro
     if timecodes.peek().is_some() {
         file.channel(TIMECODES, "/stagepose/timecode", "stagepose.Timecode", &timecode_schema());
     }
+    if recording.is_some() {
+        file.channel(IMAGES, "/stagepose/image", "foxglove.CompressedImage", &image_schema());
+        file.channel(EVENTS, "/stagepose/event", "stagepose.Event", &event_schema());
+    }
+    let mut events = recording.map_or(&[][..], |recording| &recording.events).iter().peekable();
     let mut transforms = transforms(take).into_iter().peekable();
     for (row, (line, stamp)) in take.lines().enumerate() {
+        while let Some((at, event)) = events.next_if(|(at, _)| *at <= stamp) {
+            file.event(*at, event);
+        }
         let stamp = u64::try_from(stamp.ns()).map_err(|_| McapError::BeforeZero { row })?;
+        if let Some(jpeg) = recording.and_then(|recording| (recording.picture)(row)) {
+            file.message(IMAGES, stamp, image(&jpeg, stamp).to_string().as_bytes());
+        }
         file.message(RECORDS, stamp, line.as_bytes());
         if let Some((_, _, timecode)) = timecodes.next_if(|(of_row, ..)| *of_row == row) {
             file.message(TIMECODES, stamp, timecode.to_json().as_bytes());
@@ -74,11 +104,12 @@ pub fn write(take: &Take, lens: Option<&Intrinsics>) -> Result<Vec<u8>, McapErro
             file.message(TRANSFORMS, stamp, transform.to_string().as_bytes());
         }
     }
+    events.for_each(|(at, event)| file.event(*at, event));
     // The checksums are zero, which stands for none.
     file.record(DATA_END, &[0_u32.to_le_bytes().to_vec()]);
     file.record(FOOTER, &[vec![0; 8], vec![0; 8], vec![0; 4]]);
-    file.bytes.extend_from_slice(MAGIC);
-    Ok(file.bytes)
+    file.bytes(MAGIC);
+    file.failed.map_or(Ok(()), |error| Err(McapError::Write(error)))
 }
 
 /// Returns all poses as transforms, in the order of their rows.
@@ -96,18 +127,33 @@ fn transforms(take: &Take) -> Vec<(usize, Value)> {
 }
 
 /// A file that grows.
-struct Mcap {
-    bytes: Vec<u8>,
+struct Mcap<'a> {
+    out: &'a mut dyn Write,
+    /// The first error, after which nothing more is written.
+    failed: Option<io::Error>,
     /// Messages per channel so far.
-    sent: [u32; 5],
+    sent: [u32; 7],
 }
 
-impl Mcap {
+impl Mcap<'_> {
+    fn bytes(&mut self, bytes: &[u8]) {
+        if self.failed.is_none() {
+            self.failed = self.out.write_all(bytes).err();
+        }
+    }
+
+    /// Writes an event; one from before the clock's zero has no place.
+    fn event(&mut self, at: Timestamp, line: &str) {
+        if let Ok(stamp) = u64::try_from(at.ns()) {
+            self.message(EVENTS, stamp, line.as_bytes());
+        }
+    }
+
     fn record(&mut self, opcode: u8, parts: &[Vec<u8>]) {
         let length: usize = parts.iter().map(Vec::len).sum();
-        self.bytes.push(opcode);
-        self.bytes.extend_from_slice(&(length as u64).to_le_bytes());
-        parts.iter().for_each(|part| self.bytes.extend_from_slice(part));
+        self.bytes(&[opcode]);
+        self.bytes(&(length as u64).to_le_bytes());
+        parts.iter().for_each(|part| self.bytes(part));
     }
 
     /// Declares a channel and the schema of the same number.
@@ -142,6 +188,23 @@ fn camera(lens: &Intrinsics, stamp: u64) -> Value {
     json!({"timestamp": time(stamp), "frame_id": "camera", "width": lens.width, "height": lens.height,
         "distortion_model": "plumb_bob", "D": lens.distortion, "K": k, "R": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         "P": [lens.fx, skew, lens.cx, 0.0, 0.0, lens.fy, lens.cy, 0.0, 0.0, 0.0, 1.0, 0.0]})
+}
+
+fn image(jpeg: &[u8], stamp: u64) -> Value {
+    json!({"timestamp": time(stamp), "frame_id": "camera", "format": "jpeg", "data": base64(jpeg)})
+}
+
+fn image_schema() -> Value {
+    object_schema(
+        "foxglove.CompressedImage",
+        json!({"timestamp": time_schema(), "frame_id": {"type": "string"}, "format": {"type": "string"},
+            "data": {"type": "string", "contentEncoding": "base64"}}),
+    )
+}
+
+fn event_schema() -> Value {
+    json!({"title": "stagepose.Event", "type": "object", "required": ["timestamp_ns", "event"],
+        "properties": {"timestamp_ns": {"type": "integer"}, "event": {"type": "string"}}})
 }
 
 /// The schema of an object with these properties, all of them required.

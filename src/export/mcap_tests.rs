@@ -3,6 +3,11 @@
 use super::*;
 use crate::export::synthetic;
 
+fn written(take: &Take, lens: Option<&Intrinsics>, recording: Option<&Recording<'_>>) -> Result<Vec<u8>, McapError> {
+    let mut bytes = Vec::new();
+    write(take, lens, recording, &mut bytes).map(|()| bytes)
+}
+
 /// Reads fields from the front of a record.
 struct Fields<'a>(&'a [u8]);
 
@@ -38,7 +43,7 @@ fn records(bytes: &[u8]) -> Vec<(u8, &[u8])> {
 #[test]
 fn every_record_and_pose_is_a_message_at_its_stamp() {
     let take = synthetic::take();
-    let bytes = write(&take, Some(&synthetic::lens())).unwrap();
+    let bytes = written(&take, Some(&synthetic::lens()), None).unwrap();
     let all = records(&bytes);
     let codes: Vec<u8> = all.iter().map(|(opcode, _)| *opcode).collect();
     assert_eq!(codes[..7], [HEADER, SCHEMA, CHANNEL, SCHEMA, CHANNEL, SCHEMA, CHANNEL]);
@@ -77,7 +82,7 @@ fn every_record_and_pose_is_a_message_at_its_stamp() {
 
 #[test]
 fn schemas_are_json_and_fit_their_messages() {
-    let bytes = write(&synthetic::take(), Some(&synthetic::lens())).unwrap();
+    let bytes = written(&synthetic::take(), Some(&synthetic::lens()), None).unwrap();
     let mut schemas = std::collections::BTreeMap::new();
     for (opcode, content) in records(&bytes) {
         let mut fields = Fields(content);
@@ -102,5 +107,53 @@ fn schemas_are_json_and_fit_their_messages() {
 fn a_stamp_below_zero_is_refused() {
     let text = synthetic::text().replacen("\"timestamp_ns\":5000000000", "\"timestamp_ns\":-5", 1);
     let take = Take::parse(text.into_bytes()).unwrap();
-    assert_eq!(write(&take, None), Err(McapError::BeforeZero { row: 0 }));
+    assert!(matches!(written(&take, None, None), Err(McapError::BeforeZero { row: 0 })));
+}
+
+/// Returns the messages as (topic, stamp, JSON).
+fn messages(bytes: &[u8]) -> Vec<(String, u64, Value)> {
+    let all = records(bytes);
+    let mut channels = std::collections::BTreeMap::new();
+    for (_, content) in all.iter().filter(|(opcode, _)| *opcode == CHANNEL) {
+        let mut fields = Fields(content);
+        let [number, _] = [fields.number(2), fields.number(2)];
+        channels.insert(number, fields.text());
+    }
+    let message = |content: &&[u8]| {
+        let mut fields = Fields(content);
+        let (channel, _, logged, _) = (fields.number(2), fields.number(4), fields.number(8), fields.number(8));
+        (channels[&channel].clone(), logged, serde_json::from_slice(fields.0).unwrap())
+    };
+    all.iter().filter(|(opcode, _)| *opcode == MESSAGE).map(|(_, content)| message(content)).collect()
+}
+
+#[test]
+fn a_recordings_pictures_and_events_are_in_order_of_time() {
+    let take = synthetic::take();
+    let (first, last) = (take.stamp(0), take.stamp(take.rows() - 1));
+    let event = |at: Timestamp, word: &str| (at, json!({"timestamp_ns": at.ns(), "event": word}).to_string());
+    let events = vec![event(first, "tracked"), event(last.after_ns(5), "ended")];
+    let picture = |row: usize| (row != 1).then(|| vec![0xFF, 0xD8, row as u8]);
+    let bytes = written(&take, None, Some(&Recording { picture: &picture, events })).unwrap();
+    let messages = messages(&bytes);
+    assert!(messages.is_sorted_by_key(|(_, stamp, _)| *stamp));
+    let on = |topic: &str| messages.iter().filter(|message| message.0 == topic).collect::<Vec<_>>();
+    let words: Vec<&str> = on("/stagepose/event").iter().map(|message| message.2["event"].as_str().unwrap()).collect();
+    assert_eq!(words, ["tracked", "ended"]);
+    let images = on("/stagepose/image");
+    assert_eq!((images.len(), images[0].1, &images[0].2["data"]), (take.rows() - 1, first.ns() as u64, &json!(base64(&[0xFF, 0xD8, 0]))));
+}
+
+#[test]
+fn a_full_disk_is_an_error() {
+    struct Full;
+    impl std::io::Write for Full {
+        fn write(&mut self, _: &[u8]) -> std::io::Result<usize> {
+            Err(std::io::Error::other("full"))
+        }
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+    assert!(matches!(write(&synthetic::take(), None, None, &mut Full), Err(McapError::Write(_))));
 }

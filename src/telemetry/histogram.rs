@@ -36,6 +36,12 @@ impl Histogram {
         self.sum_us.load(Ordering::Relaxed) as f64 / 1e6
     }
 
+    /// Returns the mean of all times, seconds; `None` before the first.
+    pub fn mean_s(&self) -> Option<f64> {
+        let count = self.count();
+        (count > 0).then(|| self.sum_s() / count as f64)
+    }
+
     /// Returns how many times were counted.
     pub fn count(&self) -> u64 {
         self.cumulative()[EDGES_S.len()]
@@ -52,7 +58,8 @@ mod tests {
         [0.5, 1.0, 1.001, 33.0, 99_999.0, f64::NAN].iter().for_each(|ms| histogram.observe_ms(*ms));
         let counts = histogram.cumulative();
         assert_eq!((counts[0], counts[1], counts[6], counts[7], counts[13], counts[14]), (3, 4, 4, 5, 5, 6));
-        assert_eq!(histogram.count(), 6);
+        assert_eq!((histogram.count(), Histogram::default().mean_s()), (6, None));
+        assert!((histogram.mean_s().unwrap() - 100.034_501 / 6.0).abs() < 1e-6);
         assert!((histogram.sum_s() - 100.034_501).abs() < 1e-6);
     }
 }

@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use super::Page;
+use super::budget::BudgetPart;
 use super::histogram::{EDGES_S, Histogram};
 use super::statistics::{CameraState, RecorderState, Statistics};
 use super::timecode::{STATES, TimecodeStatus};
@@ -17,6 +18,7 @@ pub fn metrics(statistics: &Statistics, clock: &FrameClock) -> Page {
     gauges(&mut text, statistics, clock);
     timecode(&mut text, statistics, clock);
     system_clock(&mut text);
+    budget(&mut text, statistics);
     head(&mut text, "stagepose_stage_seconds", "histogram", "Compute time of a frame by stage.");
     for (stage, histogram) in statistics.stages() {
         buckets(&mut text, "stagepose_stage_seconds", &format!("stage=\"{stage}\""), histogram);
@@ -92,6 +94,15 @@ fn system_clock(text: &mut String) {
     one(text, "stagepose_clock_synchronised", "gauge", "1 while a time service keeps the clock.", u8::from(is_synchronised));
     let error = quality.map_or("NaN".to_owned(), |quality| quality.max_error_s.to_string());
     one(text, "stagepose_clock_max_error_seconds", "gauge", "Maximum error of the clock.", error);
+}
+
+/// Writes where the time from a pose's instant to its packet goes; NaN for what is not known.
+fn budget(text: &mut String, statistics: &Statistics) {
+    head(text, "stagepose_delay_budget_seconds", "gauge", "Parts of the delay from a pose's instant to its packet.");
+    for BudgetPart { name, seconds, origin } in statistics.budget().0 {
+        let seconds = seconds.map_or("NaN".to_owned(), |seconds| seconds.to_string());
+        let _ = writeln!(text, "stagepose_delay_budget_seconds{{part=\"{name}\",origin=\"{}\"}} {seconds}", origin.word());
+    }
 }
 
 fn buckets(text: &mut String, name: &str, labels: &str, histogram: &Histogram) {

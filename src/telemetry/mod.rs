@@ -3,6 +3,7 @@
 //! Threads fill [`Statistics`] without locks, and the log's last lines are kept. [`health`] and
 //! [`metrics`] are pure functions from the statistics to a page.
 
+mod budget;
 mod health;
 mod histogram;
 mod log_tail;
@@ -10,6 +11,7 @@ mod metrics;
 mod statistics;
 mod timecode;
 
+pub use budget::{Budget, BudgetPart, MeanTimes, Origin};
 pub use health::health;
 pub use log_tail::{keep_log_line, log_tail};
 pub use metrics::metrics;

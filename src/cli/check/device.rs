@@ -3,13 +3,15 @@
 use std::fmt::Write as _;
 use std::time::{Duration, Instant};
 
-use crate::camera::Shutter;
+use crate::camera::{KnownShutter, Shutter};
 use crate::capture::camera::{Camera, CameraFault, CameraMode, CameraOpener};
 use crate::capture::decode_picture;
 use crate::capture::timestamping::{DriverStamp, mid_exposure};
 use crate::config::Settings;
 use crate::daemon::live::{contradiction, exposure_of};
 use crate::publish::SafetySettings;
+use crate::telemetry::{Budget, MeanTimes};
+use crate::track::LearntCamera;
 
 /// Time to read pictures: 45 at 30 per second, enough to measure the rate and detect repeated
 /// stamps. Raised, `check` takes longer.
@@ -79,7 +81,10 @@ fn text(mode: &CameraMode, seen: &Seen, shutter: &Shutter, calibrated: Option<(u
         line(format!("{} of {} pictures cannot be read; try another cable or port", seen.unreadable, seen.pictures));
     }
     match seen.unstamped {
-        0 => line(format!("the driver stamps its pictures; they arrive {:.0} ms after that", seen.age_ms / n)),
+        0 => {
+            line(format!("the driver stamps its pictures; they arrive {:.0} ms after that", seen.age_ms / n));
+            line(format!("from a pose to its packet: {}; the rest is measured while it runs", budget(mode, seen.age_ms / n, shutter)));
+        }
         _ => line("the driver gives no time stamps: the age of poses is unknown".to_owned()),
     }
     if rate < 0.8 * mode.fps {
@@ -97,6 +102,16 @@ fn text(mode: &CameraMode, seen: &Seen, shutter: &Shutter, calibrated: Option<(u
         line(format!("the calibration is for {w} x {h} pixels and is scaled"));
     }
     text
+}
+
+/// Returns the delay budget as far as a camera's arrivals show it. `arrival_ms`: from a stamp, the
+/// start of exposure, to the picture's arrival.
+fn budget(mode: &CameraMode, arrival_ms: f64, shutter: &Shutter) -> Budget {
+    let known = |seconds: f64| Some(seconds).filter(|s| *s > 0.0);
+    let known = KnownShutter { exposure_s: known(exposure_of(shutter, mode)), readout_s: known(shutter.readout_s) };
+    let halves_s = 0.5 * (known.exposure_s.unwrap_or(0.0) + known.readout_s.unwrap_or(0.0));
+    let times = MeanTimes { age_s: Some(arrival_ms * 1e-3 - halves_s), ..MeanTimes::default() };
+    Budget::of(&known, &LearntCamera::default(), &times)
 }
 
 #[cfg(test)]
@@ -123,6 +138,7 @@ mod tests {
             "focus is automatic",
             "2 of 16",
             "arrive 10 ms",
+            "exposure 5.0 ms (known) + readout (unknown) + transfer 0.0 ms (at most) + decode (unknown)",
             "slower than the agreed rate",
             "stale_after_s in [safety] is 0.09 s",
             "20.0 ms, exposure_s in [camera] says 10.0 ms",

@@ -2,6 +2,7 @@
 //! C14).
 
 mod input;
+mod recording;
 mod summary;
 
 use std::io::Cursor;
@@ -21,7 +22,7 @@ use crate::export::rate::Rate;
 use crate::export::scenery::Scenery;
 use crate::export::shot::Shot;
 use crate::export::take::Take;
-use crate::export::{after_effects, blender, chan, gltf, mcap, obj, usd};
+use crate::export::{after_effects, blender, chan, gltf, obj, usd};
 use crate::printable::printable_lines;
 use crate::track::BodySpec;
 use input::Input;
@@ -149,13 +150,19 @@ pub(super) fn run(arguments: &ExportArguments) -> Result<(), Failure> {
         spared.claim("the materials beside --output:", &materials)?;
     }
     let bytes = match &input.take {
-        Some(take) => of_take(arguments, take, &input, &scenery)?,
-        None => of_stage(arguments, &scenery, &materials)?,
+        Some(take) if arguments.to == Format::Mcap => {
+            recording::write_mcap(arguments, take, &input)?;
+            None
+        }
+        Some(take) => Some(of_take(arguments, take, &input, &scenery)?),
+        None => Some(of_stage(arguments, &scenery, &materials)?),
     };
     for sheet in &pictures {
         write_whole(&beside(&sheet.picture), &sheet.png)?;
     }
-    write_whole(&arguments.output, bytes)?;
+    if let Some(bytes) = bytes {
+        write_whole(&arguments.output, bytes)?;
+    }
     print(printable_lines(&summary::text(arguments, &input, &pictures)).as_bytes())
 }
 
@@ -186,8 +193,10 @@ fn of_take(arguments: &ExportArguments, take: &Take, input: &Input, scenery: &Sc
         Format::Blender => shot(blender::write),
         Format::Ae => shot(after_effects::write),
         Format::Chan => Ok(chan::write(take, lens).into_bytes()),
-        Format::Mcap => mcap::write(take, lens).map_err(|e| input.refusal(e.to_string())),
-        Format::Obj => Err(Failure::Usage("--to obj is for the stage itself; omit POSES, or choose another format".to_owned())),
+        // MCAP is written as it is made.
+        Format::Mcap | Format::Obj => {
+            Err(Failure::Usage("--to obj is for the stage itself; omit POSES, or choose another format".to_owned()))
+        }
     }
 }
 

@@ -11,6 +11,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError};
 
 use super::service::Service;
 use super::{LiveArguments, camera};
+use crate::camera::KnownShutter;
 use crate::capture::camera::CameraMode;
 use crate::capture::timestamping::monotonic_now;
 use crate::cli::failure::Failure;
@@ -156,6 +157,8 @@ impl Session<'_> {
             outputs: &outputs,
         };
         self.supervisor.watch_outputs(Some(Arc::new(outputs.watch())));
+        let exposure_s = Some(exposure_of(&shutter, &mode)).filter(|s| *s > 0.0);
+        self.link.statistics.set_shutter(KnownShutter { exposure_s, ..self.settings.shutter });
         self.supervisor.set_picture_size(Some(mode.size));
         let end = self.follow(&listening, service, sinks);
         self.supervisor.watch_outputs(None);
@@ -204,6 +207,7 @@ impl Session<'_> {
                 Ok(sample) => {
                     service.seen(&sample);
                     tell(&sample, pages, outputs, sinks);
+                    outputs.slowest_ms().into_iter().for_each(|ms| self.link.statistics.sent_after_ms(ms));
                 }
                 Err(RecvTimeoutError::Timeout) if running.has_ended() => return End::Stopped,
                 Err(RecvTimeoutError::Timeout) => {}

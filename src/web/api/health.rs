@@ -18,7 +18,7 @@ use crate::printable::printable;
 use crate::protocols::{freed::FreedPacket, opentrackio, otp::OtpMessage, psn::PsnPacket};
 use crate::publish::{ClockQuality, FrameClock, OutputStatistics, Stamps};
 use crate::record::State;
-use crate::telemetry::{CameraState, Page, RecorderState, Statistics, TimecodeStatus, health, log_tail, metrics};
+use crate::telemetry::{BudgetPart, CameraState, Origin, Page, RecorderState, Statistics, TimecodeStatus, health, log_tail, metrics};
 use crate::track::{LearntCamera, LearntTime};
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
@@ -91,6 +91,7 @@ fn parts(supervisor: &Supervisor) -> Vec<Part> {
     let mut parts: Vec<Part> = of_config.collect();
     parts.extend([camera(statistics, supervisor.mode()), tracker(statistics)]);
     parts.extend(supervisor.settings().map(|settings| shutter(&settings.shutter, &statistics.learnt())));
+    parts.push(delay(statistics));
     parts.extend(supervisor.outputs().iter().map(of_output));
     parts.push(recorder(statistics, supervisor));
     let folder = supervisor.settings().map(|settings| settings.recorder.folder.clone());
@@ -160,6 +161,18 @@ fn shutter(configured: &KnownShutter, learnt: &LearntCamera) -> Part {
         ),
     };
     part("shutter", level, rows + &exposure, hint)
+}
+
+/// The delay budget.
+fn delay(statistics: &Statistics) -> Part {
+    let budget = statistics.budget();
+    let level = if budget.total_s().is_some() { "good" } else { "off" };
+    let is_unknown = |part: &BudgetPart| part.origin == Origin::Unknown;
+    let hint = budget.0[..2].iter().any(is_unknown).then_some(
+        "lock the exposure (`controls`), and move the camera quickly for three seconds: exposure and readout are then known, else the \
+         transfer contains them",
+    );
+    part("delay", level, budget.to_string(), hint)
 }
 
 fn of_output(output: &OutputStatistics) -> Part {
