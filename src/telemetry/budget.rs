@@ -1,8 +1,9 @@
 //! The delay budget: where the time between the instant of a pose and its packet goes, and how each
 //! part is known.
 //!
-//! A pose is that of mid-exposure in the middle row, so half of the exposure and half of the readout
-//! pass after its instant. The transfer is what is left of a frame's age when tracking begins.
+//! A pose is that of mid-exposure in the middle row, so half of the exposure and half of the
+//! readout pass after its instant. The transfer is what is left of a frame's age when tracking
+//! begins.
 
 use std::fmt;
 

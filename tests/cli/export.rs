@@ -114,6 +114,35 @@ fn a_recording_brings_its_own_config() {
 }
 
 #[test]
+fn mcap_of_a_recording_has_its_pictures_and_events() {
+    let scene = tracked();
+    std::fs::create_dir_all(scene.path("clip/config")).unwrap();
+    for (from, to) in [("poses.jsonl", "clip/poses.jsonl"), ("stage.toml", "clip/config/stage.toml"), ("art.png", "clip/config/art.png")] {
+        std::fs::copy(scene.path(from), scene.path(to)).unwrap();
+    }
+    scene.write("clip/config/camera.toml", CAMERA);
+    // Two rows are JPEGs; one more lies outside the clip, and is not read.
+    let index = scene.read("clip/timestamps.csv");
+    scene.write(
+        "clip/timestamps.csv",
+        &index.replace("000000.png", "000000.jpg").replace("000001.png", "000001.jpg").replace("000002.png", "../../secret.jpg"),
+    );
+    for (name, jpeg) in [("clip/frames/000000.jpg", "first"), ("clip/frames/000001.jpg", "second"), ("secret.jpg", "secret")] {
+        scene.write(name, jpeg);
+    }
+    scene.write("clip/events.jsonl", "{\"timestamp_ns\":5,\"event\":\"tracked\",\"after_ms\":0}\nno event\n");
+    let run = scene.run(&["export", "clip", "--to", "mcap", "--output", "take.mcap"]);
+    run.assert_success();
+    let bytes = std::fs::read(scene.path("take.mcap")).unwrap();
+    let text = String::from_utf8_lossy(&bytes);
+    // "first" and "second" in base64.
+    for part in ["\"data\":\"Zmlyc3Q=\"", "\"data\":\"c2Vjb25k\"", "{\"timestamp_ns\":5,\"event\":\"tracked\",\"after_ms\":0}"] {
+        assert!(text.contains(part), "{part}");
+    }
+    assert!(!text.contains("c2VjcmV0") && !text.contains("no event") && !scene.path("take.mcap.part").exists());
+}
+
+#[test]
 fn dropped_pictures_are_mentioned_where_rows_count() {
     let scene = tracked();
     let shifted = |(k, line): (usize, &str)| match k {

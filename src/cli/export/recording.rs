@@ -1,8 +1,8 @@
-//! A take as MCAP, with the pictures and events of its recording. A file that may be larger than the
-//! memory is written as it is made.
+//! A take as MCAP, with the pictures and events of its recording. A file that may be larger than
+//! the memory is written as it is made.
 
 use std::io::{BufWriter, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
@@ -19,7 +19,7 @@ use crate::safe_file;
 /// memory.
 const MAX_LINES: u64 = 256 << 20;
 
-/// Writes the file; a part of one is removed.
+/// Writes the whole file or nothing: what is begun has another name.
 pub(super) fn write_mcap(arguments: &ExportArguments, take: &Take, input: &Input) -> Result<(), Failure> {
     let output = &arguments.output;
     let folder = arguments.poses.as_deref().filter(|poses| poses.is_dir());
@@ -29,14 +29,17 @@ pub(super) fn write_mcap(arguments: &ExportArguments, take: &Take, input: &Input
         safe_file::read_below(&folder?.join("frames"), Path::new(name), MAX_PICTURE_FILE).ok()
     };
     let recording = folder.map(|folder| Recording { picture: &picture, events: events(folder) });
-    let mut file = BufWriter::new(safe_file::replace(output).map_err(Failure::output(output))?);
+    let mut part = output.clone().into_os_string();
+    part.push(".part");
+    let part = PathBuf::from(part);
+    let mut file = BufWriter::new(safe_file::replace(&part).map_err(Failure::output(&part))?);
     let written = mcap::write(take, input.lens.as_ref(), recording.as_ref(), &mut file);
     match written.and_then(|()| file.flush().map_err(mcap::McapError::Write)) {
-        Ok(()) => Ok(()),
+        Ok(()) => std::fs::rename(&part, output).map_err(Failure::output(output)),
         Err(error) => {
             drop(file);
-            // What cannot be removed is said by the error that follows.
-            let _ = std::fs::remove_file(output);
+            // What cannot be removed stays under its other name.
+            let _ = std::fs::remove_file(&part);
             Err(match error {
                 mcap::McapError::Write(source) => Failure::output(output)(source),
                 other => input.refusal(other.to_string()),
