@@ -4,6 +4,7 @@
 use std::sync::OnceLock;
 
 use serde_json::Value;
+use stagepose::{Facet, FacetTexture, Pose, StageMap};
 
 use super::scene::{CAMERA, CONFIG, Scene, records};
 
@@ -111,6 +112,34 @@ fn a_recording_brings_its_own_config() {
     for said in ["29.970 frames per second", "not in it: the distortion", "the principal point, 2.00 px right of and 0.00 px below"] {
         assert!(run.stdout.contains(said), "`{said}` is not in {}", run.stdout);
     }
+}
+
+#[test]
+fn facets_of_a_map_are_sheets_of_the_stage() {
+    let scene = Scene::new();
+    let light = (0..80_u32 * 64).map(|n| (n.wrapping_mul(2_654_435_761) >> 16) as u16).collect();
+    let facet = |k: usize| Facet {
+        name: format!("facet {k}"),
+        size_m: [0.8, 0.64],
+        pose: Pose::new(nalgebra::UnitQuaternion::identity(), nalgebra::Vector3::new(k as f64, 0.0, 0.0)),
+        shape: Default::default(),
+        texture: FacetTexture { width: 80, height: 64, light: Vec::clone(&light) },
+    };
+    let map = StageMap { bend: [0.0; 7], keyframes: vec![Pose::identity()], facets: vec![facet(1), facet(2)] };
+    std::fs::write(scene.path("stage.map"), map.to_bytes()).unwrap();
+    scene.write("stage.toml", "[camera]\ncalibration = \"camera.toml\"\n[stage.map]\nfile = \"stage.map\"\n");
+    for (to, file) in [("obj", "set.obj"), ("usd", "set.usda"), ("gltf", "set.gltf")] {
+        scene.run(&["export", "--config", "stage.toml", "--to", to, "--output", file]).assert_success();
+    }
+    let text = scene.read("set.obj");
+    assert_eq!((text.lines().filter(|line| line.starts_with("o ")).count(), text.contains("\nv 2.4 0 -0.32\n")), (2, true), "{text}");
+    // Each has its texture beside it, and texture coordinates on all of it.
+    let pictures = std::fs::read_dir(scene.path("")).unwrap().filter(|entry| {
+        let name = entry.as_ref().unwrap().file_name();
+        name.to_string_lossy().starts_with("set-") && name.to_string_lossy().ends_with(".png")
+    });
+    assert_eq!(pictures.count(), 2);
+    assert_eq!(text.lines().filter(|line| line.starts_with("vt ")).count(), 8);
 }
 
 #[test]

@@ -60,9 +60,9 @@ fn another_trackers_log_is_aligned_and_judged() {
     assert!(json["angle_deg"]["max"].as_f64().unwrap() < 0.05, "{json}");
     let worse = compare(&scene, 1.0, 0.02, &[]);
     worse.assert_success();
-    assert!(worse.stdout.contains("verdict   usable\n          they differ by 14"), "{}", worse.stdout);
+    assert!(worse.stdout.contains("verdict   usable\n          they differ by 13.5 mm"), "{}", worse.stdout);
     compare(&scene, 1.02, 0.0, &[]).assert_refused(1, &["the trackers do not agree"]);
-    assert!(found(&scene)["reasons"][0].as_str().unwrap().contains("metre is +2.0 % of ours"));
+    assert!(found(&scene)["reasons"][0].as_str().unwrap().contains("metre is +1.9 % of ours"));
     // A wrong delay is a difference while the rig moves.
     compare(&scene, 1.0, 0.0, &["--delay-s", "0.2"]).assert_refused(1, &["the trackers do not agree"]);
 }
@@ -79,7 +79,7 @@ fn logs_that_cannot_be_compared_are_refused_in_a_sentence() {
     run(&["ours.jsonl", "bad.txt"]).assert_refused(1, &["bad.txt: line 1: 7 numbers"]);
     run(&["ours.jsonl", "other.txt", "--json", "ours.jsonl"]).assert_refused(2, &["ours.jsonl"]);
     let still: String =
-        (0..100).map(|k| record(0.0).replace("\"timestamp_ns\":0", &format!("\"timestamp_ns\":{}", k * 33_000_000))).collect();
+        (0..100_i64).map(|k| record(0.0).replace("\"timestamp_ns\":0", &format!("\"timestamp_ns\":{}", k * 33_000_000))).collect();
     scene.write("still.jsonl", &still);
     run(&["still.jsonl", "still.jsonl"]).assert_refused(1, &["the camera moves by 0.000 m"]);
 }
@@ -107,6 +107,21 @@ fn what_freeze_prints_is_a_config() {
         assert_eq!((&record["state"], &record["pose"]), (&"tracking".into(), &record["measured"]), "{record}");
         assert!(record["inliers"].is_null() && record["covariance"][35].as_f64().unwrap() > 0.0, "{record}");
     }
+    // The same picture as an object, with no stage at all: it is where the stage was.
+    let pose = run.stdout.as_str();
+    let object = "[[object]]\nname = \"prop\"\n[[object.surface]]\nimage = \"art.png\"\nsize_m = [4.0, 3.0]\n";
+    scene.write("object.toml", &format!("[camera]\ncalibration = \"camera.toml\"\n{pose}{object}"));
+    scene.run(&["check", "--config", "object.toml", "--no-device"]).assert_success();
+    scene.run(&["replay", "clip", "--config", "object.toml", "--poses", "object.jsonl"]).assert_success();
+    let last: Value = serde_json::from_str(scene.read("object.jsonl").lines().last().unwrap()).unwrap();
+    let prop = &last["objects"][0];
+    assert_eq!((&last["state"], &prop["state"]), (&"tracking".into(), &"tracking".into()), "{last}");
+    let place: Vec<f64> = (0..3).map(|k| prop["pose"]["position_m"][k].as_f64().unwrap()).collect();
+    assert!(place.iter().all(|v| v.abs() < 0.02), "{place:?}");
+    // Refined, the camera stays as configured.
+    scene.run(&["refine", "clip", "--config", "object.toml", "--poses", "refined.jsonl"]).assert_success();
+    let refined: Value = serde_json::from_str(scene.read("refined.jsonl").lines().last().unwrap()).unwrap();
+    assert_eq!((&refined["pose"], &refined["covariance"]), (&last["pose"], &last["covariance"]));
     // The camera moved: the scene's own clip has six frames from six places.
     let other = Scene::new();
     other.run(&["freeze", "clip", "--config", "stage.toml"]).assert_refused(1, &["clip: the stage is tracked in ", "30 are needed"]);

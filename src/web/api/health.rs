@@ -378,14 +378,14 @@ mod tests {
             let is_own = |part: &Part| !["disk", "system clock"].contains(&part.part.as_str());
             parts(supervisor).into_iter().filter(is_own).map(|part| (part.part, part.level)).collect()
         };
-        let expected = |all: [(&str, &'static str); 5]| all.map(|(part, level)| (part.to_owned(), level)).to_vec();
-        let off = ["tracker", "shutter", "recorder", "clock"].map(|part| (part, "off"));
-        assert_eq!(levels(&supervisor), expected([("camera", "bad"), off[0], off[1], off[2], off[3]]));
+        let expected = |all: [(&str, &'static str); 6]| all.map(|(part, level)| (part.to_owned(), level)).to_vec();
+        let off = ["tracker", "shutter", "delay", "recorder", "clock"].map(|part| (part, "off"));
+        assert_eq!(levels(&supervisor), expected([("camera", "bad"), off[0], off[1], off[2], off[3], off[4]]));
         let statistics = &supervisor.link.statistics;
         statistics.camera_opened("Cam", false);
         statistics.set_recorder(RecorderState::Stopped);
         assert_eq!(levels(&supervisor)[0].1, "good");
-        assert_eq!(levels(&supervisor)[3].1, "bad");
+        assert_eq!(levels(&supervisor)[4].1, "bad");
         assert!(parts(&supervisor).iter().all(|part| part.level != "bad" || part.hint.is_some()));
         supervisor.set_mode(Mode::Setup);
         assert_eq!(levels(&supervisor)[0].1, "off");
