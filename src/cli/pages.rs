@@ -117,6 +117,15 @@ impl Pages {
         }
     }
 
+    /// Returns what is called with each row of a camera that is only shown; `None` without a
+    /// server.
+    pub fn viewer(&self) -> Option<impl FnMut(&ClipEntry, &PoseSample) + Send + 'static> {
+        #[cfg(feature = "http")]
+        return self.server.as_ref().map(|server| server.observer(None));
+        #[cfg(not(feature = "http"))]
+        None::<fn(&ClipEntry, &PoseSample)>
+    }
+
     /// Publishes a sample, or a stale message, to the server's clients.
     pub fn publish(&self, sample: &PoseSample) {
         #[cfg(feature = "http")]

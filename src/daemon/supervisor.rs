@@ -67,6 +67,10 @@ pub struct Supervisor {
     picture_size: Mutex<Option<(u32, u32)>>,
     /// The current recording.
     clip: Mutex<Option<PathBuf>>,
+    /// The clip that is played in place of a camera.
+    played: Mutex<Option<PathBuf>>,
+    /// The camera to show while nothing is tracked.
+    previewed: Mutex<Option<String>>,
     save: AtomicBool,
     reload: AtomicBool,
     mode: AtomicU8,
@@ -92,6 +96,8 @@ impl Supervisor {
             page: Mutex::default(),
             picture_size: Mutex::default(),
             clip: Mutex::default(),
+            played: Mutex::default(),
+            previewed: Mutex::default(),
             save: AtomicBool::new(false),
             reload: AtomicBool::new(false),
             mode: AtomicU8::new(Mode::Track as u8),
@@ -137,6 +143,31 @@ impl Supervisor {
     /// Returns why the config in the file is not used; `None` if it is.
     pub fn refusal(&self) -> Option<String> {
         held(&self.refusal).clone()
+    }
+
+    /// Returns the page's address; `None` without a page.
+    pub fn page(&self) -> Option<SocketAddr> {
+        *held(&self.page)
+    }
+
+    /// Sets the clip that is played in place of a camera.
+    pub fn set_played(&self, clip: Option<PathBuf>) {
+        *held(&self.played) = clip;
+    }
+
+    /// Returns the clip that is played in place of a camera, if any.
+    pub fn played(&self) -> Option<PathBuf> {
+        held(&self.played).clone()
+    }
+
+    /// Requests the picture of this camera while nothing is tracked; `None` closes it.
+    pub fn preview(&self, device: Option<String>) {
+        *held(&self.previewed) = device;
+    }
+
+    /// Returns the camera to show while nothing is tracked.
+    pub fn previewed(&self) -> Option<String> {
+        held(&self.previewed).clone()
     }
 
     /// Sets the page's address; `None` without a page.

@@ -23,6 +23,23 @@ pub(super) fn camera(settings: &Settings, play: Option<&Path>) -> Result<Arc<dyn
     }
 }
 
+/// Returns what opens a camera to look at before there is a config: a clip that plays, or the
+/// device of this name; `None` if there is neither.
+pub(super) fn previewed(device: Option<&str>, play: Option<&Path>) -> Result<Option<Arc<dyn CameraOpener>>, Failure> {
+    match (play, device) {
+        (Some(clip), _) => Ok(Some(Arc::new(PlayedClip::open(clip, None)?))),
+        (None, None) => Ok(None),
+        #[cfg(feature = "live")]
+        (None, Some(device)) => {
+            use crate::capture::choice::Wanted;
+            let opener = crate::capture::v4l2::V4l2Opener::new(device.to_owned(), Wanted::default(), Default::default());
+            Ok(Some(Arc::new(opener)))
+        }
+        #[cfg(not(feature = "live"))]
+        (None, Some(_)) => Err(super::no_live_feature()),
+    }
+}
+
 /// Returns the config's V4L2 camera.
 #[cfg(feature = "live")]
 pub(in crate::cli) fn opener(settings: &Settings) -> crate::capture::v4l2::V4l2Opener {

@@ -6,6 +6,7 @@
 
 mod camera;
 mod notify;
+mod preview;
 mod service;
 mod session;
 #[cfg(feature = "http")]

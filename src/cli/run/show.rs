@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::LiveArguments;
+use super::preview::Preview;
 use super::service::Service;
 use super::session::{Clips, End, Session, Sinks};
 use crate::cli::failure::Failure;
@@ -38,6 +39,8 @@ struct Show<'a> {
     link: LiveLink,
     supervisor: Arc<Supervisor>,
     server: Serving,
+    /// The camera's picture while there is no config.
+    preview: Preview,
     service: Service,
     sinks: Sinks,
     clips: Clips,
@@ -84,6 +87,7 @@ pub(in crate::cli) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> 
         arguments,
         supervisor: Arc::new(Supervisor::new(&arguments.config, link.clone())),
         server: Serving::default(),
+        preview: Preview::default(),
         sinks: Sinks::begin(poses, events, &link, log)?,
         service: Service::start(arguments.seconds),
         clips: Clips::new(clip),
@@ -92,6 +96,7 @@ pub(in crate::cli) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> 
         failures: Vec::new(),
         link,
     };
+    show.supervisor.set_played(arguments.play.clone());
     let outcome = show.sessions(settings);
     show.end(outcome)
 }
@@ -172,7 +177,16 @@ impl Show<'_> {
         self.supervisor.use_settings(None);
         self.supervisor.set_mode(Mode::Setup);
         self.server.serve(http.as_ref(), &SafetySettings::default(), &self.supervisor, self.arguments)?;
+        let settings = self.await_good_config();
+        // The session opens the camera itself.
+        self.preview.end();
+        Ok(settings)
+    }
+
+    /// Shows the camera until there is a usable config; `None` if the program is to end before.
+    fn await_good_config(&mut self) -> Option<Settings> {
         while !self.wait() {
+            self.show_camera();
             if !(interrupt::take_reload() | self.supervisor.take_reload()) {
                 continue;
             }
@@ -181,12 +195,19 @@ impl Show<'_> {
                     self.supervisor.accept();
                     self.link.events.publish(Event::ConfigReloaded { file: self.arguments.config.display().to_string() });
                     self.supervisor.set_mode(Mode::Track);
-                    return Ok(Some(settings));
+                    return Some(settings);
                 }
                 Err(error) => self.link.events.publish(Event::ConfigRefused { reason: error.to_string() }),
             }
         }
-        Ok(None)
+        None
+    }
+
+    /// Shows the picture of the camera that the page chose.
+    fn show_camera(&mut self) {
+        if let Some((_, pages)) = &self.server.pages {
+            self.preview.follow(self.supervisor.previewed(), self.arguments.play.as_deref(), &self.link, pages);
+        }
     }
 
     /// Waits until the tracker gets the camera back; false if the program is to end before.
