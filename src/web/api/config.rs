@@ -1,5 +1,6 @@
 //! `GET`, `PUT /api/v1/config`: the config's text. A new config is checked before anything is
 //! written, the former one is kept, and the running session switches to the new one.
+//! `POST /api/v1/config/check` only checks one.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -14,6 +15,7 @@ use super::findings::{Finding, MAX_CONFIG, judged_to_run};
 use crate::daemon::Supervisor;
 use crate::safe_file;
 use crate::utc;
+use crate::web::call::Call;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
@@ -25,9 +27,14 @@ const MAX_FORMER: usize = 100;
 const AT_ONCE: u32 = 20;
 /// Minimum interval of further configs. Lowered, a runaway program interrupts tracking more often.
 const ONE_EACH: Duration = Duration::from_secs(3);
+/// Number of configs that may be checked in quick succession; each reads the pictures that it
+/// names. Raised, a runaway program keeps a thread busy for longer.
+const CHECKS_AT_ONCE: u32 = 60;
+/// Minimum interval of further checks. Lowered, a runaway program reads more.
+const ONE_CHECK_EACH: Duration = Duration::from_secs(1);
 
 pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
-    let (for_get, for_put) = (supervisor.clone(), supervisor.clone());
+    let (for_get, for_put, for_check) = (supervisor.clone(), supervisor.clone(), supervisor.clone());
     vec![
         Route::slow(Method::GET, "/api/v1/config", Access::Paired, move |_| {
             let read = safe_file::read(&for_get.keeping().current(), MAX_CONFIG);
@@ -40,7 +47,7 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
             Ok(Reply::new(200, "text/plain; charset=utf-8", bytes).with("etag", &tag))
         }),
         Route::slow(Method::PUT, "/api/v1/config", Access::Change, move |call| {
-            let text = String::from_utf8(call.content(MAX_CONFIG)?).map_err(|_| Reply::text(400, "a config is text in UTF-8\n"))?;
+            let text = text(call)?;
             let wanted = call.header("if-match").ok_or_else(|| {
                 Reply::text(428, "say which config this one replaces: If-Match with the ETag of GET /api/v1/config, or * for any\n")
             })?;
@@ -65,7 +72,18 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
         })
         .takes(MAX_CONFIG)
         .paced(AT_ONCE, ONE_EACH),
+        Route::slow(Method::POST, "/api/v1/config/check", Access::Change, move |call| {
+            let (_, findings) = judged_to_run(&text(call)?, for_check.file(), &for_check);
+            Ok(reply(200, &findings, false))
+        })
+        .takes(MAX_CONFIG)
+        .paced(CHECKS_AT_ONCE, ONE_CHECK_EACH),
     ]
+}
+
+/// Returns the config in a request.
+fn text(call: &mut Call) -> Result<String, Reply> {
+    String::from_utf8(call.content(MAX_CONFIG)?).map_err(|_| Reply::text(400, "a config is text in UTF-8\n"))
 }
 
 /// Returns the reply to a new config.
@@ -164,6 +182,21 @@ mod tests {
             assert!(finding.to_string().contains(word), "{said}");
         }
         assert_eq!(respond_with(&routes(&supervisor), "PUT", "/api/v1/config", "If-Match: *\r\n", b"\xff").0, 400);
+        assert_eq!((std::fs::read(supervisor.file()).unwrap(), supervisor.take_reload()), (before, false));
+    }
+
+    #[test]
+    fn a_check_writes_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let supervisor = supervised(folder.path());
+        let before = std::fs::read(supervisor.file()).unwrap();
+        let good = [&before[..], b"[log]\nlevel = \"info\"\n"].concat();
+        for (text, level) in [(&good[..], None), (b"[camera]\nfov_deg = 600\n", Some("error"))] {
+            let (status, said) = respond(&routes(&supervisor), "POST", "/api/v1/config/check", text);
+            let said: serde_json::Value = serde_json::from_slice(&said).unwrap();
+            let error = said["findings"].as_array().unwrap().iter().find(|finding| finding["level"] == "error");
+            assert_eq!((status, &said["saved"], error.map(|_| "error")), (200, &false.into(), level), "{said}");
+        }
         assert_eq!((std::fs::read(supervisor.file()).unwrap(), supervisor.take_reload()), (before, false));
     }
 

@@ -11,8 +11,10 @@ mod line_index;
 mod recordings;
 mod retrack;
 mod sets;
+mod setup;
 mod steering;
 mod timeline;
+mod uploads;
 
 use std::sync::Arc;
 
@@ -28,7 +30,7 @@ use crate::publish::FrameClock;
 
 /// Returns all routes; ages are by `clock`.
 pub fn routes(supervisor: &Arc<Supervisor>, clock: &Arc<FrameClock>) -> Vec<Route> {
-    let resources = [steering::routes, config::routes, backup::routes, sets::routes, health::routes];
+    let resources = [steering::routes, config::routes, backup::routes, sets::routes, health::routes, setup::routes, uploads::routes];
     let lines: Arc<LineIndex> = Arc::default();
     let of_recordings = [recordings::routes(supervisor, &lines), retrack::routes(supervisor, &lines)].concat();
     let probes = health::probes(&supervisor.link.statistics, clock);

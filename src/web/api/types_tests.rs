@@ -300,6 +300,8 @@ fn answers() -> BTreeMap<&'static str, Vec<Value>> {
     let config = std::fs::read(supervisor.file()).unwrap();
     ask("Judged", "PUT", "config", b"[camera]\nfov_deg = 600\n");
     ask("Judged", "PUT", "config", b"nothing");
+    ask("Kept", "PUT", "pictures/a.png", &std::fs::read(folder.path().join("backdrop.png")).unwrap());
+    ask("Kept", "PUT", "calibrations/a.toml", include_bytes!("../../../fixtures/dolly/camera.toml"));
     ask("Judged", "PUT", "config", &config);
     // A config that yields a note.
     let wide = String::from_utf8(config).unwrap().replace("[4.0, 3.0]", "[6.0, 3.0]");
@@ -310,6 +312,7 @@ fn answers() -> BTreeMap<&'static str, Vec<Value>> {
     ask("Session", "GET", "session", b"");
     found.insert("PoseRecord", samples().iter().map(|sample| serde_json::from_str(&sample.to_json_line()).unwrap()).collect());
     found.insert("Head", heads());
+    found.insert("Means", super::setup::tests::samples());
     found.insert("Happening", events());
     found
 }
@@ -372,6 +375,8 @@ fn declared() -> String {
         "What is to be said of a config",
         [picked(&all["Session"], &["findings", "[]"]), picked(&all["Judged"], &["findings", "[]"])].concat(),
     );
+    to.add("Means", "What is there to set a stage up with: /api/v1/setup", &all["Means"]);
+    to.add("Kept", "A file that the daemon keeps for the config, as the answer to its upload", &all["Kept"]);
     to.add("Session", "Who is here and may change something: /api/v1/session", &all["Session"]);
     to.add("Part", "A part of the daemon: /api/v1/health", picked(&all["Health"], &["parts", "[]"]));
     to.add("Output", "What an output has sent: /api/v1/outputs", picked(&all["Outputs"], &["outputs", "[]"]));

@@ -108,6 +108,22 @@ export type Finding = {
   sentence: string;
 };
 
+/** What is there to set a stage up with: /api/v1/setup */
+export type Means = {
+  cameras: { controls: { name: string; value: number | null }[]; device: string; held_by: string[]; name: string }[];
+  listens: string | null;
+  plays: string | null;
+  shown: string | null;
+};
+
+/** A file that the daemon keeps for the config, as the answer to its upload */
+export type Kept = {
+  file: string;
+  fov_deg: number | null;
+  height: number;
+  width: number;
+};
+
 /** Who is here and may change something: /api/v1/session */
 export type Session = {
   config_file: string;
