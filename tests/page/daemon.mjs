@@ -126,6 +126,24 @@ export async function prepareCovered(folder, browser) {
   return { folder, address };
 }
 
+/**
+ * A folder without a config, with the clip that the daemon plays in place of a camera.
+ * @param {string} folder
+ */
+export async function prepareEmpty(folder) {
+  rmSync(folder, { recursive: true, force: true });
+  mkdirSync(folder, { recursive: true });
+  putLong(folder, toAndFro(), TIMES);
+  const port = await freePort();
+  return { folder, address: `http://127.0.0.1:${port}/`, listen: `127.0.0.1:${port}` };
+}
+
+/**
+ * Starts `stagepose setup` there.
+ * @param {{folder: string, listen: string}} place
+ */
+export const startSetup = ({ folder, listen }) => start(folder, "long.mjpeg", ["--listen", listen, "--log", "error"], "setup");
+
 /** Frames to and fro, and those of the dark that follows: longer than a pose is predicted for. */
 const DARK = 30;
 const ROUND = 78;
@@ -170,9 +188,10 @@ export function code({ folder, address }) {
  * @param {string} folder
  * @param {string | null} [clip] none is the config's camera
  * @param {string[]} [more] arguments
+ * @param {string} [command]
  */
-export function start(folder, clip = "long.mjpeg", more = ["--log", "error"]) {
-  const daemon = spawn(program, ["run", "--config", "stage.toml", ...(clip === null ? [] : ["--play", clip]), ...more], { cwd: folder, env: { ...process.env, XDG_STATE_HOME: stateOf(folder) }, stdio: ["ignore", "ignore", more.includes("error") ? "inherit" : "ignore"] });
+export function start(folder, clip = "long.mjpeg", more = ["--log", "error"], command = "run") {
+  const daemon = spawn(program, [command, "--config", "stage.toml", ...(clip === null ? [] : ["--play", clip]), ...more], { cwd: folder, env: { ...process.env, XDG_STATE_HOME: stateOf(folder) }, stdio: ["ignore", "ignore", more.includes("error") ? "inherit" : "ignore"] });
   const ended = new Promise((done) => daemon.once("exit", done));
   return {
     /** Bytes of memory that it has. */

@@ -2,7 +2,7 @@
 import { render } from "./vendor/preact.js";
 // Signals take part in rendering as soon as they are loaded.
 import { effect, signal } from "./vendor/signals.js";
-import { ConfigFault, Lock, Pairing, barred, unturned, watchAccess } from "./access.js";
+import { ConfigFault, Lock, Pairing, barred, session, unturned, watchAccess } from "./access.js";
 import { post, reason } from "./ask.js";
 import { frozen, listen, toggleFrozen } from "./daemon.js";
 import { listenToEvents } from "./events.js";
@@ -22,6 +22,7 @@ const keysShown = signal(false);
  * @type {Record<string, () => Promise<ComponentType>>}
  */
 const LATER = {
+  setup: () => import("./setup.js").then(({ Setup }) => Setup),
   set: () => import("./setpage.js").then(({ SetPage }) => SetPage),
   recordings: () => import("./recordings.js").then(({ Recordings }) => Recordings),
   health: () => import("./health.js").then(({ Health }) => Health),
@@ -115,7 +116,8 @@ function View() {
 }
 
 function Page() {
-  return html`<${Bar} /><${ConfigFault} /><${Pairing} /><${View} /><${Foot} />`;
+  // The set-up says itself what is wrong, where it can be changed.
+  return html`<${Bar} />${shown.value === "setup" ? null : html`<${ConfigFault} />`}<${Pairing} /><${View} /><${Foot} />`;
 }
 
 addEventListener("keydown", (event) => {
@@ -130,6 +132,15 @@ addEventListener("keydown", (event) => {
     found.act();
   }
 });
+
+// Without a config there is nothing to look at yet. Who follows a link to a view gets that one.
+if (location.hash === "") {
+  const stop = effect(() => {
+    if (session.value === null) return;
+    if (!session.value.has_config && location.hash === "") show("setup");
+    queueMicrotask(() => stop());
+  });
+}
 
 const place = document.getElementById("page");
 if (place) {

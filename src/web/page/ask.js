@@ -1,13 +1,14 @@
 // Questions to the daemon, and changes, with its answer as a sentence where it refuses.
 
 /**
- * @import { Finding, Output, Part, RecordingList, Retracked, Session, Timeline } from "./types.js"
+ * @import { Finding, Means, Output, Part, RecordingList, Retracked, Session, Timeline } from "./types.js"
  */
 
 /**
  * What the daemon answers with where it is asked for JSON, by the path.
  * @typedef {{
  *   session: Session,
+ *   setup: Means,
  *   health: {parts: Part[]},
  *   outputs: {outputs: Output[]},
  *   recordings: RecordingList,

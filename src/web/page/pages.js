@@ -5,6 +5,7 @@ import { signal } from "./vendor/signals.js";
 /** The views that there are, with their keys. */
 export const PAGES = [
   { name: "live", title: "Live", key: "1" },
+  { name: "setup", title: "Setup", key: "2" },
   { name: "set", title: "Set", key: "3" },
   { name: "recordings", title: "Recordings", key: "4" },
   { name: "health", title: "Health", key: "5" },

@@ -1,0 +1,26 @@
+// The camera's picture in the set-up, without marks.
+import { computed } from "../vendor/signals.js";
+import { useEffect, useRef } from "../vendor/hooks.js";
+import { contact, head, painters, standing } from "../daemon.js";
+import { drawPicture } from "../picture.js";
+import { html } from "../ui.js";
+
+/** Width over height of the pictures; that of a wide picture before the first. */
+const aspect = computed(() => (head.value === null ? 16 / 9 : head.value.size[0] / head.value.size[1]));
+/** Whether pictures come. */
+const isLive = computed(() => contact.value !== false && head.value !== null && standing.value === null);
+
+export function Look() {
+  const canvas = useRef(/** @type {HTMLCanvasElement | null} */ (null));
+  useEffect(() => {
+    const paint = (/** @type {ImageBitmap} */ picture) => {
+      if (canvas.current) drawPicture(canvas.current, picture);
+    };
+    painters.add(paint);
+    return () => void painters.delete(paint);
+  }, []);
+  return html`<figure class="picture" style=${{ aspectRatio: aspect.value, maxWidth: `calc((100vh - 12rem) * ${aspect.value})` }}>
+    <canvas ref=${canvas} role="img" aria-label="What the camera sees" />
+    ${isLive.value ? null : html`<figcaption>No picture comes.</figcaption>`}
+  </figure>`;
+}
