@@ -80,6 +80,7 @@ const ASSETS: &[Asset] = &[
     asset!(SCRIPT, "orbit.js"),
     asset!(SCRIPT, "pages.js"),
     asset!(SCRIPT, "picture.js"),
+    asset!(SCRIPT, "recorded.js"),
     asset!(SCRIPT, "recordings.js"),
     asset!(SCRIPT, "retracked.js"),
     asset!(SCRIPT, "seen.js"),

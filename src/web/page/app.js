@@ -8,6 +8,7 @@ import { frozen, listen, toggleFrozen } from "./daemon.js";
 import { listenToEvents } from "./events.js";
 import { Live, State } from "./live.js";
 import { PAGES, show, shown, viewKeys } from "./pages.js";
+import { Recording, watchRecording } from "./recorded.js";
 import { floored, outlined, parted, rested } from "./picture.js";
 import { THEMES, theme, toggleStage } from "./theme.js";
 import { html } from "./ui.js";
@@ -64,6 +65,7 @@ const KEYS = [
   { key: "r", name: "r", does: "mark this moment", act: mark },
   { key: "n", name: "n", does: "stage colours on and off", act: toggleStage },
   { key: "?", name: "?", does: "this list", act: toggleKeys },
+  { key: "Escape", name: "", does: "", act: () => (keysShown.value = false) },
   ...PAGES.map(({ name, title, key }) => ({ key, name: key, does: `the view ${title}`, act: () => show(name) })),
 ];
 
@@ -79,6 +81,7 @@ function Bar() {
       ${PAGES.map(({ name, title }) => html`<a key=${name} href=${`#${name}`} aria-current=${shown.value === name ? "page" : null}>${title}</a>`)}
     </nav>
     <${State} />
+    <${Recording} />
     <div class="switches">
       <${Lock} />
       ${shown.value === "live" || shown.value === "set" ? html`<${Switch} on=${frozen.value} act=${toggleFrozen}>Freeze<//>` : null}
@@ -103,7 +106,10 @@ function Foot() {
   return html`<footer>
     <button type="button" aria-expanded=${keysShown.value ? "true" : "false"} onClick=${toggleKeys}>Keys</button>
     ${keysShown.value
-      ? html`<ul class="keys">${[...viewKeys.value, ...KEYS].filter(({ name }) => name !== "").map(({ name, does }) => html`<li key=${name}><kbd>${name}</kbd> ${does}</li>`)}</ul>`
+      ? html`<section class="overlay" aria-label="Keys">
+          <ul class="keys">${[...viewKeys.value, ...KEYS].filter(({ name }) => name !== "").map(({ name, does }) => html`<li key=${name}><kbd>${name}</kbd> ${does}</li>`)}</ul>
+          <p class="note"><kbd>?</kbd> or <kbd>Esc</kbd> closes this list.</p>
+        </section>`
       : null}
     <a href="./vendor/LICENSES.txt">Licences</a>
   </footer>`;
@@ -150,3 +156,4 @@ if (place) {
 listen();
 listenToEvents();
 watchAccess();
+watchRecording();

@@ -28,6 +28,17 @@ export function within(pose, point) {
   return turn([-x, -y, -z, w], point.map((value, axis) => value - pose.position_m[axis]));
 }
 
+/**
+ * Pan, tilt and roll of a camera, degrees: zero for a level one that looks upstage, positive to the
+ * left, up, and clockwise as its operator sees it.
+ * @param {number[]} q its orientation
+ */
+export function panTiltRoll(q) {
+  const [right, forward, up] = [turn(q, [1, 0, 0]), turn(q, [0, 0, 1]), turn(q, [0, -1, 0])];
+  const radians = [Math.atan2(-forward[0], forward[1]), Math.atan2(forward[2], Math.hypot(forward[0], forward[1])), Math.atan2(-right[2], up[2])];
+  return radians.map((angle) => (angle * 180) / Math.PI);
+}
+
 /** Nearer points than this, metres, are not drawn: they are beside or behind the lens. */
 const NEAR_M = 0.01;
 

@@ -2,8 +2,10 @@
 // position.
 import { computed, effect, signal } from "./vendor/signals.js";
 import { useEffect, useRef } from "./vendor/hooks.js";
+import { session } from "./access.js";
 import { contact, frozen, head, painters, rate, standing } from "./daemon.js";
 import { Happened, trouble } from "./events.js";
+import { panTiltRoll } from "./lens.js";
 import { drawAgain, drawFrame, drawOn, floored, hidden, outlined, parted, rested, restsOn } from "./picture.js";
 import { Stage } from "./stage.js";
 import { Strip } from "./strip.js";
@@ -17,7 +19,7 @@ const WAITS = 8000;
 
 /** @import { State as Word } from "./types.js" */
 /**
- * @typedef {{state: Word | "none", sentence: string, mend: string | null}} Account what the state
+ * @typedef {{state: Word | "none" | "withheld", sentence: string, mend: string | null}} Account what the state
  *   is, for a person
  */
 
@@ -28,8 +30,11 @@ const SENTENCES = {
   searching: "The stage has not been found yet.",
   lost: "The stage was tracked, but is no longer seen.",
   stale: "The camera sends no pictures.",
+  withheld: "A pose is found, but not sent.",
   none: "stagepose does not answer.",
 };
+/** Reasons for which a pose that was found is not reported: the stage is seen, and not searched. */
+const WITHHELD = ["lens_moved", "mixed", "jumped"];
 /** @type {Partial<Record<Account["state"], string>>} */
 const HINTS = {
   stale: "Check that the camera is plugged in and that no other program uses it.",
@@ -40,13 +45,14 @@ const HINTS = {
 function account() {
   if (contact.value === false) return of("none");
   if (contact.value === null) return { state: "searching", sentence: "Connecting to stagepose.", mend: null };
+  if (session.value?.mode === "setup" && standing.value === null) return { state: "searching", sentence: "The camera's picture is shown. Nothing is tracked before the stage is set up.", mend: null };
   if (standing.value !== null) {
     const { state } = standing.value;
     if ((state === null || state === "stale") && trouble.value !== null) return { state: state ?? "stale", sentence: trouble.value, mend: null };
     return state === null ? { state: "searching", sentence: "The camera has not sent a picture yet.", mend: HINTS.stale ?? null } : of(state);
   }
-  const { says, mend, record } = head.value ?? {};
-  return record && says ? { state: record.state, sentence: `${says[0].toUpperCase()}${says.slice(1)}.`, mend: hintSentence(mend) } : withHidden(of(record?.state ?? "searching"));
+  const { says, mend, reason, record } = head.value ?? {};
+  return record && says ? { state: reason && WITHHELD.includes(reason) ? "withheld" : record.state, sentence: `${says[0].toUpperCase()}${says.slice(1)}.`, mend: hintSentence(mend) } : withHidden(of(record?.state ?? "searching"));
 }
 
 /**
@@ -141,10 +147,15 @@ const record = computed(() => (contact.value && (frozen.value || standing.value 
 
 // What changes with every frame goes directly into its text, without rendering a view.
 const position = (/** @type {number} */ axis) => computed(() => amount(record.value?.pose?.position_m[axis], 3, "m"));
+const angles = computed(() => (record.value?.pose ? panTiltRoll(record.value.pose.orientation_xyzw) : null));
+const angle = (/** @type {number} */ axis) => computed(() => amount(angles.value?.[axis], 1, "°"));
 const FACTS = [
   { name: "Right", value: position(0) },
   { name: "Upstage", value: position(1) },
   { name: "Up", value: position(2) },
+  { name: "Pan", value: angle(0) },
+  { name: "Tilt", value: angle(1) },
+  { name: "Roll", value: angle(2) },
   { name: "Residual", value: computed(() => amount(record.value?.rms_px, 2, "px")) },
   { name: "Frame", value: computed(() => `${record.value?.sequence ?? "–"}`) },
   { name: "Shown", value: computed(() => amount(rate.value, 1, "/s")) },

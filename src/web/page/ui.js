@@ -11,6 +11,7 @@ const SHAPES = {
   coasting: "M8 1a7 7 0 0 0 0 14z M8 2.2v11.6a5.8 5.8 0 0 0 0-11.6z",
   searching: "M7 1a6 6 0 1 0 3.6 10.8l3.3 3.2 1.4-1.4-3.3-3.2A6 6 0 0 0 7 1zm0 2a4 4 0 1 1 0 8 4 4 0 0 1 0-8z",
   lost: "M8 1l7.5 14H.5z",
+  withheld: "M5 0.600h6l4.400 4.400v6l-4.400 4.400H5L.6 11V5zM4 7v2h8V7z",
   stale: "M2 2h4v12H2zM10 2h4v12h-4z",
   none: "M2.4 1L8 6.600 13.600 1 15 2.400 9.400 8 15 13.600 13.600 15 8 9.400 2.400 15 1 13.600 6.600 8 1 2.400z",
 };
@@ -21,6 +22,7 @@ export const WORDS = {
   coasting: "Coasting",
   searching: "Searching",
   lost: "Lost",
+  withheld: "Withheld",
   stale: "No picture",
   none: "No contact",
 };
