@@ -1,6 +1,6 @@
 // The Setup view: from a camera to a tracked stage, step by step. Each step can be opened at any
 // time; what is typed is kept.
-import { useEffect, useRef } from "./vendor/hooks.js";
+import { useEffect, useLayoutEffect, useRef } from "./vendor/hooks.js";
 import { Barred, barred } from "./access.js";
 import { sentence } from "./ask.js";
 import { html } from "./ui.js";
@@ -82,7 +82,7 @@ function Step() {
   const form = useRef(/** @type {HTMLFormElement | null} */ (null));
   const { step } = draft.value;
   const { title } = STEPS.find(({ name }) => name === step) ?? STEPS[0];
-  useEffect(() => {
+  useLayoutEffect(() => {
     // Keys go on where the step begins.
     const first = form.current?.querySelector("[data-first]") ?? form.current?.querySelector("button[type=submit]");
     if (first instanceof HTMLElement) first.focus();

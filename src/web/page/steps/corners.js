@@ -1,6 +1,7 @@
 // The four corners of the surface in the frozen picture: dragged, or moved by keys, under a loupe.
 import { computed, signal } from "../vendor/signals.js";
 import { useEffect, useRef } from "../vendor/hooks.js";
+import { theme } from "../theme.js";
 import { emptied, html } from "../ui.js";
 import { change, draft } from "./draft.js";
 import { snapped } from "./edges.js";
@@ -162,8 +163,15 @@ export function Frozen() {
   const marks = useRef(/** @type {HTMLCanvasElement | null} */ (null));
   const { photo } = draft.value;
   useEffect(() => {
+    const canvas = marks.current;
+    if (canvas === null) return;
+    const sized = new ResizeObserver(() => drawOutline(canvas));
+    sized.observe(canvas);
+    return () => sized.disconnect();
+  }, [photo?.name]);
+  useEffect(() => {
     if (marks.current) drawOutline(marks.current);
-  });
+  }, [draft.value.corners, theme.value]);
   if (photo === null) return null;
   const aspect = photo.width / photo.height;
   return html`<figure class="picture corners" style=${{ aspectRatio: aspect, maxWidth: `calc((100vh - 12rem) * ${aspect})` }}>
@@ -178,11 +186,10 @@ export function Loupe() {
   const canvas = useRef(/** @type {HTMLCanvasElement | null} */ (null));
   useEffect(() => {
     if (canvas.current) drawLoupe(canvas.current);
-  });
-  // Named here, so that the loupe is drawn anew with them.
+  }, [draft.value.corners, chosen.value, picture.value, theme.value]);
   const corner = draft.value.corners[chosen.value] ?? [0, 0];
   return html`<div class="loupe">
-    <canvas ref=${canvas} role="img" aria-label="The chosen corner, enlarged" data-loaded=${picture.value === null ? null : ""} />
+    <canvas ref=${canvas} role="img" aria-label="The chosen corner, enlarged" />
     <div>
       <p>Corner ${chosen.value + 1}, ${NAMES[chosen.value]}: ${corner.map((value) => value.toFixed(1)).join(", ")} px</p>
       <p class="note">Drag a corner, or move it with the arrow keys: 1 px, with Shift 10, with Alt 0.1. Tab goes to the next one, S snaps to edges.</p>
