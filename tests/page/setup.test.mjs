@@ -3,7 +3,7 @@
 //   node --test tests/page/setup.test.mjs
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
-import { existsSync, readFileSync } from "node:fs";
+import { existsSync, readFileSync, readdirSync } from "node:fs";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { launch, looksWell, out, pageOf, program, says, until } from "./browser.mjs";
@@ -326,6 +326,58 @@ test("each step says what is wrong and what to do", async () => {
     await looksWell(browser, page, "setup-camera");
   } finally {
     await close();
+    await daemon.end();
+  }
+});
+
+test("a daemon that ends takes nothing along; another browser asks before it replaces a config", async () => {
+  const place = await prepareEmpty(join(out, "run-setup-two"));
+  let daemon = startSetup(place);
+  const opened = () => pageOf(browser, place.address, { view: "setup", state: "" });
+  const primary = (page) => page.locator("button.primary[aria-disabled=false]");
+  const fill = async (page, width) => {
+    await page.getByRole("button", { name: /3 Stage/ }).click();
+    await page.locator("input[type=file]").setInputFiles(join(FIXTURE, "backdrop.png"));
+    await page.getByAltText("The artwork").waitFor();
+    await page.getByRole("button", { name: /4 Sizes/ }).click();
+    await page.getByLabel("Width").fill(width);
+    await page.getByLabel("Height").fill("3");
+  };
+  const first = await opened();
+  const second = await opened();
+  try {
+    await fill(first.page, "4");
+    await daemon.end();
+    await says(first.page, "No contact");
+    await first.page.getByLabel("Width").fill("4.0");
+    await first.page.getByRole("button", { name: /6 Check/ }).click();
+    daemon = startSetup(place);
+    await primary(first.page).click();
+    await first.page.getByText(/Written to/).waitFor();
+    const file = join(place.folder, "stage.toml");
+    assert.match(readFileSync(file, "utf8"), /size_m = \[4\.0, 3\.0\]/);
+    await fill(second.page, "4.1");
+    await second.page.getByRole("button", { name: /6 Check/ }).click();
+    await primary(second.page).click();
+    await second.page.getByText("holds another config").waitFor();
+    assert.match(readFileSync(file, "utf8"), /size_m = \[4\.0, 3\.0\]/, "nothing is replaced unasked");
+    await second.page.getByRole("button", { name: "Replace it" }).click();
+    await second.page.getByText(/Written to/).waitFor();
+    assert.match(readFileSync(file, "utf8"), /size_m = \[4\.1, 3\.0\]/);
+    const [former] = readdirSync(join(place.folder, "former"));
+    assert.match(readFileSync(join(place.folder, "former", former, "stage.toml"), "utf8"), /size_m = \[4\.0, 3\.0\]/);
+    // Its own config it changes without a question.
+    await second.page.getByRole("button", { name: /4 Sizes/ }).click();
+    await second.page.getByLabel("Width").fill("4.05");
+    await second.page.getByRole("button", { name: /6 Check/ }).click();
+    await primary(second.page).click();
+    await until(() => Promise.resolve(readFileSync(file, "utf8")), (text) => text.includes("4.05"));
+    assert.match(readFileSync(file, "utf8"), /size_m = \[4\.05, 3\.0\]/);
+  } finally {
+    await first.page.screenshot({ path: join(out, "setup-two-first.png") });
+    await second.page.screenshot({ path: join(out, "setup-two-second.png") });
+    await first.close();
+    await second.close();
     await daemon.end();
   }
 });

@@ -2,6 +2,7 @@
 import { computed } from "../vendor/signals.js";
 import { useEffect, useRef } from "../vendor/hooks.js";
 import { contact, head, painters, standing } from "../daemon.js";
+import { trouble } from "../events.js";
 import { drawMarks, drawPicture } from "../picture.js";
 import { html } from "../ui.js";
 
@@ -26,6 +27,6 @@ export function Look() {
   return html`<figure class="picture" style=${{ aspectRatio: aspect.value, maxWidth: `calc((100vh - 12rem) * ${aspect.value})` }}>
     <canvas ref=${canvas} role="img" aria-label="What the camera sees" />
     <canvas ref=${marks} class="marks" aria-hidden="true" />
-    ${isLive.value ? null : html`<figcaption>No picture comes.</figcaption>`}
+    ${isLive.value ? null : html`<figcaption>${trouble.value ?? "No picture comes."}</figcaption>`}
   </figure>`;
 }
