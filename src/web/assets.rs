@@ -53,6 +53,7 @@ macro_rules! asset {
 const ASSETS: &[Asset] = &[
     asset!(HTML, "index.html", "/"),
     asset!(STYLE, "style.css"),
+    asset!(STYLE, "setup.css"),
     asset!(PICTURE, "icon.svg"),
     asset!(SCRIPT, "access.js"),
     asset!(SCRIPT, "app.js"),

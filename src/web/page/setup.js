@@ -114,6 +114,7 @@ export function Setup() {
   useEffect(() => void findCameras(), []);
   const { step, door, photo } = draft.value;
   return html`<main class="setup">
+    <link rel="stylesheet" href="./setup.css" />
     <${Steps} />
     ${step === "stage" && door === "freeze" && photo !== null ? html`<${Frozen} />` : html`<${Look} />`}
     <${Step} />
