@@ -19,7 +19,9 @@ const PRESSES = 40;
 const MISPLACED = 0.002;
 /** The centre of the bottom edge is the origin: half the surface's height below its centre. */
 const RAISED = 1.5;
-/** Pictures a second, and tracked records that are held against the truth: three times to and fro. */
+/**
+ * Pictures a second, and tracked records that are held against the truth: three times to and fro.
+ */
 const RATE = 30;
 const RECORDS = 234;
 /**

@@ -6,7 +6,8 @@ import { html } from "../ui.js";
 
 /**
  * `take` gets the file; what it throws is said.
- * @param {{label: string, accept: string, take: (file: File) => Promise<unknown>, isFirst?: boolean}} props
+ * @param {{label: string, accept: string, take: (file: File) => Promise<unknown>, isFirst?:
+ *   boolean}} props
  */
 export function ChooseFile({ label, accept, take, isFirst = false }) {
   const [said, setSaid] = useState("");

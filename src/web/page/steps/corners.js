@@ -70,7 +70,13 @@ function undo() {
   snap.value = "";
 }
 
-/** Moves a corner, within the picture. @param {number[][]} corners @param {number} k @param {number} dx @param {number} dy */
+/**
+ * Moves a corner, within the picture.
+ * @param {number[][]} corners
+ * @param {number} k
+ * @param {number} dx
+ * @param {number} dy
+ */
 function moved(corners, k, dx, dy) {
   const { width, height } = draft.peek().photo ?? { width: 1, height: 1 };
   const within = (/** @type {number} */ value, /** @type {number} */ length) => Number(Math.min(Math.max(value, -0.5), length - 0.5).toFixed(2));

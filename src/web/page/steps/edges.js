@@ -3,16 +3,22 @@
 // curves meet.
 
 /** @typedef {{grey: Float32Array | Uint8ClampedArray, width: number, height: number}} Grey */
-/** @typedef {{t: number, s: number, strength: number}} Found a point of an edge: along, and across */
 /**
- * @typedef {{from: number[], along: number[], across: number[], bend: number[], sigma: number}} Side
+ * @typedef {{t: number, s: number, strength: number}} Found a point of an edge: along, and across
+ */
+/**
+ * @typedef {{from: number[], along: number[], across: number[], bend: number[], sigma: number}}
+ *   Side
  *   its direction (the side's whole length), its normal (1 px), the curve's polynomial across, and
  *   how well the curve is known, pixels
  */
 
 /** Points that are looked at along a side, and the share of it at each end that is left out. */
 const [POINTS, ENDS] = [64, 0.04];
-/** Pixels to each side that an edge is looked for, and between two samples. Raised, others are found. */
+/**
+ * Pixels to each side that an edge is looked for, and between two samples. Raised, others are
+ * found.
+ */
 const [REACH, STEP] = [8, 0.5];
 /** Grey levels over two pixels that are an edge. Raised, faint edges are missed. */
 const FAINT = 6;
@@ -32,7 +38,13 @@ function level({ grey, width, height }, x, y) {
   return (1 - v) * ((1 - u) * grey[at] + u * grey[at + 1]) + v * ((1 - u) * grey[at + width] + u * grey[at + width + 1]);
 }
 
-/** The strongest edge across a point. @param {Grey} of @param {number[]} at @param {number[]} across @returns {{s: number, strength: number} | null} */
+/**
+ * The strongest edge across a point.
+ * @param {Grey} of
+ * @param {number[]} at
+ * @param {number[]} across
+ * @returns {{s: number, strength: number} | null}
+ */
 function strongest(of, [x, y], [nx, ny]) {
   const count = Math.round((2 * REACH) / STEP) + 1;
   const steps = Array.from({ length: count }, (_, k) => {
@@ -62,7 +74,11 @@ function onOneLine(points) {
   return most;
 }
 
-/** The parabola of least squares through points. @param {Found[]} points @returns {number[] | null} */
+/**
+ * The parabola of least squares through points.
+ * @param {Found[]} points
+ * @returns {number[] | null}
+ */
 function parabola(points) {
   const sum = (/** @type {number} */ power, /** @type {boolean} */ withS) => points.reduce((all, { t, s }) => all + t ** power * (withS ? s : 1), 0);
   const rows = [0, 1, 2].map((row) => [sum(row, false), sum(row + 1, false), sum(row + 2, false), sum(row, true)]);
@@ -80,7 +96,13 @@ function parabola(points) {
 /** @param {number[]} bend @param {number} t */
 const across = ([a, b, c], t) => a + t * (b + t * c);
 
-/** The edge along a side; null if there is none. @param {Grey} of @param {number[]} from @param {number[]} to @returns {Side | null} */
+/**
+ * The edge along a side; null if there is none.
+ * @param {Grey} of
+ * @param {number[]} from
+ * @param {number[]} to
+ * @returns {Side | null}
+ */
 function edge(of, from, to) {
   const along = [to[0] - from[0], to[1] - from[1]];
   const length = Math.hypot(...along);

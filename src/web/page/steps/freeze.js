@@ -61,7 +61,10 @@ function mean(frames) {
   return new ImageData(Uint8ClampedArray.from(sums, (sum) => sum / frames.length), width, height);
 }
 
-/** Freezes the picture: a mean of frames, or the last one if the camera moves. @returns {Promise<Frozen>} */
+/**
+ * Freezes the picture: a mean of frames, or the last one if the camera moves.
+ * @returns {Promise<Frozen>}
+ */
 export async function freeze() {
   const frames = await nextFrames(FRAMES);
   const [first, last] = [frames[0], frames[frames.length - 1]];
