@@ -144,7 +144,7 @@ export function ConfigFault() {
     <p>
       ${session.value?.has_config ? "The config file has an error. The previous config stays active." : "No usable config: nothing is tracked."}
       ${findings.map(({ line, sentence: words, mend }) => ` ${[line ? `Line ${line}: ${words}` : words, mend].filter(Boolean).map((part) => sentence(`${part}`)).join(" ")}`)}
-      ${session.value?.has_config ? null : html` <a href="#setup">Set the stage up</a>`}
+      ${session.value?.has_config ? null : html` <a href=${"#setup"}>Set the stage up</a>`}
     </p>
   </section>`;
 }
