@@ -35,6 +35,7 @@ mod scoring;
 mod test_planes;
 #[cfg(test)]
 mod test_views;
+pub mod three_point;
 mod transfer_refinement;
 pub mod triangulation;
 #[cfg(feature = "two-views")]
