@@ -23,6 +23,8 @@ pub struct Config {
     pub object: Vec<Spanned<Object>>,
     /// `[[survey.distance]]` and `[[survey.point]]`.
     pub survey: Option<Survey>,
+    /// `[map]`: `[[map.point]]`, `[[map.distance]]` and the floor.
+    pub map: Option<Map>,
     /// `[mount]`.
     pub mount: Option<Spanned<Mount>>,
     /// `[tracker]`.
@@ -192,6 +194,55 @@ pub struct SurveyPoint {
     /// Its position in the stage frame, metres.
     pub position_m: Option<Spanned<Exactly<Number, 3>>>,
     /// One sigma along each axis, metres.
+    pub sigma_m: Option<Spanned<Number>>,
+}
+
+/// `[map]`: what gives a map its frame and scale beside surfaces.
+#[derive(Debug, Deserialize)]
+pub struct Map {
+    /// Names of three points of the floor: the origin, one along x, one beside.
+    pub floor: Option<Spanned<Vec<String>>>,
+    /// `[[map.point]]`.
+    #[serde(default)]
+    pub point: Vec<Spanned<MapPoint>>,
+    /// `[[map.distance]]`.
+    #[serde(default)]
+    pub distance: Vec<Spanned<MapDistance>>,
+}
+
+/// `[[map.point]]`: a point of the set, clicked in frames of the walk.
+#[derive(Debug, Deserialize)]
+pub struct MapPoint {
+    /// Its name.
+    pub name: Option<Spanned<String>>,
+    /// Where frames show it.
+    #[serde(default)]
+    pub seen: Vec<Spanned<MapClick>>,
+    /// Its position in the stage frame, metres.
+    pub position_m: Option<Spanned<Exactly<Number, 3>>>,
+    /// One sigma along each axis, metres.
+    pub sigma_m: Option<Spanned<Number>>,
+}
+
+/// An entry of `seen`.
+#[derive(Debug, Deserialize)]
+pub struct MapClick {
+    /// The clip's name.
+    pub clip: Option<Spanned<String>>,
+    /// The row in the clip, from 0.
+    pub sequence: Option<Spanned<Count>>,
+    /// The raw pixel.
+    pub px: Option<Spanned<Exactly<Number, 2>>>,
+}
+
+/// `[[map.distance]]`: a measured length between two named points.
+#[derive(Debug, Deserialize)]
+pub struct MapDistance {
+    /// The points' names.
+    pub between: Option<Spanned<Vec<String>>>,
+    /// The length, metres.
+    pub length_m: Option<Spanned<Number>>,
+    /// One sigma, metres.
     pub sigma_m: Option<Spanned<Number>>,
 }
 

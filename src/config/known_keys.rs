@@ -15,7 +15,7 @@ use super::{ConfigError, Problem};
 type Keys = fn() -> &'static [&'static str];
 
 /// Every section of this version: its path, its name in messages, its keys.
-const SECTIONS: [(&[&str], &str, Keys); 21] = [
+const SECTIONS: [(&[&str], &str, Keys); 25] = [
     (&[], "the config", fields::<as_typed::Config>),
     (&["camera"], "[camera]", fields::<as_typed::Camera>),
     (&["camera", "pose"], "[camera.pose]", fields::<as_typed::CameraPose>),
@@ -27,6 +27,10 @@ const SECTIONS: [(&[&str], &str, Keys); 21] = [
     (&["survey"], "[survey]", fields::<as_typed::Survey>),
     (&["survey", "distance"], "[[survey.distance]]", fields::<as_typed::SurveyDistance>),
     (&["survey", "point"], "[[survey.point]]", fields::<as_typed::SurveyPoint>),
+    (&["map"], "[map]", fields::<as_typed::Map>),
+    (&["map", "point"], "[[map.point]]", fields::<as_typed::MapPoint>),
+    (&["map", "point", "seen"], "[[map.point.seen]]", fields::<as_typed::MapClick>),
+    (&["map", "distance"], "[[map.distance]]", fields::<as_typed::MapDistance>),
     (&["mount"], "[mount]", fields::<as_typed::Mount>),
     (&["tracker"], "[tracker]", fields::<as_typed::Tracker>),
     (&["timecode"], "[timecode]", fields::<as_typed::Timecode>),

@@ -15,7 +15,18 @@ use super::surveyed::{CALIBRATION, with};
 /// The map's name in the folder.
 pub const MAP: &str = "stage.map";
 /// Sections that describe the stage before it had a map.
-const REPLACED: [&str; 7] = ["stage.surface", "stage.origin", "stage.map", "survey", "survey.distance", "survey.point", "map"];
+const REPLACED: [&str; 10] = [
+    "stage.surface",
+    "stage.origin",
+    "stage.map",
+    "survey",
+    "survey.distance",
+    "survey.point",
+    "map",
+    "map.point",
+    "map.point.seen",
+    "map.distance",
+];
 
 impl ConfigSource {
     /// Returns the files of a mapped stage: `stage.toml`, `camera.toml`, `stage.map`, and copies of

@@ -20,6 +20,7 @@ pub mod mapped;
 mod measured;
 mod mount;
 mod named_files;
+mod named_points;
 mod origin;
 #[cfg(test)]
 mod output_tests;

@@ -19,6 +19,7 @@ use super::lens::{self, LensSource, lens};
 use super::measured::measured;
 use super::mount::mount;
 use super::named_files::named_files;
+use super::named_points::named_points;
 use super::origin::Origin;
 use super::outputs::{OUTPUT, OutputReader, safety};
 use super::protocols::address;
@@ -35,6 +36,7 @@ use crate::light::Transfer;
 use crate::pose::{FilterSettings, FixedCamera};
 use crate::publish::{MountSettings, OutputSettings, SafetySettings};
 use crate::survey::measured::Constraint;
+use crate::survey::named_points::NamedPoints;
 use crate::track::{BodySpec, TrackerSettings};
 use crate::tracker::TrackerSetup;
 
@@ -69,6 +71,8 @@ pub struct Settings {
     pub fixed: Option<FixedCamera>,
     /// Measurements on the stage, for a survey.
     pub(crate) measured: Vec<Constraint>,
+    /// Points of the set that give a map its frame and scale.
+    pub(crate) named_points: NamedPoints,
     /// The filming camera on the rig; `None` without `[mount]`.
     pub(crate) mount: Option<MountSettings>,
     /// The tracker's tunables.
@@ -195,7 +199,12 @@ impl Settings {
     /// # Errors
     /// As [`load`](Self::load).
     pub(crate) fn load_camera(file: &Path) -> Result<Self, ConfigError> {
-        Self::read(&read_text(file)?, file, false)
+        Self::camera_from_text(&read_text(file)?, file)
+    }
+
+    /// As [`load_camera`](Self::load_camera), with the text at hand.
+    pub(crate) fn camera_from_text(text: &str, file: &Path) -> Result<Self, ConfigError> {
+        Self::read(text, file, false)
     }
 
     /// As [`load`](Self::load), for a text that is stored in another file than the one it belongs
@@ -252,6 +261,7 @@ impl Settings {
         Ok(Self {
             file: file.to_owned(),
             measured: measured(&origin, typed.survey.as_ref(), &stage)?,
+            named_points: named_points(&origin, typed.map.as_ref())?,
             source: origin.files.with_config(file, text),
             lens,
             calibration_line,

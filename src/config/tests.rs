@@ -408,7 +408,7 @@ fn the_example_has_every_key_and_nothing_else() {
     for (section, keys) in known_keys() {
         let bare = section.trim_matches(['[', ']']);
         assert!(EXAMPLE.contains(section) || keys.contains(&"surface") || section == "[survey]", "{section} is not in the example");
-        for key in keys.iter().filter(|key| !["surface", "map", "pose", "value", "distance", "point"].contains(*key)) {
+        for key in keys.iter().filter(|key| !["surface", "map", "pose", "value", "distance", "point", "seen"].contains(*key)) {
             let there = EXAMPLE.lines().any(|line| line.trim_start_matches(['#', ' ']).starts_with(&format!("{key} = ")));
             assert!(there, "{bare}.{key} is not in the example");
         }
@@ -429,6 +429,10 @@ fn the_example_parses_with_every_key_uncommented() {
         "[[output.value]]",
         "[[survey.distance]]",
         "[[survey.point]]",
+        "[map]",
+        "[[map.point]]",
+        "[[map.point.seen]]",
+        "[[map.distance]]",
         "[timecode]",
     ];
     let keys: Vec<&str> = known_keys().flat_map(|(_, keys)| keys.iter().copied()).collect();
