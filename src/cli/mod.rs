@@ -20,6 +20,7 @@ mod export;
 mod failure;
 mod freeze;
 mod interrupt;
+mod layout_figures;
 mod learnt;
 mod listen;
 mod logging;

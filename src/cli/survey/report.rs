@@ -2,13 +2,11 @@
 
 use std::fmt::Write as _;
 
-use nalgebra::Vector3;
-
+use crate::cli::layout_figures::layout;
 use crate::html_page::svg::{Drawing, escaped, hue};
 use crate::html_page::{figure, page};
 use crate::survey::walked::judgement::Judgement;
 use crate::survey::walked::stage::Survey;
-use crate::track::SurfaceSpec;
 
 /// Cells across a surface's height map. Raised, the file grows.
 const CELLS: usize = 60;
@@ -29,9 +27,8 @@ pub(super) fn html(made: &Survey, judgement: &Judgement, date: &str) -> String {
     for k in 0..made.surfaces.len() {
         body += &heights(made, k);
     }
-    for view in VIEWS {
-        body += &layout(made, &view);
-    }
+    let surfaces: Vec<_> = made.surfaces.iter().enumerate().map(|(k, spec)| (spec, hue(k))).collect();
+    body += &layout(&surfaces, &made.cameras);
     page("Survey of a stage", date, &body)
 }
 
@@ -105,59 +102,4 @@ fn heights(made: &Survey, k: usize) -> String {
     let caption =
         format!("Heights of {} over its plane, as its picture lies. Grey parts are poorly known: film them again.", escaped(&spec.name));
     figure(&drawing.finish(&format!("heights of {}", spec.name)), &caption)
-}
-
-/// A view of the stage: the page directions, right and up, of a metre along x, y and z.
-struct View {
-    right: [f64; 3],
-    up: [f64; 3],
-    words: &'static str,
-}
-
-/// The layout's views. The first one's slants are chosen for looks: all three axes can be told
-/// apart.
-const VIEWS: [View; 3] = [
-    View { right: [0.94, 0.34, 0.0], up: [-0.14, 0.4, 0.9], words: "from the house, from the left and above" },
-    View { right: [1.0, 0.0, 0.0], up: [0.0, 1.0, 0.0], words: "from above: x to the right, y up the page (away from the house)" },
-    View { right: [1.0, 0.0, 0.0], up: [0.0, 0.0, 1.0], words: "from the house: x to the right, z up" },
-];
-/// Segments per side of a surface. Raised, folds are smoother and the file grows.
-const PIECES: usize = 24;
-/// Maximum names on a drawing; raised, they overlap.
-const MAX_NAMES: usize = 8;
-
-/// Draws the surfaces' edges as they hang, and the walk's cameras.
-fn layout(made: &Survey, view: &View) -> String {
-    let seen = |p: &Vector3<f64>| [view.right, view.up].map(|by| p.dot(&Vector3::from(by)));
-    let outline = |spec: &SurfaceSpec| -> Vec<[f64; 2]> {
-        let [w, h] = spec.size_m;
-        let corners = [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]];
-        let along = |n: usize| {
-            let (from, to, share) = (corners[n / PIECES], corners[(n / PIECES + 1) % 4], (n % PIECES) as f64 / PIECES as f64);
-            let [x, y] = [0, 1].map(|axis| from[axis] + share * (to[axis] - from[axis]));
-            seen(&spec.pose.transform(&spec.shape.at([x * w, y * h]).place.into()).coords)
-        };
-        (0..4 * PIECES).map(along).collect()
-    };
-    let outlines: Vec<Vec<[f64; 2]>> = made.surfaces.iter().map(outline).collect();
-    let cameras: Vec<[f64; 2]> = made.cameras.iter().map(|pose| seen(&pose.translation)).collect();
-    let all = || outlines.iter().flatten().chain(&cameras);
-    let bound = |axis: usize, pick: fn(f64, f64) -> f64, start: f64| all().map(|p| p[axis]).fold(start, pick);
-    let low = [0, 1].map(|axis| bound(axis, f64::min, f64::INFINITY));
-    let high = [0, 1].map(|axis| bound(axis, f64::max, f64::NEG_INFINITY));
-    let scale = (WIDTH - 40.0) / (high[0] - low[0]).max(high[1] - low[1]).max(1e-6);
-    let to_page = |p: &[f64; 2]| [20.0 + (p[0] - low[0]) * scale, 20.0 + (high[1] - p[1]) * scale];
-    let mut drawing = Drawing::new(WIDTH, 40.0 + (high[1] - low[1]) * scale);
-    for camera in &cameras {
-        drawing.circle(to_page(camera), 2.5, "none", "currentColor", 0.0);
-    }
-    for (k, (outline, spec)) in outlines.iter().zip(&made.surfaces).enumerate() {
-        let points: Vec<[f64; 2]> = outline.iter().map(to_page).collect();
-        drawing.path(&points, true, &hue(k), "none", 2.0);
-        if made.surfaces.len() <= MAX_NAMES {
-            let [x, y] = points[0];
-            drawing.text([x + 4.0, y + 14.0], 12.0, "start", &hue(k), &spec.name);
-        }
-    }
-    figure(&drawing.finish("layout"), &format!("Surfaces and the cameras of the walk (dots), {}.", view.words))
 }
