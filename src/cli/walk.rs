@@ -14,7 +14,7 @@ use crate::capture::{ClipOptions, EntryContent, FrameSource, open_clip};
 use crate::config::Settings;
 use crate::frame::Frame;
 use crate::survey::walked::progress::{SurveyError, SurveyStep};
-use crate::survey::walked::walk::Walk;
+use crate::survey::walked::walk::{Walk, WalkOptions};
 use crate::tracker::TrackerSetup;
 
 /// Opened clips, in order.
@@ -36,6 +36,17 @@ impl<'a> Clips<'a> {
     /// Opens all clips.
     pub(super) fn open(&self) -> Result<Sources, Failure> {
         self.files.iter().map(|clip| open_clip(clip, self.options).map_err(Failure::from)).collect()
+    }
+
+    /// Returns the index of the clip with a name, that of its file or folder. `None` if there is
+    /// none, or several have it.
+    pub(super) fn named(&self, name: &str) -> Option<usize> {
+        let has_name = |clip: &&PathBuf| {
+            let own = std::path::absolute(clip).unwrap_or_else(|_| (*clip).clone());
+            [own.file_name(), own.file_stem()].into_iter().flatten().any(|own| own == name)
+        };
+        let mut named = self.files.iter().enumerate().filter(|(_, clip)| has_name(clip)).map(|(index, _)| index);
+        named.next().filter(|_| named.next().is_none())
     }
 
     /// Returns the size of the clips' frames, which they must share, and shows what is odd about
@@ -88,10 +99,10 @@ impl<'a> WalkReader<'a> {
         file: &WalkFile,
         sources: Sources,
         again: impl FnOnce() -> Result<Sources, Failure>,
-        wants_lively: bool,
+        options: &WalkOptions,
     ) -> Result<Result<Walk, SurveyError>, Failure> {
         Ok(match self.recalled(file, sources) {
-            Ok(None) => self.taken_in(file, again()?, wants_lively),
+            Ok(None) => self.taken_in(file, again()?, options),
             Ok(Some(walk)) => Ok(walk),
             Err(e) => Err(e),
         })
@@ -107,12 +118,12 @@ impl<'a> WalkReader<'a> {
 
     /// Reads the walk from the clips and stores it, so that an interrupted run need not read them
     /// again.
-    fn taken_in(&self, file: &WalkFile, sources: Sources, wants_lively: bool) -> Result<Walk, SurveyError> {
+    fn taken_in(&self, file: &WalkFile, sources: Sources, options: &WalkOptions) -> Result<Walk, SurveyError> {
         // It is another command's, or does not fit its clips.
         file.remove();
         self.frames_read.set(0);
         let clips = sources.into_iter().map(frames);
-        let walk = Walk::take_in(clips, self.setup, wants_lively, |step| self.show(step), &goes_on)?;
+        let walk = Walk::take_in(clips, self.setup, options, |step| self.show(step), &goes_on)?;
         file.keep(walk.record());
         Ok(walk)
     }

@@ -25,13 +25,19 @@ pub(super) fn text(made: &Mapped, judgement: &Judgement) -> String {
         "camera": {
             "width": i.width, "height": i.height, "fx": i.fx, "fy": i.fy, "cx": i.cx, "cy": i.cy, "skew": i.skew, "distortion": i.distortion,
         },
-        "scale": {"ppm_sigma": 1e6 * made.scale_sigma, "from": "surfaces"},
+        "scale": {"ppm_sigma": made.scale_sigma.map(|sigma| 1e6 * sigma), "from": made.scale_from.join(" and ")},
         "facets": made.kept.iter().zip(&made.map.facets).map(facet).collect::<Vec<_>>(),
         "keyframes": survey.keyframes,
         "used": survey.used,
+        "unseen": made.unseen,
         "points": made.points,
         "residual_scale": made.residual_scale(),
         "rms_px": survey.rms_px,
+        "hold_out_mm": made.hold_out.map(|held| 1e3 * held.median_m),
+        "hold_out": made.hold_out.map(|held| json!({
+            "keyframes": held.keyframes, "located": held.located, "median_mm": 1e3 * held.median_m, "most_mm": 1e3 * held.most_m,
+        })),
+        "missing": made.missing,
         "verdict": judgement.verdict.words(),
         "reasons": judgement.reasons,
     });

@@ -1,6 +1,7 @@
 //! `stagepose map`: maps a set without pictures, from clips of walking around it (contract C13).
 
 mod json;
+mod report;
 mod text;
 
 use std::path::PathBuf;
@@ -20,8 +21,11 @@ use super::walk_file::WalkFile;
 use crate::camera::{Calibration, CalibrationForm};
 use crate::config::{LensSource, Settings};
 use crate::printable::printable_lines;
+use crate::survey::named_points::Click;
 use crate::survey::walked::judgement::Verdict;
-use crate::survey::walked::mapping::map::{MapError, MapStep, map};
+use crate::survey::walked::mapping::error::{MapError, MapStep};
+use crate::survey::walked::mapping::map::map;
+use crate::survey::walked::walk::WalkOptions;
 use crate::utc;
 
 /// Map a set without pictures, from clips of walking around it.
@@ -34,7 +38,7 @@ pub(super) struct MapArguments {
     /// Clips of walking around the set
     #[arg(required = true)]
     clips: Vec<PathBuf>,
-    /// The config of the calibrated camera and of the surface that gives frame and scale
+    /// The config of the calibrated camera, and of what gives frame and scale: surfaces, named points
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
     /// The folder for the mapped stage: its stage.toml, stage.map and camera.toml
@@ -43,6 +47,9 @@ pub(super) struct MapArguments {
     /// Write everything as JSON
     #[arg(long, value_name = "OUT.json")]
     json: Option<PathBuf>,
+    /// Write a report with figures, one HTML file
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
     /// Frames per second of clips without stamps
     #[arg(long, value_name = "N", value_parser = super::replay::frames_per_second)]
     fps: Option<f64>,
@@ -58,27 +65,29 @@ pub(super) struct MapArguments {
 /// Bad usage, an unreadable config or clip, a walk that yields no map, the verdict "do not use", an
 /// output that cannot be written.
 pub(super) fn run(arguments: &MapArguments) -> Result<(), Failure> {
-    let settings = Settings::load(&arguments.config)?;
+    let settings = Settings::load_camera(&arguments.config)?;
     logging::start_for_trials(&arguments.log, settings.log);
     refuse_unfit(&settings)?;
     let mut spared = arguments.clips.iter().fold(Spared::default(), |spared, clip| spared.with_clip(clip));
-    spared.claim_whole_files(&[("--json", &arguments.json)])?;
+    spared.claim_whole_files(&[("--json", &arguments.json), ("--report", &arguments.report)])?;
     MAPPED.refuse_unusable(&arguments.output)?;
     interrupt::watch();
     let clips = Clips::new(&arguments.clips, arguments.fps, &settings);
     let sources = clips.open()?;
     let size = clips.size(&sources)?;
     let setup = clips.setup(&settings, size, &arguments.learnt)?;
-    let file = WalkFile::new(&arguments.output, &arguments.clips, &setup, &format!("map {:?}", arguments.fps));
+    let options = WalkOptions { lively: false, unseen: true, named: clicked_frames(&settings, &clips)? };
+    let file = WalkFile::new(&arguments.output, &arguments.clips, &setup, &format!("map {:?} {:?}", arguments.fps, options.named));
     let reader = WalkReader::new(&setup, &sources);
-    let walk = reader.walk(&file, sources, || clips.open(), false)?;
+    let walk = reader.walk(&file, sources, || clips.open(), &options)?;
     let show = |step: MapStep| match step {
         MapStep::Points => reader.show_words("recognising points".to_owned()),
         MapStep::Facets => reader.show_words("finding facets".to_owned()),
         MapStep::Textures(round) => reader.show_words(format!("painting facets, round {}", round + 1)),
+        MapStep::HoldOut => reader.show_words("holding keyframes out".to_owned()),
         MapStep::Survey(step) => reader.show(step),
     };
-    let made = walk.map_err(MapError::from).and_then(|walk| map(walk, &setup, show, &goes_on));
+    let made = walk.map_err(MapError::from).and_then(|walk| map(walk, &setup, &settings.named_points, show, &goes_on));
     reader.progress.finish();
     let made = made.map_err(|e| match e {
         MapError::Survey(e) => unfinished(&e, &file),
@@ -89,6 +98,10 @@ pub(super) fn run(arguments: &MapArguments) -> Result<(), Failure> {
     print(printable_lines(&text::text(&made, &judgement)).as_bytes())?;
     if let Some(file) = &arguments.json {
         write_whole(file, json::text(&made, &judgement))?;
+    }
+    if let Some(file) = &arguments.report {
+        let date = utc::date_and_time(utc::now_s()).replace('T', " ").replace('Z', " UTC");
+        write_whole(file, report::html(&made, &judgement, &date))?;
     }
     if judgement.verdict == Verdict::DoNotUse {
         return Err(Failure::Survey(format!("{}; nothing is written to {}", judgement.sentence(), arguments.output.display())));
@@ -104,6 +117,19 @@ pub(super) fn run(arguments: &MapArguments) -> Result<(), Failure> {
     };
     let files = settings.source.mapped(calibration.to_toml(), made.map.to_bytes()).map_err(|e| Failure::Usage(e.to_string()))?;
     MAPPED.write(&arguments.output, files)
+}
+
+/// Returns the frames in which points were clicked: the clip by its index, and the row in it.
+fn clicked_frames(settings: &Settings, clips: &Clips<'_>) -> Result<Vec<(usize, u64)>, Failure> {
+    let frame = |(point, click): (usize, &Click)| {
+        let clip = clips.named(&click.clip).ok_or_else(|| {
+            let entry = &settings.named_points.points[point].entry;
+            let (file, clip) = (settings.file.display(), &click.clip);
+            Failure::Usage(format!("{file}: {entry} was clicked in the clip `{clip}`, but not exactly one of the clips has that name"))
+        })?;
+        Ok((clip, click.sequence))
+    };
+    settings.named_points.clicks().map(frame).collect()
 }
 
 /// Refuses configs from which no map can be made.

@@ -12,15 +12,30 @@ pub(super) fn text(made: &Mapped, judgement: &Judgement) -> String {
     // Writing to a String cannot fail.
     let _ = writeln!(
         text,
-        "walk        {} frames, the surface was found in {}; {} keyframes, {} of them fit; {:.1} m wide at {:.1} m",
-        survey.frames, survey.found, survey.keyframes, survey.used, made.extent_m, made.distance_m
+        "walk        {} frames, a surface was found in {}; {} keyframes, {} of them without a surface, {} of them fit; {:.1} m wide at {:.1} m",
+        survey.frames, made.found, survey.keyframes, made.unseen, survey.used, made.extent_m, made.distance_m
     );
     let _ = writeln!(text, "points      {}, {:.2} sigmas", made.points, made.points_scale);
     let area: f64 = made.map.facets.iter().map(|facet| facet.size_m[0] * facet.size_m[1]).sum();
     let _ =
         writeln!(text, "facets      {}, {area:.1} square metres, known to {:.2} mm (median)", made.map.facets.len(), 1e3 * made.sigma_m());
     let _ = writeln!(text, "residual    {:.3} px, {:.2} times the noise", survey.rms_px, made.residual_scale());
-    let _ = writeln!(text, "scale       known to {:.0} ppm, from the configured surfaces", 1e6 * made.scale_sigma);
+    let _ = match made.scale_sigma {
+        Some(sigma) => writeln!(text, "scale       known to {:.0} ppm, from {}", 1e6 * sigma, made.scale_from.join(" and ")),
+        None => writeln!(text, "scale       not metric: nothing in the config was measured"),
+    };
+    if let Some(held) = &made.hold_out {
+        let (located, keyframes) = (held.located, held.keyframes);
+        let _ = writeln!(
+            text,
+            "hold-out    {located} of {keyframes} keyframes located on a map of the others, {:.2} mm off (median), {:.2} at most",
+            1e3 * held.median_m,
+            1e3 * held.most_m
+        );
+    }
+    for hint in &made.missing {
+        let _ = writeln!(text, "film        {hint}");
+    }
     let _ = writeln!(text, "verdict     {}", judgement.sentence());
     text
 }

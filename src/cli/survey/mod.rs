@@ -24,6 +24,7 @@ use crate::config::Settings;
 use crate::printable::printable_lines;
 use crate::survey::walked::judgement::Verdict;
 use crate::survey::walked::stage::{SurveyOptions, survey};
+use crate::survey::walked::walk::WalkOptions;
 use crate::utc;
 
 /// Measure the stage as it hangs and the actual lens, from clips of walking around.
@@ -93,7 +94,7 @@ pub(super) fn run(arguments: &SurveyArguments) -> Result<(), Failure> {
         SurveyOptions { refines_lens: arguments.lens == Lens::Refine, constraints: settings.measured.clone(), ..SurveyOptions::default() };
     let file = WalkFile::new(&arguments.output, &arguments.clips, &setup, &format!("{:?} {:?}", arguments.lens, arguments.fps));
     let reader = WalkReader::new(&setup, &sources);
-    let walk = reader.walk(&file, sources, || clips.open(), options.refines_lens)?;
+    let walk = reader.walk(&file, sources, || clips.open(), &WalkOptions { lively: options.refines_lens, ..WalkOptions::default() })?;
     // Clips that could be read twice can be read once more; otherwise the survey continues with
     // what it has.
     let again = || clips.open().unwrap_or_default().into_iter().map(frames);

@@ -23,6 +23,7 @@ mod stage_model;
 mod synthetic;
 mod tile_derivatives;
 pub mod unmodelled;
+mod unseen_frames;
 pub mod walk;
 mod ways;
 pub mod weak_parts;

@@ -137,7 +137,7 @@ where
     let TrackerSetup { camera, mask, stage, .. } = setup.clone();
     let configured = setup.shutter.or_zero();
     let mut shutter = configured;
-    let Walk { keyframes, lively, frames, found, bend } = walk;
+    let Walk { keyframes, lively, frames, found, bend, .. } = walk;
     match (found, keyframes.len()) {
         (0, _) => return Err(SurveyError::NotFound { frames }),
         (_, n) if n < MIN_KEYFRAMES => return Err(SurveyError::TooFewPlaces { found: n, least: MIN_KEYFRAMES }),

@@ -13,6 +13,7 @@ use super::keyframes::{Keyframe, Keyframes, MatchedFeature};
 use super::lively_part::{LivelyPart, NumberedFrame};
 use super::progress::{SurveyError, SurveyStep};
 use super::stage_model::distance_m;
+use super::unseen_frames::UnseenFrames;
 use crate::frame::{Frame, Timestamp};
 use crate::geometry::{Body, Camera, Pose};
 use crate::light::camera_curve::Bend;
@@ -42,11 +43,26 @@ pub struct Walk {
     pub(super) keyframes: Vec<Keyframe>,
     /// The part with the fastest motion, in order; empty if the shutter is not needed.
     pub(super) lively: Vec<NumberedFrame>,
+    /// Frames in which no surface was found, and those that were asked for, in order.
+    pub(super) unseen: Vec<NumberedFrame>,
+    /// The numbers of the frames that were asked for; `None` if the clips have no such frame.
+    pub(super) named: Vec<Option<usize>>,
     /// Numbers of frames examined, and of those in which the stage was found.
     pub(super) frames: usize,
     pub(super) found: usize,
     /// The camera's curve as learnt from the last clip: corrections of the configured one.
     pub(super) bend: Bend,
+}
+
+/// What a walk is to keep beside its keyframes.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct WalkOptions {
+    /// The part with the fastest motion.
+    pub lively: bool,
+    /// Frames in which no surface is found.
+    pub unseen: bool,
+    /// These frames: the clip by its index, and the row in it.
+    pub named: Vec<(usize, u64)>,
 }
 
 /// A walk without its pictures. Frame numbers count the frames of all clips together, from 1.
@@ -56,6 +72,8 @@ pub struct WalkRecord {
     found: usize,
     keyframes: Vec<KeyframeRecord>,
     lively: Vec<usize>,
+    unseen: Vec<usize>,
+    named: Vec<Option<usize>>,
     bend: Bend,
 }
 
@@ -75,15 +93,15 @@ struct KeyframeRecord {
 }
 
 impl Walk {
-    /// Extracts the walk from clips, with the lively part only if requested. `progress` is called
-    /// for each frame; `goes_on` stops the work by returning false.
+    /// Extracts the walk from clips. A stage without surfaces is found in no frame. `progress` is
+    /// called for each frame; `goes_on` stops the work by returning false.
     ///
     /// # Errors
     /// [`SurveyError::Interrupted`].
     pub fn take_in<C, F>(
         clips: C,
         setup: &TrackerSetup,
-        wants_lively: bool,
+        options: &WalkOptions,
         mut progress: impl FnMut(SurveyStep),
         goes_on: &(dyn Fn() -> bool + Sync),
     ) -> Result<Self, SurveyError>
@@ -93,17 +111,20 @@ impl Walk {
     {
         let TrackerSetup { camera, shutter, mask, stage, settings, clock, store, .. } = setup.clone().as_trial();
         let (mut keyframes, mut lively) = (Keyframes::default(), LivelyPart::default());
+        let (mut unseen, mut asked, mut named) = (UnseenFrames::default(), Vec::new(), vec![None; options.named.len()]);
         let (mut frames, mut found, mut bend) = (0, 0, Bend::default());
-        for clip in clips {
-            let mut finder = StageFinder::new(BodyTracker::new(
-                camera,
-                shutter.or_zero().into(),
-                mask.clone(),
-                &[&stage],
-                settings.clone(),
-                clock,
-                store.clone(),
-            ));
+        for (clip_index, clip) in clips.into_iter().enumerate() {
+            let mut finder = (!stage.surfaces.is_empty()).then(|| {
+                StageFinder::new(BodyTracker::new(
+                    camera,
+                    shutter.or_zero().into(),
+                    mask.clone(),
+                    &[&stage],
+                    settings.clone(),
+                    clock,
+                    store.clone(),
+                ))
+            });
             let mut before: Option<(Pose<Body, Camera>, Timestamp)> = None;
             let mut recent = RecentPoses::as_configured();
             for frame in clip {
@@ -112,8 +133,17 @@ impl Walk {
                 }
                 progress(SurveyStep::Frame);
                 frames += 1;
-                let Some(pose) = finder.pose(&frame) else {
+                let asked_for = options.named.iter().position(|wanted| *wanted == (clip_index, frame.sequence));
+                if let Some(index) = asked_for {
+                    named[index] = Some(frames);
+                    asked.push(NumberedFrame { number: frames, frame: frame.clone() });
+                }
+                let seen = finder.as_mut().and_then(|finder| Some((finder.pose(&frame)?, finder)));
+                let Some((pose, finder)) = seen else {
                     lively.offer(None);
+                    if options.unseen && asked_for.is_none() {
+                        unseen.offer(frames, &frame);
+                    }
                     continue;
                 };
                 found += 1;
@@ -123,22 +153,33 @@ impl Walk {
                     keyframes.take_rates(number, rates);
                 }
                 let speed = motion.velocity.norm() / distance_m + motion.angular_velocity.norm();
-                if wants_lively {
+                if options.lively {
                     lively.offer(Some((frames, &frame, speed)));
                 }
                 keyframes.offer((frames, &frame), motion, speed, distance_m, |frame| finder.matched_features(frame, &stage));
             }
             lively.offer(None);
-            bend = finder.matcher.learnt().curve.unwrap_or(bend);
+            bend = finder.and_then(|finder| finder.matcher.learnt().curve).unwrap_or(bend);
         }
-        Ok(Self { keyframes: keyframes.into_kept(), lively: lively.into_frames(), frames, found, bend })
+        let keyframes = keyframes.into_kept();
+        asked.retain(|asked| keyframes.iter().all(|keyframe| keyframe.number != asked.number));
+        let mut unseen = unseen.into_frames();
+        unseen.extend(asked);
+        unseen.sort_by_key(|frame| frame.number);
+        Ok(Self { keyframes, lively: lively.into_frames(), unseen, named, frames, found, bend })
+    }
+
+    /// Creates a walk of keyframes alone.
+    pub(super) fn of_keyframes(keyframes: Vec<Keyframe>, frames: usize, found: usize, bend: Bend) -> Self {
+        Self { keyframes, lively: Vec::new(), unseen: Vec::new(), named: Vec::new(), frames, found, bend }
     }
 
     /// Returns the walk without its pictures.
     pub fn record(&self) -> WalkRecord {
         let keyframes = self.keyframes.iter().map(KeyframeRecord::of).collect();
         let lively = self.lively.iter().map(|f| f.number).collect();
-        WalkRecord { frames: self.frames, found: self.found, keyframes, lively, bend: self.bend }
+        let unseen = self.unseen.iter().map(|f| f.number).collect();
+        WalkRecord { frames: self.frames, found: self.found, keyframes, lively, unseen, named: self.named.clone(), bend: self.bend }
     }
 
     /// Restores a recorded walk with the pictures of its clips, which are read but not tracked.
@@ -158,7 +199,7 @@ impl Walk {
         F: IntoIterator<Item = Frame>,
     {
         let (mut keyframes, mut lively) = (Vec::with_capacity(record.keyframes.len()), Vec::with_capacity(record.lively.len()));
-        let mut frames = 0;
+        let (mut unseen, mut frames) = (Vec::with_capacity(record.unseen.len()), 0);
         for frame in clips.into_iter().flatten() {
             if !goes_on() {
                 return Err(SurveyError::Interrupted);
@@ -168,14 +209,21 @@ impl Walk {
             if record.lively.get(lively.len()) == Some(&frames) {
                 lively.push(NumberedFrame { number: frames, frame: frame.clone() });
             }
+            if record.unseen.get(unseen.len()) == Some(&frames) {
+                unseen.push(NumberedFrame { number: frames, frame: frame.clone() });
+            }
             if let Some(next) = record.keyframes.get(keyframes.len()).filter(|next| next.number == frames) {
                 let Some(keyframe) = next.with_frame(frame, stage) else { return Ok(None) };
                 keyframes.push(keyframe);
             }
         }
-        let is_whole = frames == record.frames && keyframes.len() == record.keyframes.len() && lively.len() == record.lively.len();
+        let is_whole = frames == record.frames
+            && keyframes.len() == record.keyframes.len()
+            && lively.len() == record.lively.len()
+            && unseen.len() == record.unseen.len();
         let is_sound = record.bend.iter().all(|correction| correction.is_finite());
-        Ok((is_whole && is_sound).then_some(Self { keyframes, lively, frames, found: record.found, bend: record.bend }))
+        let named = record.named.clone();
+        Ok((is_whole && is_sound).then_some(Self { keyframes, lively, unseen, named, frames, found: record.found, bend: record.bend }))
     }
 }
 
@@ -288,7 +336,7 @@ impl StageFinder {
 }
 
 /// Returns the uniform motion since the last pose, or none if that is too long ago.
-fn motion_since(before: Option<(Pose<Body, Camera>, Timestamp)>, pose: Pose<Body, Camera>, stamp: Timestamp) -> Motion {
+pub(super) fn motion_since(before: Option<(Pose<Body, Camera>, Timestamp)>, pose: Pose<Body, Camera>, stamp: Timestamp) -> Motion {
     before
         .map(|(then, at)| (then, stamp.seconds_since(at)))
         .filter(|(_, dt_s)| *dt_s > 0.0 && *dt_s < MAX_GAP_S)
@@ -326,6 +374,8 @@ mod tests {
         Walk {
             keyframes: [1, 4, 6, 9].map(keyframe).to_vec(),
             lively,
+            unseen: [3, 8].map(|number| NumberedFrame { number, frame: frames[number - 1].clone() }).to_vec(),
+            named: vec![Some(8), None],
             frames: FRAMES,
             found: 8,
             bend: [0.0, 0.1, 1.0 / 3.0, 2.0, 1.0, 0.5, -1.0],

@@ -25,10 +25,10 @@ const MIN_CAMERAS: usize = 3;
 /// Minimum number of points of the surfaces that a camera must show.
 const MIN_POINTS: usize = 4;
 /// Degrees of freedom of a motion with a scale: a shift, a rotation, the logarithm of the scale.
-const FREEDOM: usize = 7;
+pub(super) const FREEDOM: usize = 7;
 
-type Normal = SMatrix<f64, FREEDOM, FREEDOM>;
-type Score = SVector<f64, FREEDOM>;
+pub(super) type Normal = SMatrix<f64, FREEDOM, FREEDOM>;
+pub(super) type Score = SVector<f64, FREEDOM>;
 
 /// A motion and a scale that map one body frame to another.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,19 +56,28 @@ struct Equations {
     squared_px: f64,
 }
 
-/// From the surfaces' frame to the map's.
-#[derive(Clone, Copy)]
-struct IntoMap {
-    scale: f64,
-    rotation: UnitQuaternion<f64>,
-    shift: Vector3<f64>,
+/// From the stage's frame to the map's.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct IntoMap {
+    /// Metres of the map per metre.
+    pub(super) scale: f64,
+    pub(super) rotation: UnitQuaternion<f64>,
+    /// Metres of the map.
+    pub(super) shift: Vector3<f64>,
 }
 
-impl Anchoring {
+/// A fitted motion and scale into the map, with the covariance of a step from it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Fit {
+    pub(super) at: IntoMap,
+    pub(super) covariance: Normal,
+}
+
+impl Fit {
     /// Fits cameras, each by its pose in the map and by the surfaces alone, by where they see the
     /// surfaces' `points`. `None` if too few cameras show enough of them, or do not determine the
     /// scale.
-    pub fn of(cameras: &[[Pose<Body, Camera>; 2]], points: &[Vector3<f64>], camera: &CameraModel) -> Option<Self> {
+    pub(super) fn of(cameras: &[[Pose<Body, Camera>; 2]], points: &[Vector3<f64>], camera: &CameraModel) -> Option<Self> {
         let views: Vec<View> = cameras.iter().map(|pair| View::new(pair, points, camera)).collect();
         let views: Vec<View> = views.into_iter().filter(|view| view.seen.len() >= MIN_POINTS).collect();
         if views.len() < MIN_CAMERAS {
@@ -87,15 +96,23 @@ impl Anchoring {
             // whole cameras tells the uncertainty (a sandwich estimator; Huber 1967).
             let scatter: Normal = equations.iter().map(|camera| camera.score * camera.score.transpose() * weight(camera).powi(2)).sum();
             let inverse = normal.cholesky()?.inverse();
-            covariance = inverse * scatter * inverse;
+            // Few cameras scatter in few directions; the noise of their points covers the others.
+            let of_noise = inverse * usual;
+            covariance = inverse * scatter * inverse + of_noise;
             fit = fit.moved(&(inverse * score));
         }
-        let rotation = fit.rotation.inverse();
-        let scale = fit.scale.recip();
-        let is_usable = scale.is_finite() && scale > 0.0 && fit.shift.iter().all(|x| x.is_finite());
-        is_usable.then(|| Self { scale, rotation, shift: -(rotation * fit.shift) * scale, scale_sigma: covariance[(6, 6)].max(0.0).sqrt() })
+        fit.is_usable().then_some(Self { at: fit, covariance })
     }
 
+    /// Returns the motion and the scale from the map into the stage.
+    pub(super) fn anchoring(&self) -> Anchoring {
+        let IntoMap { scale, rotation, shift } = self.at;
+        let (rotation, scale) = (rotation.inverse(), scale.recip());
+        Anchoring { scale, rotation, shift: -(rotation * shift) * scale, scale_sigma: self.covariance[(6, 6)].max(0.0).sqrt() }
+    }
+}
+
+impl Anchoring {
     /// Returns where a point of the map is.
     fn place(&self, point: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * point * self.scale + self.shift
@@ -104,6 +121,12 @@ impl Anchoring {
     /// Returns where something of the map is.
     pub fn pose<T>(&self, pose: &Pose<Body, T>) -> Pose<Body, T> {
         Pose::new(self.rotation * pose.rotation, self.place(&pose.translation))
+    }
+
+    /// Returns it with another scale: with which a length of the map is `wanted` long.
+    pub fn with_length(&self, length: f64, wanted: f64) -> Self {
+        let factor = wanted / (self.scale * length);
+        Self { scale: self.scale * factor, shift: self.shift * factor, ..*self }
     }
 
     /// Returns how long a length of the map is.
@@ -147,7 +170,24 @@ impl IntoMap {
         Some(equations)
     }
 
-    fn moved(&self, step: &Score) -> Self {
+    /// Returns where a point of the stage is in the map, but for the shift.
+    pub(super) fn turned(&self, point: &Vector3<f64>) -> Vector3<f64> {
+        self.rotation * point * self.scale
+    }
+
+    /// Whether it is a motion and a scale.
+    pub(super) fn is_usable(&self) -> bool {
+        self.scale.is_finite() && self.scale > 0.0 && self.shift.iter().chain(self.rotation.coords.iter()).all(|x| x.is_finite())
+    }
+
+    /// Returns the step that leads to another one ([`moved`](Self::moved)).
+    pub(super) fn step_to(&self, other: &Self) -> Score {
+        let (shift, turn) = (other.shift - self.shift, (other.rotation * self.rotation.inverse()).scaled_axis());
+        Score::from_column_slice(&[shift.x, shift.y, shift.z, turn.x, turn.y, turn.z, (other.scale / self.scale).ln()])
+    }
+
+    /// Returns it after a step of shift, rotation and logarithm of the scale.
+    pub(super) fn moved(&self, step: &Score) -> Self {
         Self {
             scale: self.scale * step[6].exp(),
             rotation: UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned()) * self.rotation,
@@ -207,7 +247,7 @@ mod tests {
     fn a_turned_shifted_and_scaled_map_is_put_back_despite_outliers() {
         for sigma_px in [0.0, 0.5] {
             let cameras = cameras(sigma_px);
-            let found = Anchoring::of(&cameras, &poster(), &camera()).expect("determined");
+            let found = Fit::of(&cameras, &poster(), &camera()).expect("determined").anchoring();
             let truths = camera_poses(60);
             let off = |pose: &Pose<Body, Camera>, truth: &Pose<Body, Camera>| (pose.translation - truth.translation).norm();
             let mut alone: Vec<f64> = cameras.iter().zip(&truths).map(|([_, alone], truth)| off(alone, truth)).collect();
@@ -237,7 +277,7 @@ mod tests {
     #[test]
     fn cameras_in_one_place_give_no_scale() {
         let pose = camera_poses(1)[0];
-        assert!(Anchoring::of(&[[pose; 2]; 2], &poster(), &camera()).is_none());
-        assert!(Anchoring::of(&[[pose; 2]; 5], &poster()[..3], &camera()).is_none());
+        assert!(Fit::of(&[[pose; 2]; 2], &poster(), &camera()).is_none());
+        assert!(Fit::of(&[[pose; 2]; 5], &poster()[..3], &camera()).is_none());
     }
 }

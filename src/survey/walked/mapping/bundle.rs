@@ -2,8 +2,8 @@
 //! by minimising robust reprojection errors.
 //!
 //! Corners do not depend on each other. Each is eliminated by its own 3x3 block, which leaves one
-//! dense system with six unknowns per camera (the Schur complement). The tracker measured the start
-//! poses on the configured surfaces. They are the cameras' priors and fix frame and scale.
+//! dense system with six unknowns per camera (the Schur complement). Start poses that the tracker
+//! measured on the configured surfaces are the cameras' priors and fix frame and scale.
 
 use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3, Matrix6, Matrix6x3, Point3, SMatrix, Vector2, Vector3, Vector6};
 
@@ -13,8 +13,9 @@ use super::views::{View, Views, project};
 use crate::geometry::robust_kernel::median;
 use crate::geometry::{Body, Camera, Pose, skew};
 
-/// Number of rounds: sightings that do not fit are dropped after each. Raised, nothing is gained.
-const ROUNDS: usize = 4;
+/// Number of rounds that are enough: sightings that do not fit are dropped after each. Raised,
+/// nothing is gained.
+pub const ALL_ROUNDS: usize = 4;
 /// Number of steps of a round. Raised, rounds take longer for nothing; lowered, sightings are
 /// judged before their points are in place.
 const STEPS: usize = 8;
@@ -69,6 +70,32 @@ impl Cloud {
         let least = information.symmetric_eigenvalues().min();
         (least > f64::EPSILON).then(|| self.scale / least.sqrt())
     }
+
+    /// Returns the cloud without some of the cameras, and without the points that the others do not
+    /// determine. `kept` has the indices of those that stay, in order.
+    pub fn of_views(&self, kept: &[usize]) -> Self {
+        let poses: Vec<_> = kept.iter().map(|view| self.poses[*view]).collect();
+        let point = |point: &CloudPoint| {
+            let seen = point.sightings.iter().filter_map(|seen| Some(Sighting { view: kept.binary_search(&seen.view).ok()?, ..*seen }));
+            CloudPoint { place: point.place, sightings: seen.collect() }
+        };
+        let points = self.points.iter().map(point).filter(|point| is_determined(&poses, point)).collect();
+        Self { poses, points, scale: self.scale }
+    }
+
+    /// Returns the cloud with all lengths multiplied by a factor.
+    pub fn scaled(&self, factor: f64) -> Self {
+        let poses = self.poses.iter().map(|pose| Pose::new(pose.rotation, pose.translation * factor)).collect();
+        let points = self.points.iter().map(|point| CloudPoint { place: point.place * factor, ..point.clone() }).collect();
+        Self { poses, points, scale: self.scale }
+    }
+
+    /// Returns how many points each camera sees.
+    pub fn seen_by_view(&self) -> Vec<usize> {
+        let mut counts = vec![0; self.poses.len()];
+        self.points.iter().flat_map(|point| &point.sightings).for_each(|seen| counts[seen.view] += 1);
+        counts
+    }
 }
 
 /// A residual in sigmas, with its derivatives by the camera's shift and rotation
@@ -79,11 +106,11 @@ struct Row {
     by_point: Matrix2x3<f64>,
 }
 
-/// Adjusts tracks and cameras. `None` if the equations have no solution, or the work was stopped.
-pub fn adjusted(views: &Views<'_>, tracks: Vec<Track>, goes_on: &dyn Fn() -> bool) -> Option<Cloud> {
+/// Adjusts tracks and cameras in some rounds. `None` if the equations have no solution, or the work was stopped.
+pub fn adjusted(views: &Views<'_>, tracks: Vec<Track>, rounds: usize, goes_on: &dyn Fn() -> bool) -> Option<Cloud> {
     let mut cloud = Cloud { poses: views.views.iter().map(|view| view.pose).collect(), points: Vec::new(), scale: 1.0 };
     cloud.points = tracks.into_iter().filter_map(|track| started(views, track)).collect();
-    for round in 0..ROUNDS {
+    for round in 0..rounds {
         cloud.scale = scale(views, &cloud)?;
         let mut damping = DAMPING;
         let mut cost = cost(views, &cloud);
@@ -169,7 +196,8 @@ fn half_weight(scale: f64) -> f64 {
 
 fn cost(views: &Views<'_>, cloud: &Cloud) -> f64 {
     let of_points: f64 = squares(views, cloud).map(|square| (square / half_weight(cloud.scale)).ln_1p()).sum();
-    let of_starts = cloud.poses.iter().zip(&views.views).map(|(pose, view)| prior_residual(&view.pose, pose).norm_squared());
+    let anchored = cloud.poses.iter().zip(&views.views).filter(|(_, view)| view.is_anchored);
+    let of_starts = anchored.map(|(pose, view)| prior_residual(&view.pose, pose).norm_squared());
     of_points + of_starts.map(|square| (square / half_weight(1.0)).ln_1p()).sum::<f64>()
 }
 
@@ -224,6 +252,9 @@ struct PointBlock {
 impl Equations {
     fn new(views: &Views<'_>, cloud: &Cloud) -> Self {
         let of_start = |(pose, view): (&Pose<Body, Camera>, &View<'_>)| {
+            if !view.is_anchored {
+                return (Matrix6::zeros(), Vector6::zeros());
+            }
             let residual = prior_residual(&view.pose, pose);
             let weight = 1.0 / (half_weight(1.0) + residual.norm_squared());
             let by_pose = Matrix6::from_diagonal(&Vector6::from_fn(|k, _| 1.0 / START_SIGMA[k / 3]));
@@ -303,7 +334,7 @@ mod tests {
     use crate::light::CameraCurve;
 
     fn views<'a>(picture: &'a GrayImage, poses: &[Pose<Body, Camera>]) -> Views<'a> {
-        let views = poses.iter().map(|pose| View { picture, pose: *pose }).collect();
+        let views = poses.iter().map(|pose| View { picture, pose: *pose, is_anchored: true }).collect();
         Views { views, camera: CameraModel::new(LENS).unwrap(), curve: CameraCurve::default(), mask: None }
     }
 
@@ -320,7 +351,7 @@ mod tests {
         let mut track = |place: &Vector3<f64>| -> Track {
             let seen = (0..truth.views.len()).filter_map(|view| Some((view, truth.pixel(view, place)?)));
             let noisy = seen.map(|(view, pixel)| (view, pixel + Vector2::from_fn(|_, _| noise_px * random.random_range(-1.7..1.7))));
-            noisy.map(|(view, pixel)| Sighting { view, pixel, sigma_px: 0.5 }).collect()
+            noisy.map(|(view, pixel)| Sighting { view, feature: 0, pixel, sigma_px: 0.5 }).collect()
         };
         places().iter().map(&mut track).collect()
     }
@@ -330,7 +361,7 @@ mod tests {
         let picture = GrayImage::new(1280, 720);
         let poses = camera_poses(3);
         let views = views(&picture, &poses);
-        let seen = Sighting { view: 1, pixel: Vector2::new(600.0, 300.0), sigma_px: 0.7 };
+        let seen = Sighting { view: 1, feature: 0, pixel: Vector2::new(600.0, 300.0), sigma_px: 0.7 };
         let place = Vector3::new(0.3, -0.2, 0.4);
         let now = row(&views, &poses[1], &place, &seen).unwrap();
         let step = 1e-6;
@@ -380,7 +411,7 @@ mod tests {
         let picture = GrayImage::new(1280, 720);
         let poses = camera_poses(12);
         let truth = views(&picture, &poses);
-        let cloud = adjusted(&truth, tracked(&truth, 0.5), &|| true).unwrap();
+        let cloud = adjusted(&truth, tracked(&truth, 0.5), ALL_ROUNDS, &|| true).unwrap();
         assert!((0.8..1.2).contains(&cloud.scale), "{}", cloud.scale);
         let errors = cloud.poses.iter().zip(&poses).map(|(found, true_pose)| (found.translation - true_pose.translation).norm());
         assert!(errors.fold(0.0, f64::max) < 2e-3);
@@ -391,6 +422,6 @@ mod tests {
         let picture = GrayImage::new(1280, 720);
         let poses = vec![camera_poses(3)[1]; 4];
         let truth = views(&picture, &poses);
-        assert!(adjusted(&truth, tracked(&truth, 0.2), &|| true).is_none_or(|cloud| cloud.points.is_empty()));
+        assert!(adjusted(&truth, tracked(&truth, 0.2), ALL_ROUNDS, &|| true).is_none_or(|cloud| cloud.points.is_empty()));
     }
 }

@@ -2,6 +2,7 @@
 
 use super::super::judgement::{Judgement, Verdict, graded};
 use super::super::stage::Survey;
+use super::hold_out::HoldOut;
 use super::map::Mapped;
 use crate::geometry::robust_kernel::median;
 
@@ -15,6 +16,11 @@ const MIN_FACETS: [usize; 2] = [4, 1];
 /// Maximum median sigma of the facets' positions, as a share of the distance, to be good and to be
 /// usable.
 const MAX_SIGMA: [f64; 2] = [5e-4, 2e-3];
+/// Maximum median distance of a keyframe from where a map of the others locates it, as a share of
+/// the distance, to be good and to be usable.
+const MAX_HELD_OUT: [f64; 2] = [2e-4, 1e-3];
+/// Minimum share of the keyframes held out that are located, to be good and to be usable.
+const MIN_LOCATED: [f64; 2] = [0.8, 0.5];
 /// Minimum extent of the walk, as a share of the distance, to be good.
 const GOOD_EXTENT: f64 = 0.5;
 
@@ -47,6 +53,24 @@ impl Mapped {
         let described = self.survey.described();
         let mut sigmas: Vec<f64> = self.kept.iter().filter_map(|k| described.get(*k)).map(|facet| 1e-3 * facet.sigma_mm).collect();
         median(&mut sigmas).unwrap_or(f64::INFINITY)
+    }
+
+    /// Judges how keyframes are located on a map of the others.
+    fn of_hold_out(&self) -> Vec<(Verdict, String)> {
+        let Some(HoldOut { keyframes, located, median_m, .. }) = self.hold_out else {
+            let bad = "four of five keyframes alone make no map: film longer, from more places";
+            return vec![(Verdict::Usable, bad.to_owned())];
+        };
+        let share = located as f64 / keyframes.max(1) as f64;
+        let located = format!("{located} of {keyframes} keyframes are located on a map of the others");
+        let hint = "the set may have moved during the walk, or few places show enough of it";
+        let off_mm = 1e3 * median_m;
+        vec![
+            graded(-share, MIN_LOCATED.map(|share| -share), located.clone(), &|| format!("only {located}: {hint}")),
+            graded(median_m / self.distance_m, MAX_HELD_OUT, format!("they are {off_mm:.2} mm off there (median)"), &|| {
+                format!("keyframes are {off_mm:.1} mm off on a map of the others (median): film longer, sharper, and from both sides")
+            }),
+        ]
     }
 
     /// Judges the map.
@@ -93,6 +117,12 @@ impl Mapped {
             format!("the walk spans {extent_m:.1} m at {distance_m:.1} m from the set"),
             format!("the walk spans only {extent_m:.1} m at {distance_m:.1} m from the set: walk farther to both sides"),
         );
+        findings.extend(self.of_hold_out());
+        if self.scale_sigma.is_none() {
+            let hint = "nothing is metric: put a poster into the set as [[stage.surface]], or click points ([[map.point]]) and measure a length \
+                        between them ([[map.distance]])";
+            findings.push((Verdict::Usable, hint.to_owned()));
+        }
         if !survey.has_settled {
             findings.push((Verdict::Usable, format!("it did not converge in {} rounds", survey.rounds)));
         }

@@ -10,10 +10,20 @@
 
 mod anchoring;
 pub mod bundle;
+pub mod error;
+mod facets;
 mod flat_parts;
+mod growth;
+mod hold_out;
 pub mod judgement;
 pub mod map;
+mod measuring;
+mod missing;
 mod outlines;
+mod posed_walk;
+mod seed;
+mod set_points;
+mod stage_of_facets;
 mod texture;
 mod tracks;
 mod views;

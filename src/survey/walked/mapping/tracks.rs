@@ -4,6 +4,9 @@
 //! agree with the cameras' start poses to some pixels, which keeps most look-alikes out. Matches of
 //! the same corner are joined into a track, which has at most one sighting in a keyframe.
 
+use std::collections::{BTreeMap, BTreeSet};
+
+use image::GrayImage;
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
@@ -43,6 +46,8 @@ const CORNER_SIGMA_PX: f64 = 0.5;
 pub struct Sighting {
     /// The keyframe's index.
     pub view: usize,
+    /// Its number among the frame's features.
+    pub feature: usize,
     /// Its raw pixel.
     pub pixel: Vector2<f64>,
     /// One sigma of the pixel along each axis.
@@ -52,41 +57,88 @@ pub struct Sighting {
 /// The sightings of one corner, by keyframe.
 pub type Track = Vec<Sighting>;
 
-/// Returns the tracks of all corners that enough keyframes show. `None` if `goes_on` returned
-/// false.
-pub fn tracks(views: &Views<'_>, goes_on: &(dyn Fn() -> bool + Sync)) -> Option<Vec<Track>> {
-    let options = ExtractorOptions { count: FEATURES, levels: LEVELS, ..ExtractorOptions::default() };
-    let extracted = |k: usize| {
-        let mut features = Vec::new();
-        if goes_on() {
-            FeatureExtractor::default().extract(views.views[k].picture, views.mask, &options, &Workers::new(1), &mut features);
+/// The features of frames, and those of two frames that look alike. Frames are matched once,
+/// however often tracks are made of them.
+pub struct Recognition {
+    features: Vec<Vec<Feature>>,
+    /// Pairs of features, by the frames' indices, the smaller one first.
+    alike: BTreeMap<(usize, usize), Vec<[usize; 2]>>,
+}
+
+impl Recognition {
+    /// Extracts the features of frames. `None` if `goes_on` returned false.
+    pub fn of(pictures: &[&GrayImage], mask: Option<&GrayImage>, goes_on: &(dyn Fn() -> bool + Sync)) -> Option<Self> {
+        let options = ExtractorOptions { count: FEATURES, levels: LEVELS, ..ExtractorOptions::default() };
+        let extracted = |picture: &&GrayImage| {
+            let mut features = Vec::new();
+            if goes_on() {
+                FeatureExtractor::default().extract(picture, mask, &options, &Workers::new(1), &mut features);
+            }
+            features
+        };
+        let features = pictures.par_iter().map(extracted).collect();
+        goes_on().then_some(Self { features, alike: BTreeMap::new() })
+    }
+
+    /// Returns where a feature of a frame is, its raw pixel, and one sigma of it.
+    pub fn place(&self, frame: usize, feature: usize) -> (Vector2<f64>, f64) {
+        let found = &self.features[frame][feature];
+        (found.position, CORNER_SIGMA_PX * found.scale)
+    }
+
+    /// Matches pairs of frames that were not matched before, the smaller index first. `None` if
+    /// `goes_on` returned false.
+    pub fn compare(&mut self, pairs: impl IntoIterator<Item = (usize, usize)>, goes_on: &(dyn Fn() -> bool + Sync)) -> Option<()> {
+        let mut others: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
+        for (a, b) in pairs.into_iter().filter(|pair| !self.alike.contains_key(pair)) {
+            others.entry(a).or_default().insert(b);
         }
-        features
-    };
-    let features: Vec<Vec<Feature>> = (0..views.views.len()).into_par_iter().map(extracted).collect();
-    let matched = |(a, others): (usize, Vec<usize>)| {
-        let mut index = ReferenceIndex::default();
-        index.add(0, &features[a], |p| p, 1.0);
-        let (mut buffers, mut matches) = (MatchBuffers::default(), Vec::new());
-        let mut joined = Vec::new();
-        for b in others.into_iter().filter(|_| goes_on()) {
-            index.match_features(&features[b], MAX_RATIO, &Workers::new(1), &mut buffers, &mut matches);
-            let pairs = matches.iter().map(|m| [(a, m.reference as usize), (b, m.frame as usize)]);
-            joined.extend(
-                pairs.filter(|[(_, m), (_, n)]| epipolar_px(views, (a, &features[a][*m]), (b, &features[b][*n])) < MAX_EPIPOLAR_PX),
-            );
-        }
-        joined
-    };
-    let pairs: Vec<Vec<[(usize, usize); 2]>> = partners(views).into_par_iter().enumerate().map(matched).collect();
-    let mut sets = Sets::new(&features);
-    pairs.iter().flatten().for_each(|[a, b]| sets.join(*a, *b));
-    let sighting = |(view, feature): (usize, usize)| {
-        let found = &features[view][feature];
-        Sighting { view, pixel: found.position, sigma_px: CORNER_SIGMA_PX * found.scale }
-    };
-    let long = sets.members.into_iter().filter(|members| members.len() >= MIN_SIGHTINGS);
-    goes_on().then(|| long.map(|members| members.into_iter().map(sighting).collect()).collect())
+        let features = &self.features;
+        let compared = |(a, others): (usize, BTreeSet<usize>)| {
+            let mut index = ReferenceIndex::default();
+            index.add(0, &features[a], |p| p, 1.0);
+            let (mut buffers, mut matches) = (MatchBuffers::default(), Vec::new());
+            let mut with = |b: usize| {
+                index.match_features(&features[b], MAX_RATIO, &Workers::new(1), &mut buffers, &mut matches);
+                ((a, b), matches.iter().map(|m| [m.reference as usize, m.frame as usize]).collect::<Vec<_>>())
+            };
+            others.into_iter().take_while(|_| goes_on()).map(&mut with).collect::<Vec<_>>()
+        };
+        let found: Vec<_> = others.into_par_iter().map(compared).collect();
+        self.alike.extend(found.into_iter().flatten());
+        goes_on().then_some(())
+    }
+
+    /// Returns the pairs of features of two compared frames that look alike, best first.
+    pub fn alike(&self, a: usize, b: usize) -> impl Iterator<Item = [usize; 2]> {
+        let pairs = self.alike.get(&(a.min(b), a.max(b))).map_or(&[][..], Vec::as_slice);
+        pairs.iter().map(move |[m, n]| if a < b { [*m, *n] } else { [*n, *m] })
+    }
+
+    /// Returns the tracks of all corners that enough keyframes show. `frames` are the indices of
+    /// the keyframes' frames, in order. `None` if `goes_on` returned false.
+    pub fn tracks(&mut self, views: &Views<'_>, frames: &[usize], goes_on: &(dyn Fn() -> bool + Sync)) -> Option<Vec<Track>> {
+        let partners = partners(views);
+        let pairs = || partners.iter().enumerate().flat_map(|(a, others)| others.iter().map(move |b| (a, *b)));
+        self.compare(pairs().map(|(a, b)| (frames[a], frames[b])), goes_on)?;
+        let known = &*self;
+        let of_frames = |(a, b): (usize, usize)| {
+            let near = known.alike(frames[a], frames[b]).filter(move |[m, n]| {
+                let [in_a, in_b] = [(a, *m), (b, *n)].map(|(view, feature)| (view, known.place(frames[view], feature).0));
+                epipolar_px(views, in_a, in_b) < MAX_EPIPOLAR_PX
+            });
+            near.map(|[m, n]| [(a, m), (b, n)]).collect::<Vec<_>>()
+        };
+        let joined: Vec<Vec<_>> = pairs().collect::<Vec<_>>().into_par_iter().map(of_frames).collect();
+        let mut sets = Sets::new(frames.iter().map(|frame| self.features[*frame].len()));
+        joined.iter().flatten().for_each(|[a, b]| sets.join(*a, *b));
+        let sighting = |(view, feature): (usize, usize)| {
+            let (pixel, sigma_px) = self.place(frames[view], feature);
+            Sighting { view, feature, pixel, sigma_px }
+        };
+        let long = sets.members.into_iter().filter(|members| members.len() >= MIN_SIGHTINGS);
+        goes_on().then(|| long.map(|members| members.into_iter().map(sighting).collect()).collect())
+    }
 }
 
 /// Returns for each keyframe the later ones that it is matched with.
@@ -102,11 +154,10 @@ fn partners(views: &Views<'_>) -> Vec<Vec<usize>> {
     (0..poses.len()).map(of).collect()
 }
 
-/// Returns how far a feature of keyframe `b` is from the epipolar line of one of keyframe `a`,
-/// pixels; infinite if the lens does not map one of them.
-fn epipolar_px(views: &Views<'_>, (a, in_a): (usize, &Feature), (b, in_b): (usize, &Feature)) -> f64 {
+/// Returns how far a pixel of keyframe `b` is from the epipolar line of one of keyframe `a`, pixels; infinite if the lens does not map one of them.
+fn epipolar_px(views: &Views<'_>, (a, in_a): (usize, Vector2<f64>), (b, in_b): (usize, Vector2<f64>)) -> f64 {
     let [from, to] = [a, b].map(|k| views.views[k].pose);
-    let (Some(along), Some(seen)) = (views.direction(a, in_a.position), views.direction(b, in_b.position)) else { return f64::INFINITY };
+    let (Some(along), Some(seen)) = (views.direction(a, in_a), views.direction(b, in_b)) else { return f64::INFINITY };
     let base = from.translation - to.translation;
     let normal = base.cross(&along);
     if normal.norm() < f64::EPSILON {
@@ -127,13 +178,13 @@ struct Sets {
 }
 
 impl Sets {
-    /// Every feature alone.
-    fn new(features: &[Vec<Feature>]) -> Self {
+    /// Every feature alone; `counts` are those of the keyframes.
+    fn new(counts: impl Iterator<Item = usize>) -> Self {
         let mut members = Vec::new();
         let mut of = Vec::new();
-        for (view, found) in features.iter().enumerate() {
-            of.push((members.len()..members.len() + found.len()).collect());
-            members.extend((0..found.len()).map(|feature| vec![(view, feature)]));
+        for (view, count) in counts.enumerate() {
+            of.push((members.len()..members.len() + count).collect());
+            members.extend((0..count).map(|feature| vec![(view, feature)]));
         }
         Self { of, members }
     }
@@ -155,13 +206,10 @@ impl Sets {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::{Descriptor, Polarity};
 
     #[test]
     fn a_set_has_one_feature_of_a_keyframe() {
-        let feature =
-            Feature { position: Vector2::zeros(), scale: 1.0, angle: 0.0, polarity: Polarity::ALL[0], descriptor: Descriptor::default() };
-        let mut sets = Sets::new(&[vec![feature; 2], vec![feature; 2], vec![feature; 1]]);
+        let mut sets = Sets::new([2, 2, 1].into_iter());
         sets.join((0, 0), (1, 1));
         sets.join((1, 1), (2, 0));
         // Keyframe 0 has another feature in that set already.

@@ -18,6 +18,8 @@ pub struct View<'a> {
     pub picture: &'a GrayImage,
     /// `T_body_camera`.
     pub pose: Pose<Body, Camera>,
+    /// Whether the pose was measured on what gives frame and scale, so that it is a prior.
+    pub is_anchored: bool,
 }
 
 /// All keyframes, with the camera that took them.

@@ -1,0 +1,124 @@
+//! The keyframes of a map: those in which a configured surface was found, and those that the points
+//! of the set pose.
+
+use super::super::keyframes::Keyframe;
+use super::super::lively_part::NumberedFrame;
+use super::super::progress::SurveyError;
+use super::super::walk::{Walk, motion_since};
+use super::bundle::Cloud;
+use super::error::MapError;
+use super::growth::{Grown, Lens, Shot, grown};
+use super::seed::{DISTANCE_M, seed};
+use super::tracks::Recognition;
+use crate::geometry::robust_kernel::median;
+use crate::geometry::{Body, Camera, Pose};
+use crate::motion::Motion;
+
+/// Minimum spacing of keyframes that only points pose, as a fraction of the distance or in radians.
+/// Raised, parts without a surface have few keyframes; lowered, mapping takes longer.
+const SPACING: f64 = 0.04;
+
+/// The posed keyframes of a walk.
+pub struct PosedWalk {
+    /// The keyframes, in the walk's order.
+    pub keyframes: Vec<Keyframe>,
+    /// Their poses and points.
+    pub cloud: Cloud,
+    /// Whether a configured surface was found in each.
+    pub is_found: Vec<bool>,
+}
+
+/// A frame that may become a keyframe.
+struct Candidate {
+    keyframe: Keyframe,
+    is_found: bool,
+    /// Whether it stays, however near others are.
+    is_asked_for: bool,
+}
+
+impl Candidate {
+    fn shot(&self) -> Shot<'_> {
+        let start = self.is_found.then_some(self.keyframe.motion.pose);
+        Shot { picture: &self.keyframe.frame.image, start, is_anchored: self.is_found }
+    }
+}
+
+/// Poses the keyframes of a walk.
+///
+/// # Errors
+/// The walk does not determine them, or the work was stopped.
+pub fn posed_walk(walk: Walk, lens: &Lens<'_>, has_surfaces: bool, goes_on: &(dyn Fn() -> bool + Sync)) -> Result<PosedWalk, MapError> {
+    let failed = |error: MapError| if goes_on() { error } else { SurveyError::Interrupted.into() };
+    let candidates = candidates(walk);
+    let mut shots: Vec<Shot<'_>> = candidates.iter().map(Candidate::shot).collect();
+    let pictures: Vec<_> = shots.iter().map(|shot| shot.picture).collect();
+    let mut recognition = Recognition::of(&pictures, lens.mask, goes_on).ok_or(SurveyError::Interrupted)?;
+    if !has_surfaces {
+        let seeds = seed(&shots, lens, &mut recognition, goes_on).ok_or_else(|| failed(MapError::NoStart))?;
+        for (order, (k, pose)) in seeds.into_iter().enumerate() {
+            (shots[k].start, shots[k].is_anchored) = (Some(pose), order < 2);
+        }
+    }
+    let all = grown(&shots, lens, &mut recognition, goes_on).ok_or_else(|| failed(SurveyError::Undetermined.into()))?;
+    drop(shots);
+    let grown = spaced(all, &candidates);
+    let mut keyframes = Vec::with_capacity(grown.frames.len());
+    let mut is_found = Vec::with_capacity(grown.frames.len());
+    for (k, candidate) in candidates.into_iter().enumerate().filter(|(k, _)| grown.frames.binary_search(k).is_ok()) {
+        debug_assert_eq!(grown.frames.get(keyframes.len()), Some(&k));
+        is_found.push(candidate.is_found);
+        keyframes.push(candidate.keyframe);
+    }
+    take_motions(&mut keyframes, &is_found, &grown.cloud);
+    Ok(PosedWalk { keyframes, cloud: grown.cloud, is_found })
+}
+
+/// Returns all frames that may become keyframes, in the walk's order.
+fn candidates(walk: Walk) -> Vec<Candidate> {
+    let asked: Vec<usize> = walk.named.iter().flatten().copied().collect();
+    let found = walk.keyframes.into_iter().map(|keyframe| (keyframe, true));
+    let unseen = walk.unseen.into_iter().map(|NumberedFrame { number, frame }| {
+        (Keyframe { number, frame, motion: Motion::still(Pose::identity()), rates: None, features: Vec::new() }, false)
+    });
+    let mut all: Vec<Candidate> = found
+        .chain(unseen)
+        .map(|(keyframe, is_found)| Candidate { is_asked_for: asked.contains(&keyframe.number), keyframe, is_found })
+        .collect();
+    all.sort_by_key(|candidate| candidate.keyframe.number);
+    all
+}
+
+/// Leaves out frames that only points pose and that are too near the one before.
+fn spaced(grown: Grown, candidates: &[Candidate]) -> Grown {
+    let Grown { frames, cloud } = grown;
+    let mut depths: Vec<f64> = cloud
+        .points
+        .iter()
+        .filter_map(|point| Some((cloud.poses[point.sightings.first()?.view].translation - point.place).norm()))
+        .collect();
+    let distance_m = median(&mut depths).unwrap_or(DISTANCE_M);
+    let mut last: Option<Pose<Body, Camera>> = None;
+    let is_kept = |view: &usize| {
+        let (pose, candidate) = (&cloud.poses[*view], &candidates[frames[*view]]);
+        let moved =
+            last.map_or(f64::INFINITY, |last| (last.translation - pose.translation).norm() / distance_m + 0.5 * last.angle_to(pose));
+        let is_kept = candidate.is_found || candidate.is_asked_for || moved >= SPACING;
+        if is_kept {
+            last = Some(*pose);
+        }
+        is_kept
+    };
+    let kept: Vec<usize> = (0..frames.len()).filter(is_kept).collect();
+    if kept.len() == frames.len() {
+        return Grown { frames, cloud };
+    }
+    Grown { frames: kept.iter().map(|view| frames[*view]).collect(), cloud: cloud.of_views(&kept) }
+}
+
+/// Gives the frames that points pose their motion, from the keyframe before.
+fn take_motions(keyframes: &mut [Keyframe], is_found: &[bool], cloud: &Cloud) {
+    for k in (0..keyframes.len()).filter(|k| !is_found[*k]) {
+        let before = k.checked_sub(1).map(|before| (cloud.poses[before], keyframes[before].frame.timestamp));
+        keyframes[k].motion = motion_since(before, cloud.poses[k], keyframes[k].frame.timestamp);
+    }
+}
