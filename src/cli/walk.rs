@@ -38,6 +38,12 @@ impl<'a> Clips<'a> {
         self.files.iter().map(|clip| open_clip(clip, self.options).map_err(Failure::from)).collect()
     }
 
+    /// Returns the name of a clip, that of its file or folder.
+    pub(super) fn name(&self, index: usize) -> String {
+        let clip = self.files.get(index).map(|clip| std::path::absolute(clip).unwrap_or_else(|_| clip.clone()));
+        clip.and_then(|clip| Some(clip.file_name()?.to_string_lossy().into_owned())).unwrap_or_else(|| format!("clip{index}"))
+    }
+
     /// Returns the index of the clip with a name, that of its file or folder. `None` if there is
     /// none, or several have it.
     pub(super) fn named(&self, name: &str) -> Option<usize> {

@@ -4,9 +4,11 @@ mod json;
 mod report;
 mod text;
 
-use std::path::PathBuf;
+use std::io::{self, Cursor};
+use std::path::{Path, PathBuf};
 
 use clap::Args;
+use image::ImageFormat;
 
 use super::calibrate::write_whole;
 use super::failure::Failure;
@@ -25,7 +27,7 @@ use crate::survey::named_points::Click;
 use crate::survey::walked::judgement::Verdict;
 use crate::survey::walked::mapping::error::{MapError, MapStep};
 use crate::survey::walked::mapping::map::map;
-use crate::survey::walked::walk::WalkOptions;
+use crate::survey::walked::walk::{Walk, WalkOptions};
 use crate::utc;
 
 /// Map a set without pictures, from clips of walking around it.
@@ -38,12 +40,17 @@ pub(super) struct MapArguments {
     /// Clips of walking around the set
     #[arg(required = true)]
     clips: Vec<PathBuf>,
-    /// The config of the calibrated camera, and of what gives frame and scale: surfaces, named points
+    /// The config of the calibrated camera, and of what gives frame and scale: surfaces, named
+    /// points
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
     /// The folder for the mapped stage: its stage.toml, stage.map and camera.toml
-    #[arg(long, short, value_name = "DIR")]
-    output: PathBuf,
+    #[arg(long, short, value_name = "DIR", required_unless_present = "keyframes")]
+    output: Option<PathBuf>,
+    /// Write the frames that may become keyframes as pictures, CLIP-ROW.png, to click points in;
+    /// without --output nothing else is done
+    #[arg(long, value_name = "DIR")]
+    keyframes: Option<PathBuf>,
     /// Write everything as JSON
     #[arg(long, value_name = "OUT.json")]
     json: Option<PathBuf>,
@@ -70,16 +77,30 @@ pub(super) fn run(arguments: &MapArguments) -> Result<(), Failure> {
     refuse_unfit(&settings)?;
     let mut spared = arguments.clips.iter().fold(Spared::default(), |spared, clip| spared.with_clip(clip));
     spared.claim_whole_files(&[("--json", &arguments.json), ("--report", &arguments.report)])?;
-    MAPPED.refuse_unusable(&arguments.output)?;
+    arguments.keyframes.iter().try_for_each(|folder| spared.claim_folder("--keyframes", folder))?;
+    arguments.output.iter().try_for_each(|folder| MAPPED.refuse_unusable(folder))?;
     interrupt::watch();
     let clips = Clips::new(&arguments.clips, arguments.fps, &settings);
     let sources = clips.open()?;
     let size = clips.size(&sources)?;
     let setup = clips.setup(&settings, size, &arguments.learnt)?;
     let options = WalkOptions { lively: false, unseen: true, named: clicked_frames(&settings, &clips)? };
-    let file = WalkFile::new(&arguments.output, &arguments.clips, &setup, &format!("map {:?} {:?}", arguments.fps, options.named));
+    let beside = arguments
+        .output
+        .as_ref()
+        .or(arguments.keyframes.as_ref())
+        .ok_or_else(|| Failure::Usage("name a folder with --output".to_owned()))?;
+    let file = WalkFile::new(beside, &arguments.clips, &setup, &format!("map {:?} {:?}", arguments.fps, options.named));
     let reader = WalkReader::new(&setup, &sources);
     let walk = reader.walk(&file, sources, || clips.open(), &options)?;
+    if let (Some(folder), Ok(walk)) = (&arguments.keyframes, &walk) {
+        write_pictures(walk, &clips, folder)?;
+    }
+    let Some(output) = &arguments.output else {
+        reader.progress.finish();
+        file.remove();
+        return walk.map(|_| ()).map_err(|e| unfinished(&e, &file));
+    };
     let show = |step: MapStep| match step {
         MapStep::Points => reader.show_words("recognising points".to_owned()),
         MapStep::Facets => reader.show_words("finding facets".to_owned()),
@@ -104,7 +125,7 @@ pub(super) fn run(arguments: &MapArguments) -> Result<(), Failure> {
         write_whole(file, report::html(&made, &judgement, &date))?;
     }
     if judgement.verdict == Verdict::DoNotUse {
-        return Err(Failure::Survey(format!("{}; nothing is written to {}", judgement.sentence(), arguments.output.display())));
+        return Err(Failure::Survey(format!("{}; nothing is written to {}", judgement.sentence(), output.display())));
     }
     let calibration = Calibration {
         model: made.survey.camera,
@@ -116,7 +137,19 @@ pub(super) fn run(arguments: &MapArguments) -> Result<(), Failure> {
         notes: Vec::new(),
     };
     let files = settings.source.mapped(calibration.to_toml(), made.map.to_bytes()).map_err(|e| Failure::Usage(e.to_string()))?;
-    MAPPED.write(&arguments.output, files)
+    MAPPED.write(output, files)
+}
+
+/// Writes the pictures that may become keyframes, named by clip and row as `seen` wants them.
+fn write_pictures(walk: &Walk, clips: &Clips<'_>, folder: &Path) -> Result<(), Failure> {
+    std::fs::create_dir_all(folder).map_err(Failure::output(folder))?;
+    for (clip, frame) in walk.pictures() {
+        let file = folder.join(format!("{}-{:06}.png", clips.name(clip), frame.sequence));
+        let mut png = Cursor::new(Vec::new());
+        frame.image.write_to(&mut png, ImageFormat::Png).map_err(io::Error::other).map_err(Failure::output(&file))?;
+        write_whole(&file, png.get_ref())?;
+    }
+    Ok(())
 }
 
 /// Returns the frames in which points were clicked: the clip by its index, and the row in it.

@@ -23,6 +23,9 @@ const MAX_JITTER: f64 = 0.1;
 /// Maximum time between two frames, seconds: a camera's motion is not uniform for longer. Raised,
 /// slow cameras yield wrong rates.
 const MAX_STEP_S: f64 = 0.05;
+/// The same for a map: its rates only predict how a rolling shutter shears a keyframe, and their
+/// scatter is in their sigmas.
+const MAX_MAP_STEP_S: f64 = 0.15;
 /// Weights of the poses one and two frames away: in a first derivative with this sign after and the
 /// opposite before, in a second derivative with this sign on both sides. Source: Abramowitz and
 /// Stegun, *Handbook of Mathematical Functions*, table 25.2.
@@ -61,12 +64,18 @@ impl Trust {
 pub struct RecentPoses {
     poses: Vec<(usize, Pose<Body, Camera>, Timestamp)>,
     trust: Trust,
+    max_step_s: f64,
 }
 
 impl RecentPoses {
     /// Creates the collector for a stage as configured.
     pub fn as_configured() -> Self {
-        Self { poses: Vec::with_capacity(5), trust: Trust::AS_CONFIGURED }
+        Self { poses: Vec::with_capacity(5), trust: Trust::AS_CONFIGURED, max_step_s: MAX_STEP_S }
+    }
+
+    /// Creates the collector for a map, which also takes slow cameras.
+    pub fn for_map() -> Self {
+        Self { max_step_s: MAX_MAP_STEP_S, ..Self::as_configured() }
     }
 
     /// Creates the collector for a surveyed stage.
@@ -88,7 +97,7 @@ impl RecentPoses {
         let poses: &[_; 5] = self.poses.as_slice().try_into().ok()?;
         let dt_s = poses[4].2.seconds_since(poses[0].2) / 4.0;
         let is_even = poses.windows(2).all(|pair| (pair[1].2.seconds_since(pair[0].2) / dt_s - 1.0).abs() < MAX_JITTER);
-        if !(is_even && dt_s > 0.0 && dt_s < MAX_STEP_S) {
+        if !(is_even && dt_s > 0.0 && dt_s < self.max_step_s) {
             return None;
         }
         let (middle, from, _) = &poses[2];

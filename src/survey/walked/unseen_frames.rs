@@ -6,8 +6,8 @@ use image::GrayImage;
 use super::lively_part::NumberedFrame;
 use crate::frame::Frame;
 
-/// Maximum number of frames. Raised, time and memory grow in proportion; lowered, long walks without
-/// a poster have gaps.
+/// Maximum number of frames. Raised, time and memory grow in proportion; lowered, long walks
+/// without a poster have gaps.
 const MAX_FRAMES: usize = 160;
 /// Spacing of the pixels at which sharpness is measured. Raised, it is measured faster and less
 /// surely.

@@ -45,6 +45,8 @@ pub struct Walk {
     pub(super) lively: Vec<NumberedFrame>,
     /// Frames in which no surface was found, and those that were asked for, in order.
     pub(super) unseen: Vec<NumberedFrame>,
+    /// The number of the last frame of each clip.
+    pub(super) clip_ends: Vec<usize>,
     /// The numbers of the frames that were asked for; `None` if the clips have no such frame.
     pub(super) named: Vec<Option<usize>>,
     /// Numbers of frames examined, and of those in which the stage was found.
@@ -73,6 +75,7 @@ pub struct WalkRecord {
     keyframes: Vec<KeyframeRecord>,
     lively: Vec<usize>,
     unseen: Vec<usize>,
+    clip_ends: Vec<usize>,
     named: Vec<Option<usize>>,
     bend: Bend,
 }
@@ -112,7 +115,7 @@ impl Walk {
         let TrackerSetup { camera, shutter, mask, stage, settings, clock, store, .. } = setup.clone().as_trial();
         let (mut keyframes, mut lively) = (Keyframes::default(), LivelyPart::default());
         let (mut unseen, mut asked, mut named) = (UnseenFrames::default(), Vec::new(), vec![None; options.named.len()]);
-        let (mut frames, mut found, mut bend) = (0, 0, Bend::default());
+        let (mut frames, mut found, mut bend, mut clip_ends) = (0, 0, Bend::default(), Vec::new());
         for (clip_index, clip) in clips.into_iter().enumerate() {
             let mut finder = (!stage.surfaces.is_empty()).then(|| {
                 StageFinder::new(BodyTracker::new(
@@ -126,22 +129,24 @@ impl Walk {
                 ))
             });
             let mut before: Option<(Pose<Body, Camera>, Timestamp)> = None;
-            let mut recent = RecentPoses::as_configured();
+            let mut recent = if options.unseen { RecentPoses::for_map() } else { RecentPoses::as_configured() };
             for frame in clip {
                 if !goes_on() {
                     return Err(SurveyError::Interrupted);
                 }
                 progress(SurveyStep::Frame);
                 frames += 1;
-                let asked_for = options.named.iter().position(|wanted| *wanted == (clip_index, frame.sequence));
-                if let Some(index) = asked_for {
-                    named[index] = Some(frames);
+                let fits = frame.image.dimensions() == (camera.width(), camera.height());
+                let is_asked_for = |wanted: &(usize, u64)| *wanted == (clip_index, frame.sequence) && fits;
+                let is_kept = options.named.iter().any(is_asked_for);
+                if is_kept {
                     asked.push(NumberedFrame { number: frames, frame: frame.clone() });
+                    named.iter_mut().zip(&options.named).filter(|(_, wanted)| is_asked_for(wanted)).for_each(|(n, _)| *n = Some(frames));
                 }
                 let seen = finder.as_mut().and_then(|finder| Some((finder.pose(&frame)?, finder)));
                 let Some((pose, finder)) = seen else {
                     lively.offer(None);
-                    if options.unseen && asked_for.is_none() {
+                    if options.unseen && fits && !is_kept {
                         unseen.offer(frames, &frame);
                     }
                     continue;
@@ -160,18 +165,26 @@ impl Walk {
             }
             lively.offer(None);
             bend = finder.and_then(|finder| finder.matcher.learnt().curve).unwrap_or(bend);
+            clip_ends.push(frames);
         }
         let keyframes = keyframes.into_kept();
         asked.retain(|asked| keyframes.iter().all(|keyframe| keyframe.number != asked.number));
         let mut unseen = unseen.into_frames();
         unseen.extend(asked);
         unseen.sort_by_key(|frame| frame.number);
-        Ok(Self { keyframes, lively: lively.into_frames(), unseen, named, frames, found, bend })
+        Ok(Self { keyframes, lively: lively.into_frames(), unseen, clip_ends, named, frames, found, bend })
     }
 
     /// Creates a walk of keyframes alone.
     pub(super) fn of_keyframes(keyframes: Vec<Keyframe>, frames: usize, found: usize, bend: Bend) -> Self {
-        Self { keyframes, lively: Vec::new(), unseen: Vec::new(), named: Vec::new(), frames, found, bend }
+        Self { keyframes, lively: Vec::new(), unseen: Vec::new(), clip_ends: Vec::new(), named: Vec::new(), frames, found, bend }
+    }
+
+    /// Returns the pictures that may become keyframes: the clip by its index, the row in it.
+    pub fn pictures(&self) -> impl Iterator<Item = (usize, &Frame)> {
+        let keyframes = self.keyframes.iter().map(|keyframe| (keyframe.number, &keyframe.frame));
+        let all = keyframes.chain(self.unseen.iter().map(|unseen| (unseen.number, &unseen.frame)));
+        all.map(|(number, frame)| (self.clip_ends.partition_point(|end| *end < number), frame))
     }
 
     /// Returns the walk without its pictures.
@@ -179,7 +192,8 @@ impl Walk {
         let keyframes = self.keyframes.iter().map(KeyframeRecord::of).collect();
         let lively = self.lively.iter().map(|f| f.number).collect();
         let unseen = self.unseen.iter().map(|f| f.number).collect();
-        WalkRecord { frames: self.frames, found: self.found, keyframes, lively, unseen, named: self.named.clone(), bend: self.bend }
+        let (clip_ends, named) = (self.clip_ends.clone(), self.named.clone());
+        WalkRecord { frames: self.frames, found: self.found, keyframes, lively, unseen, clip_ends, named, bend: self.bend }
     }
 
     /// Restores a recorded walk with the pictures of its clips, which are read but not tracked.
@@ -222,8 +236,17 @@ impl Walk {
             && lively.len() == record.lively.len()
             && unseen.len() == record.unseen.len();
         let is_sound = record.bend.iter().all(|correction| correction.is_finite());
-        let named = record.named.clone();
-        Ok((is_whole && is_sound).then_some(Self { keyframes, lively, unseen, named, frames, found: record.found, bend: record.bend }))
+        let (named, clip_ends) = (record.named.clone(), record.clip_ends.clone());
+        Ok((is_whole && is_sound).then_some(Self {
+            keyframes,
+            lively,
+            unseen,
+            clip_ends,
+            named,
+            frames,
+            found: record.found,
+            bend: record.bend,
+        }))
     }
 }
 
@@ -375,6 +398,7 @@ mod tests {
             keyframes: [1, 4, 6, 9].map(keyframe).to_vec(),
             lively,
             unseen: [3, 8].map(|number| NumberedFrame { number, frame: frames[number - 1].clone() }).to_vec(),
+            clip_ends: vec![5, 9],
             named: vec![Some(8), None],
             frames: FRAMES,
             found: 8,
@@ -410,6 +434,8 @@ mod tests {
     fn a_recorded_walk_reads_back_bit_for_bit() {
         let found = recalled(&walk().record(), &clips()).expect("the clips are its own");
         assert_eq!(found, walk());
+        let pictures: Vec<(usize, u64)> = found.pictures().map(|(clip, frame)| (clip, frame.sequence)).collect();
+        assert_eq!(pictures, [(0, 0), (0, 3), (1, 0), (1, 3), (0, 2), (1, 2)]);
         for (a, b) in found.keyframes.iter().zip(&walk().keyframes) {
             let bits = |k: &Keyframe| k.motion.pose.rotation.coords.map(f64::to_bits);
             assert_eq!(bits(a), bits(b));

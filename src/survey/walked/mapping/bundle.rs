@@ -106,11 +106,15 @@ struct Row {
     by_point: Matrix2x3<f64>,
 }
 
-/// Adjusts tracks and cameras in some rounds. `None` if the equations have no solution, or the work was stopped.
+/// Adjusts tracks and cameras in some rounds. `None` if the equations have no solution, or the work
+/// was stopped.
 pub fn adjusted(views: &Views<'_>, tracks: Vec<Track>, rounds: usize, goes_on: &dyn Fn() -> bool) -> Option<Cloud> {
     let mut cloud = Cloud { poses: views.views.iter().map(|view| view.pose).collect(), points: Vec::new(), scale: 1.0 };
     cloud.points = tracks.into_iter().filter_map(|track| started(views, track)).collect();
     for round in 0..rounds {
+        if cloud.points.is_empty() {
+            break;
+        }
         cloud.scale = scale(views, &cloud)?;
         let mut damping = DAMPING;
         let mut cost = cost(views, &cloud);
@@ -150,7 +154,7 @@ fn meeting(views: &Views<'_>, sightings: &[Sighting]) -> Option<Vector3<f64>> {
         let along = views.direction(seen.view, seen.pixel)?;
         let across = Matrix3::identity() - along * along.transpose();
         matrix += across;
-        right += across * views.views[seen.view].pose.translation;
+        right += across * views.pose_at(seen.view, &views.views[seen.view].pose, seen.pixel).translation;
     }
     matrix.try_inverse().map(|inverse| inverse * right).filter(|place| place.iter().all(|v| v.is_finite()))
 }
@@ -166,6 +170,7 @@ fn is_determined(poses: &[Pose<Body, Camera>], point: &CloudPoint) -> bool {
 /// Returns the residual of a point in a camera, in sigmas, with its derivatives; `None` if it is
 /// not in front of the camera or beyond the lens's field.
 fn row(views: &Views<'_>, pose: &Pose<Body, Camera>, place: &Vector3<f64>, seen: &Sighting) -> Option<Row> {
+    let pose = views.pose_at(seen.view, pose, seen.pixel);
     let to_camera = pose.rotation_matrix().transpose();
     let at = pose.inverse().transform(&Point3::from(*place)).coords;
     let (pixel, by_place) = project(&views.camera, &at)?;
@@ -330,12 +335,12 @@ mod tests {
 
     use super::super::super::synthetic::{LENS, camera_poses};
     use super::*;
-    use crate::camera::CameraModel;
+    use crate::camera::{CameraModel, Shutter};
     use crate::light::CameraCurve;
 
     fn views<'a>(picture: &'a GrayImage, poses: &[Pose<Body, Camera>]) -> Views<'a> {
-        let views = poses.iter().map(|pose| View { picture, pose: *pose, is_anchored: true }).collect();
-        Views { views, camera: CameraModel::new(LENS).unwrap(), curve: CameraCurve::default(), mask: None }
+        let views = poses.iter().map(|pose| View { picture, pose: *pose, rates: [Vector3::zeros(); 2], is_anchored: true }).collect();
+        Views { views, camera: CameraModel::new(LENS).unwrap(), shutter: Shutter::default(), curve: CameraCurve::default(), mask: None }
     }
 
     fn places() -> Vec<Vector3<f64>> {
@@ -415,6 +420,18 @@ mod tests {
         assert!((0.8..1.2).contains(&cloud.scale), "{}", cloud.scale);
         let errors = cloud.poses.iter().zip(&poses).map(|(found, true_pose)| (found.translation - true_pose.translation).norm());
         assert!(errors.fold(0.0, f64::max) < 2e-3);
+    }
+
+    #[test]
+    fn a_moving_rolling_shutter_is_undone() {
+        let picture = GrayImage::new(1280, 720);
+        let poses = camera_poses(12);
+        let mut truth = views(&picture, &poses);
+        truth.shutter.readout_s = 0.016;
+        truth.views.iter_mut().for_each(|view| view.rates = [Vector3::new(0.8, 0.0, 0.1), Vector3::new(0.02, 0.1, -0.05)]);
+        let cloud = adjusted(&truth, tracked(&truth, 0.0), ALL_ROUNDS, &|| true).unwrap();
+        let errors = cloud.poses.iter().zip(&poses).map(|(found, true_pose)| (found.translation - true_pose.translation).norm());
+        assert!(errors.fold(0.0, f64::max) < 1e-3 && cloud.scale < 0.05, "{}", cloud.scale);
     }
 
     #[test]

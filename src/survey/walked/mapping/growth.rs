@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::bundle::{self, ALL_ROUNDS, Cloud};
 use super::tracks::Recognition;
 use super::views::{View, Views};
-use crate::camera::{CameraModel, Pixel};
+use crate::camera::{CameraModel, Pixel, Shutter};
 use crate::geometry::ransac::{self, Estimator, Order};
 use crate::geometry::resection::{MovingCamera, Observation, resect, squared_residual};
 use crate::geometry::three_point::three_point;
@@ -31,8 +31,8 @@ const MIN_AGREEING: usize = 30;
 /// The same as a share of the points that were recognised. Raised, frames with many look-alikes are
 /// lost; lowered, repeated boards and stones pose frames one board off.
 const MIN_SHARE: f64 = 0.3;
-/// Maximum distance of a point from where a pose puts it, pixels. Raised, look-alikes agree; lowered,
-/// points that are not adjusted yet do not.
+/// Maximum distance of a point from where a pose puts it, pixels. Raised, look-alikes agree;
+/// lowered, points that are not adjusted yet do not.
 const MAX_OFF_PX: f64 = 6.0;
 /// Maximum number of samples of three points. Raised, frames with more look-alikes are posed.
 const SAMPLES: usize = 1000;
@@ -50,6 +50,8 @@ pub struct Shot<'a> {
     pub picture: &'a GrayImage,
     /// Its pose, if it is known already.
     pub start: Option<Pose<Body, Camera>>,
+    /// Its velocity and angular velocity, as far as known ([`View::rates`]).
+    pub rates: [Vector3<f64>; 2],
     /// Whether that pose was measured on what gives frame and scale, or is to do so.
     pub is_anchored: bool,
 }
@@ -59,6 +61,8 @@ pub struct Shot<'a> {
 pub struct Lens<'a> {
     /// The model.
     pub camera: CameraModel,
+    /// Its shutter.
+    pub shutter: Shutter,
     /// The light that its grey levels stand for.
     pub curve: CameraCurve,
     /// Black where its pictures are to be ignored.
@@ -77,7 +81,7 @@ pub struct Grown {
 impl<'a> Lens<'a> {
     /// Returns posed frames as the mapping looks at them.
     pub fn views(&self, views: Vec<View<'a>>) -> Views<'a> {
-        Views { views, camera: self.camera, curve: self.curve.clone(), mask: self.mask }
+        Views { views, camera: self.camera, shutter: self.shutter, curve: self.curve.clone(), mask: self.mask }
     }
 }
 
@@ -87,7 +91,9 @@ pub fn grown<'a>(shots: &[Shot<'a>], lens: &Lens<'a>, recognition: &mut Recognit
     let mut poses: Vec<Option<Pose<Body, Camera>>> = shots.iter().map(|shot| shot.start).collect();
     for growth in 0.. {
         let frames: Vec<usize> = (0..shots.len()).filter(|k| poses[*k].is_some()).collect();
-        let view = |k: &usize| Some(View { picture: shots[*k].picture, pose: poses[*k]?, is_anchored: shots[*k].is_anchored });
+        let view = |k: &usize| {
+            Some(View { picture: shots[*k].picture, pose: poses[*k]?, rates: shots[*k].rates, is_anchored: shots[*k].is_anchored })
+        };
         let views = lens.views(frames.iter().filter_map(view).collect());
         let missing: Vec<usize> = (0..shots.len()).filter(|k| poses[*k].is_none()).collect();
         let is_last = missing.is_empty() || growth == MAX_GROWTHS;
@@ -256,8 +262,8 @@ mod tests {
     fn seen(pose: &Pose<Body, Camera>, count: usize, wrong: usize) -> Vec<Seen> {
         let camera = CameraModel::new(LENS).unwrap();
         let picture = GrayImage::new(1280, 720);
-        let lens = Lens { camera, curve: CameraCurve::default(), mask: None };
-        let views = lens.views(vec![View { picture: &picture, pose: *pose, is_anchored: false }]);
+        let lens = Lens { camera, shutter: Shutter::default(), curve: CameraCurve::default(), mask: None };
+        let views = lens.views(vec![View { picture: &picture, pose: *pose, rates: [Vector3::zeros(); 2], is_anchored: false }]);
         let mut random = Pcg64Mcg::seed_from_u64(4);
         let mut seen = Vec::new();
         while seen.len() < count {

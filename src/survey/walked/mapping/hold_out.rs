@@ -6,13 +6,14 @@ use super::super::progress::SurveyError;
 use super::super::stage::{SurveyOptions, survey};
 use super::super::walk::Walk;
 use super::anchoring::Fit;
+use super::locator::Locator;
 use super::outlines::Outline;
-use super::stage_of_facets::{START_SIGMA, grid, painted_stage, textures, views, without_features};
+use super::stage_of_facets::{grid, painted_stage, textures, views, without_features};
 use crate::frame::Frame;
 use crate::geometry::robust_kernel::median;
 use crate::light::CameraCurve;
 use crate::light::camera_curve::Bend;
-use crate::track::{BodySpec, BodyTracker};
+use crate::track::BodySpec;
 use crate::tracker::TrackerSetup;
 
 /// One keyframe in so many is held out.
@@ -69,14 +70,12 @@ pub fn hold_out(
     let both = made.motions.iter().zip(&others).filter_map(|(motion, keyframe)| Some([motion.as_ref()?.pose, keyframe.motion.pose]));
     let Some(fit) = Fit::of(&both.collect::<Vec<_>>(), &grid(&stage), &setup.camera) else { return Ok(None) };
     let into_whole = fit.anchoring();
-    let TrackerSetup { camera, shutter, mask, settings, clock, store, .. } = setup.clone().as_trial();
-    let mut tracker = BodyTracker::new(camera, shutter.or_zero().into(), mask, &[&stage], settings, clock, store);
-    let off_m = |keyframe: &Keyframe| {
-        let whole = keyframe.motion.pose;
-        let found = tracker.study().try_start(&keyframe.frame, &whole, START_SIGMA * distance_m, START_SIGMA)?;
-        found.is_credible(false).then(|| (into_whole.pose(&found.pose).translation - whole.translation).norm())
+    let mut locator = Locator::new(setup, &stage, distance_m);
+    let mut off_m = |keyframe: &Keyframe| {
+        let found = locator.pose(keyframe)?;
+        Some((into_whole.pose(&found).translation - keyframe.motion.pose.translation).norm())
     };
-    let mut off: Vec<f64> = held.iter().filter_map(off_m).collect();
+    let mut off: Vec<f64> = held.iter().filter_map(&mut off_m).collect();
     let most_m = off.iter().copied().fold(0.0, f64::max);
     Ok(median(&mut off).map(|median_m| HoldOut { keyframes: held.len(), located: off.len(), median_m, most_m }))
 }

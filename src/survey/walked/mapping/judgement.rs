@@ -9,8 +9,8 @@ use crate::geometry::robust_kernel::median;
 /// Minimum share of keyframes that agree with the map, to be good and to be usable.
 const MIN_USED: [f64; 2] = [0.8, 0.5];
 /// Maximum robust scale of the residuals, to be good and to be usable: more means a wrong lens or
-/// shutter.
-const MAX_SCALE: [f64; 2] = [1.5, 3.0];
+/// shutter. Right ones have 0.7 to 1.2; a rolling shutter of 16 ms taken for a global one, 2.9.
+const MAX_SCALE: [f64; 2] = [1.5, 2.0];
 /// Minimum number of facets, to be good and to be usable.
 const MIN_FACETS: [usize; 2] = [4, 1];
 /// Maximum median sigma of the facets' positions, as a share of the distance, to be good and to be

@@ -3,8 +3,6 @@
 
 use std::sync::Arc;
 
-use nalgebra::Vector2;
-
 use super::super::keyframes::Keyframe;
 use super::super::progress::SurveyError;
 use super::super::stage::{Survey, SurveyOptions, survey};
@@ -14,17 +12,18 @@ use super::error::{MapError, MapStep};
 use super::facets::found_facets;
 use super::growth::Lens;
 use super::hold_out::{HoldOut, hold_out};
-use super::measuring::{MAX_CLICK_OFF_PX, PlacedPoint, joined, placed};
+use super::locator::Locator;
+use super::measuring::{MAX_CLICK_OFF_PX, PlacedPoint, SeenFrom, joined, placed};
 use super::missing::missing;
 use super::posed_walk::{PosedWalk, posed_walk};
 use super::set_points::extent;
-use super::stage_of_facets::{START_SIGMA, grid, painted_stage, textures, views, with_features, without_features};
+use super::stage_of_facets::{grid, painted_stage, textures, views, with_features, without_features};
 use crate::frame::Frame;
 use crate::geometry::{Body, Camera, Pose};
 use crate::light::CameraCurve;
 use crate::motion::Motion;
 use crate::survey::named_points::{NamedPoint, NamedPoints};
-use crate::track::{BentShape, BodyTracker, Facet, FacetTexture, StageMap, SurfaceShape, SurfaceSpec};
+use crate::track::{BentShape, Facet, FacetTexture, StageMap, SurfaceShape, SurfaceSpec};
 use crate::tracker::TrackerSetup;
 
 /// Minimum number of keyframes. Raised, short walks are refused; lowered, facets rest on a few
@@ -93,9 +92,13 @@ pub fn map(
     if found == 0 && !setup.stage.surfaces.is_empty() {
         return Err(SurveyError::NotFound { frames }.into());
     }
+    let candidates = walk.pictures().count();
+    if candidates < MIN_KEYFRAMES {
+        return Err(SurveyError::TooFewPlaces { found: candidates, least: MIN_KEYFRAMES }.into());
+    }
     progress(MapStep::Points);
     let curve = CameraCurve::bent(setup.settings.transfer.unwrap_or_default(), &bend);
-    let lens = Lens { camera: setup.camera, curve: curve.clone(), mask: setup.mask.as_ref() };
+    let lens = Lens { camera: setup.camera, shutter: setup.shutter.or_zero(), curve: curve.clone(), mask: setup.mask.as_ref() };
     let PosedWalk { mut keyframes, mut cloud, is_found } = posed_walk(walk, &lens, !setup.stage.surfaces.is_empty(), goes_on)?;
     match (cloud.points.len(), keyframes.len()) {
         (_, n) if n < MIN_KEYFRAMES => return Err(SurveyError::TooFewPlaces { found: n, least: MIN_KEYFRAMES }.into()),
@@ -216,7 +219,7 @@ fn placed_points(
         let view = number.and_then(|number| keyframes.binary_search_by_key(&number, |keyframe| keyframe.number).ok());
         clicks[point].extend(view.map(|view| (poses[view], click.pixel)));
     }
-    let place = |(point, clicks): (&NamedPoint, &Vec<(Pose<Body, Camera>, Vector2<f64>)>)| {
+    let place = |(point, clicks): (&NamedPoint, &Vec<SeenFrom>)| {
         let entry = || point.entry.clone();
         let unseen = || MapError::PointUnseen { entry: entry(), found: clicks.len() };
         let found = if clicks.len() < 2 { None } else { placed(clicks, &setup.camera) }.ok_or_else(unseen)?;
@@ -243,16 +246,10 @@ fn scale_from(setup: &TrackerSetup, named: &NamedPoints) -> Vec<&'static str> {
     sources.into_iter().filter_map(|(is_there, name)| is_there.then_some(name)).collect()
 }
 
-/// Aligns the configured surfaces alone in every keyframe in which they were found, from the
-/// adjusted pose.
+/// Aligns the configured surfaces alone in every keyframe in which they were found.
 fn aligned_alone(keyframes: &[Keyframe], is_found: &[bool], setup: &TrackerSetup, distance_m: f64) -> Vec<Option<Pose<Body, Camera>>> {
-    let TrackerSetup { camera, shutter, mask, stage, settings, clock, store, .. } = setup.clone().as_trial();
-    let mut tracker = BodyTracker::new(camera, shutter.or_zero().into(), mask, &[&stage], settings, clock, store);
-    let mut align = |keyframe: &Keyframe| {
-        let found = tracker.study().try_start(&keyframe.frame, &keyframe.motion.pose, START_SIGMA * distance_m, START_SIGMA)?;
-        found.is_credible(false).then_some(found.pose)
-    };
-    keyframes.iter().zip(is_found).map(|(keyframe, is_found)| if *is_found { align(keyframe) } else { None }).collect()
+    let mut locator = Locator::new(setup, &setup.stage, distance_m);
+    keyframes.iter().zip(is_found).map(|(keyframe, is_found)| if *is_found { locator.pose(keyframe) } else { None }).collect()
 }
 
 /// Takes over the adjusted motions of the keyframes that support the result.

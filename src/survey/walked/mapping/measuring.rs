@@ -1,5 +1,5 @@
-//! The frame and the scale of a map by points that were clicked in its keyframes: their positions in
-//! the stage, and the lengths between them, joined with what configured surfaces say.
+//! The frame and the scale of a map by points that were clicked in its keyframes: their positions
+//! in the stage, and the lengths between them, joined with what configured surfaces say.
 //!
 //! Each measurement is also tested against all others by its deleted residual, as a survey's
 //! (`constraints`).
@@ -29,6 +29,9 @@ const UNKNOWN: f64 = 100.0;
 const CONTRADICTION: f64 = 4.0;
 /// Minimum sine of the angle at a corner of three points that give a frame.
 const MIN_SINE: f64 = 0.05;
+
+/// A click: the pose of its keyframe, and its raw pixel.
+pub type SeenFrom = (Pose<Body, Camera>, Vector2<f64>);
 
 /// A clicked point in the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -68,7 +71,7 @@ pub struct Contradiction {
 }
 
 /// Returns a point where the rays of its clicks meet; `None` if they do not determine it.
-pub fn placed(clicks: &[(Pose<Body, Camera>, Vector2<f64>)], camera: &CameraModel) -> Option<PlacedPoint> {
+pub fn placed(clicks: &[SeenFrom], camera: &CameraModel) -> Option<PlacedPoint> {
     let (mut matrix, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for (pose, pixel) in clicks {
         let along = pose.rotation * camera.unproject(Pixel(*pixel))?.0.push(1.0).normalize();
@@ -89,7 +92,7 @@ pub fn placed(clicks: &[(Pose<Body, Camera>, Vector2<f64>)], camera: &CameraMode
         covariance = normal.try_inverse()?;
         place += covariance * score;
     }
-    let off = |(pose, pixel): &(Pose<Body, Camera>, Vector2<f64>)| {
+    let off = |(pose, pixel): &SeenFrom| {
         project(camera, &pose.inverse().transform(&Point3::from(place)).coords).map_or(f64::INFINITY, |(found, _)| (pixel - found).norm())
     };
     let off_px = clicks.iter().map(off).fold(0.0, f64::max);
@@ -141,7 +144,8 @@ impl Rows {
     }
 }
 
-/// Returns the equations of all measurements. The floor counts only if nothing else gives the frame.
+/// Returns the equations of all measurements. The floor counts only if nothing else gives the
+/// frame.
 fn rows(at: &IntoMap, named: &NamedPoints, points: &[PlacedPoint], is_alone: bool) -> Vec<Rows> {
     let of_point = |(point, placed): (&NamedPoint, &PlacedPoint)| {
         let (position_m, sigma_m) = point.position_m?;
@@ -201,8 +205,8 @@ fn positioned(named: &NamedPoints, points: &[PlacedPoint]) -> Vec<[Vector3<f64>;
     named.points.iter().zip(points).filter_map(|(point, placed)| Some([point.position_m?.0, placed.place])).collect()
 }
 
-/// Returns a first fit without surfaces: by points with positions, by the floor, or the frame of the
-/// first camera; with the scale that the lengths say.
+/// Returns a first fit without surfaces: by points with positions, by the floor, or the frame of
+/// the first camera; with the scale that the lengths say.
 fn start(named: &NamedPoints, points: &[PlacedPoint], first: &Pose<Body, Camera>) -> IntoMap {
     let with_positions = positioned(named, points);
     if let Some(fit) = by_positions(&with_positions) {
@@ -270,7 +274,8 @@ mod tests {
         IntoMap { scale: 1.3, rotation, shift: Vector3::new(0.4, -1.0, 2.0) }
     }
 
-    /// Points of the stage; the first three on the floor, the first at the origin, the second along x.
+    /// Points of the stage; the first three on the floor, the first at the origin, the second along
+    /// x.
     fn in_stage() -> Vec<Vector3<f64>> {
         [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.5, 1.5, 0.0], [1.0, 0.7, 1.1]].map(Vector3::from).to_vec()
     }

@@ -14,8 +14,8 @@ const MIN_VIEWS: usize = 6;
 /// Maximum number of hints, the largest facets first.
 const MAX_HINTS: usize = 5;
 
-/// Returns the views that would help, a sentence for each facet that needs some. `facets` are in the
-/// keyframes' frame.
+/// Returns the views that would help, a sentence for each facet that needs some. `facets` are in
+/// the keyframes' frame.
 pub fn missing(views: &Views<'_>, facets: &[&SurfaceSpec]) -> Vec<String> {
     let mut weak: Vec<(f64, String)> =
         facets.iter().filter_map(|facet| Some((facet.size_m[0] * facet.size_m[1], hint(views, facet)?))).collect();
@@ -49,17 +49,20 @@ mod tests {
     use super::super::growth::Lens;
     use super::super::views::View;
     use super::*;
-    use crate::camera::CameraModel;
+    use crate::camera::{CameraModel, Shutter};
     use crate::light::CameraCurve;
 
     #[test]
     fn a_facet_seen_from_one_direction_is_named_with_the_side_to_film_from() {
         let picture = GrayImage::new(1280, 720);
-        let lens = Lens { camera: CameraModel::new(LENS).unwrap(), curve: CameraCurve::default(), mask: None };
+        let lens = Lens { camera: CameraModel::new(LENS).unwrap(), shutter: Shutter::default(), curve: CameraCurve::default(), mask: None };
         let stage = stage();
         let facets: Vec<&SurfaceSpec> = stage[1..].iter().collect();
         let views = |from: usize, to: usize| {
-            let poses = camera_poses(40)[from..to].iter().map(|pose| View { picture: &picture, pose: *pose, is_anchored: true }).collect();
+            let poses = camera_poses(40)[from..to]
+                .iter()
+                .map(|pose| View { picture: &picture, pose: *pose, rates: [Vector3::zeros(); 2], is_anchored: true })
+                .collect();
             lens.views(poses)
         };
         assert!(missing(&views(0, 40), &facets).is_empty());

@@ -16,6 +16,7 @@ mod flat_parts;
 mod growth;
 mod hold_out;
 pub mod judgement;
+mod locator;
 pub mod map;
 mod measuring;
 mod missing;

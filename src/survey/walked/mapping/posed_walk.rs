@@ -39,7 +39,8 @@ struct Candidate {
 impl Candidate {
     fn shot(&self) -> Shot<'_> {
         let start = self.is_found.then_some(self.keyframe.motion.pose);
-        Shot { picture: &self.keyframe.frame.image, start, is_anchored: self.is_found }
+        let Motion { velocity, angular_velocity, .. } = self.keyframe.motion;
+        Shot { picture: &self.keyframe.frame.image, start, rates: [velocity, angular_velocity], is_anchored: self.is_found }
     }
 }
 
@@ -76,7 +77,11 @@ pub fn posed_walk(walk: Walk, lens: &Lens<'_>, has_surfaces: bool, goes_on: &(dy
 /// Returns all frames that may become keyframes, in the walk's order.
 fn candidates(walk: Walk) -> Vec<Candidate> {
     let asked: Vec<usize> = walk.named.iter().flatten().copied().collect();
-    let found = walk.keyframes.into_iter().map(|keyframe| (keyframe, true));
+    let rated = |keyframe: Keyframe| {
+        let motion = keyframe.rates.map_or(keyframe.motion, |rates| rates.on(&keyframe.motion.pose));
+        Keyframe { motion, ..keyframe }
+    };
+    let found = walk.keyframes.into_iter().map(|keyframe| (rated(keyframe), true));
     let unseen = walk.unseen.into_iter().map(|NumberedFrame { number, frame }| {
         (Keyframe { number, frame, motion: Motion::still(Pose::identity()), rates: None, features: Vec::new() }, false)
     });
@@ -115,10 +120,13 @@ fn spaced(grown: Grown, candidates: &[Candidate]) -> Grown {
     Grown { frames: kept.iter().map(|view| frames[*view]).collect(), cloud: cloud.of_views(&kept) }
 }
 
-/// Gives the frames that points pose their motion, from the keyframe before.
+/// Gives the frames that points pose their motion, from the keyframes before and after.
 fn take_motions(keyframes: &mut [Keyframe], is_found: &[bool], cloud: &Cloud) {
     for k in (0..keyframes.len()).filter(|k| !is_found[*k]) {
-        let before = k.checked_sub(1).map(|before| (cloud.poses[before], keyframes[before].frame.timestamp));
-        keyframes[k].motion = motion_since(before, cloud.poses[k], keyframes[k].frame.timestamp);
+        let at = |k: usize| Some((*cloud.poses.get(k)?, keyframes.get(k)?.frame.timestamp));
+        let own = (cloud.poses[k], keyframes[k].frame.timestamp);
+        let (before, (until, stamp)) = (k.checked_sub(1).and_then(at).unwrap_or(own), at(k + 1).unwrap_or(own));
+        let motion = motion_since(Some(before), until, stamp);
+        keyframes[k].motion = Motion { pose: own.0, ..motion };
     }
 }

@@ -39,7 +39,8 @@ const SAMPLES: usize = 200;
 const MOTIONS: usize = 3;
 /// Steps of a motion's refinement.
 const REFINING_STEPS: usize = 30;
-/// Minimum angle between the rays of a point, and the angle beyond which more is no better, radians.
+/// Minimum angle between the rays of a point, and the angle beyond which more is no better,
+/// radians.
 const MIN_ANGLE: f64 = 0.03;
 const ENOUGH_ANGLE: f64 = 0.2;
 /// Seed of the samples: the result is the same every time.

@@ -10,12 +10,10 @@ use super::set_points::seen_from;
 use super::texture::painted;
 use super::views::{View, Views};
 use crate::light::CameraCurve;
+use crate::motion::Motion;
 use crate::track::{BodySpec, FacetTexture, SurfaceError, SurfaceSpec};
 use crate::tracker::TrackerSetup;
 
-/// One sigma of an adjusted pose: of the rotation, radians, and of the position, as a share of the
-/// distance. Raised, aligning the surfaces alone takes longer; lowered, a wrong adjustment stays.
-pub const START_SIGMA: f64 = 0.003;
 /// Points along each side of a configured surface by which the map is anchored.
 const GRID: usize = 8;
 /// One sigma of a point's place on its facet, pixels: features only lead to the basin of the
@@ -29,9 +27,12 @@ const MIN_COSINE: f64 = 0.25;
 
 /// Returns the keyframes as the mapping looks at them.
 pub fn views<'a>(keyframes: &'a [Keyframe], setup: &'a TrackerSetup, curve: &CameraCurve) -> Views<'a> {
-    let views =
-        keyframes.iter().map(|keyframe| View { picture: &keyframe.frame.image, pose: keyframe.motion.pose, is_anchored: true }).collect();
-    Views { views, camera: setup.camera, curve: curve.clone(), mask: setup.mask.as_ref() }
+    let view = |keyframe: &'a Keyframe| {
+        let Motion { pose, velocity, angular_velocity, .. } = keyframe.motion;
+        View { picture: &keyframe.frame.image, pose, rates: [velocity, angular_velocity], is_anchored: true }
+    };
+    let (views, shutter) = (keyframes.iter().map(view).collect(), setup.shutter.or_zero());
+    Views { views, camera: setup.camera, shutter, curve: curve.clone(), mask: setup.mask.as_ref() }
 }
 
 /// Returns points on a grid over every surface.

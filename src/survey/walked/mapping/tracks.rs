@@ -154,7 +154,8 @@ fn partners(views: &Views<'_>) -> Vec<Vec<usize>> {
     (0..poses.len()).map(of).collect()
 }
 
-/// Returns how far a pixel of keyframe `b` is from the epipolar line of one of keyframe `a`, pixels; infinite if the lens does not map one of them.
+/// Returns how far a pixel of keyframe `b` is from the epipolar line of one of keyframe `a`,
+/// pixels; infinite if the lens does not map one of them.
 fn epipolar_px(views: &Views<'_>, (a, in_a): (usize, Vector2<f64>), (b, in_b): (usize, Vector2<f64>)) -> f64 {
     let [from, to] = [a, b].map(|k| views.views[k].pose);
     let (Some(along), Some(seen)) = (views.direction(a, in_a), views.direction(b, in_b)) else { return f64::INFINITY };

@@ -4,7 +4,7 @@
 use image::GrayImage;
 use nalgebra::{Matrix2x3, Point3, Vector2, Vector3};
 
-use crate::camera::{CameraModel, Normalized, Pixel};
+use crate::camera::{CameraModel, Normalized, Pixel, Shutter};
 use crate::geometry::{Body, Camera, Pose, catmull_rom};
 use crate::light::CameraCurve;
 
@@ -18,6 +18,9 @@ pub struct View<'a> {
     pub picture: &'a GrayImage,
     /// `T_body_camera`.
     pub pose: Pose<Body, Camera>,
+    /// The camera's velocity, metres per second, and its angular velocity, radians per second, in
+    /// the axes of [`Pose::moved`].
+    pub rates: [Vector3<f64>; 2],
     /// Whether the pose was measured on what gives frame and scale, so that it is a prior.
     pub is_anchored: bool,
 }
@@ -29,6 +32,8 @@ pub struct Views<'a> {
     pub views: Vec<View<'a>>,
     /// Their camera.
     pub camera: CameraModel,
+    /// Its shutter; the poses are those of the middle row.
+    pub shutter: Shutter,
     /// The light that its grey levels stand for.
     pub curve: CameraCurve,
     /// Black where its pictures are to be ignored.
@@ -49,8 +54,17 @@ impl Views<'_> {
     /// Returns the raw pixel at which keyframe `view` shows a point of the stage; `None` if it does
     /// not.
     pub fn pixel(&self, view: usize, place: &Vector3<f64>) -> Option<Vector2<f64>> {
-        let at = self.views[view].pose.inverse().transform(&Point3::from(*place));
-        let pixel = self.camera.project(in_field(&self.camera, &at.coords)?).0;
+        let pixel_from = |pose: &Pose<Body, Camera>| {
+            let at = pose.inverse().transform(&Point3::from(*place));
+            Some(self.camera.project(in_field(&self.camera, &at.coords)?).0)
+        };
+        let own = &self.views[view].pose;
+        let mut pixel = pixel_from(own)?;
+        // Its row depends on when it is read, and so on itself: two steps are exact to a
+        // thousandth of a pixel.
+        for _ in 0..if self.shutter.readout_s == 0.0 { 0 } else { 2 } {
+            pixel = pixel_from(&self.pose_at(view, own, pixel))?;
+        }
         self.shows(pixel).then_some(pixel)
     }
 
@@ -58,7 +72,18 @@ impl Views<'_> {
     /// looks.
     pub fn direction(&self, view: usize, pixel: Vector2<f64>) -> Option<Vector3<f64>> {
         let ray = self.camera.unproject(Pixel(pixel))?;
-        Some(self.views[view].pose.rotation * ray.0.push(1.0).normalize())
+        let pose = self.pose_at(view, &self.views[view].pose, pixel);
+        Some(pose.rotation * ray.0.push(1.0).normalize())
+    }
+
+    /// Returns where keyframe `view`, whose middle row has a pose, was when it read a pixel.
+    pub fn pose_at(&self, view: usize, pose: &Pose<Body, Camera>, pixel: Vector2<f64>) -> Pose<Body, Camera> {
+        if self.shutter.readout_s == 0.0 {
+            return *pose;
+        }
+        let delay_s = self.shutter.delay_s(pixel.y + 0.5, self.camera.height());
+        let [velocity, angular_velocity] = self.views[view].rates;
+        pose.moved(&(velocity * delay_s), &(angular_velocity * delay_s))
     }
 
     fn shows(&self, pixel: Vector2<f64>) -> bool {
