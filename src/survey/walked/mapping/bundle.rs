@@ -398,7 +398,7 @@ mod tests {
             pose.moved(&shift, &rotation)
         };
         let start: Vec<_> = poses.iter().map(&mut off).collect();
-        let cloud = adjusted(&views(&picture, &start), tracks, &|| true).unwrap();
+        let cloud = adjusted(&views(&picture, &start), tracks, ALL_ROUNDS, &|| true).unwrap();
         // What is left is a motion of the whole, within the mean of the start poses' errors.
         let errors = cloud.poses.iter().zip(&poses).map(|(found, true_pose)| (found.translation - true_pose.translation).norm());
         assert!(errors.fold(0.0, f64::max) < 2e-3);

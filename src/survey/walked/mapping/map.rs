@@ -110,6 +110,7 @@ pub fn map(
         let scale = joined(None, named, &points, &cloud.poses[0]).ok_or(SurveyError::Undetermined)?.0.anchoring().length(1.0);
         if gives_scale(named) {
             cloud = cloud.scaled(scale);
+            keyframes.iter_mut().for_each(|keyframe| keyframe.motion.velocity *= scale);
         }
     }
     let (extent_m, distance_m) = extent(&cloud);
