@@ -171,11 +171,11 @@ mod tests {
     #[test]
     fn mistakes_are_refused_by_line_and_with_the_fix() {
         let cases: [(&str, &str, [&str; 2]); 9] = [
-            ("name = \"b\"", "name = \"a\"", ["line 7", "another point has this name"]),
-            ("name = \"b\"\n", "", ["line 6", "add the point's name"]),
+            ("name = \"b\"", "name = \"a\"", ["line 8", "another point has this name"]),
+            ("name = \"b\"\n", "", ["line 7", "add the point's name"]),
             ("sequence = 40", "sequence = 3", ["line 4", "two frames or more"]),
-            ("clip = \"walk\"\nsequence = 3", "sequence = 3", ["line 8", "clip"]),
-            ("px = [1, 2]", "px = [1, nan]", ["line 11", "column and row"]),
+            ("clip = \"walk\"\nsequence = 3", "sequence = 3", ["line 9", "clip"]),
+            ("px = [1, 2]", "px = [1, nan]", ["line 12", "column and row"]),
             ("between = [\"a\", \"b\"]", "between = [\"a\", \"c\"]", ["line 18", "two [[map.point]]"]),
             ("between = [\"a\", \"b\"]", "between = [\"a\", \"a\"]", ["line 18", "two [[map.point]]"]),
             ("length_m = 3.25", "length_m = 3250", ["line 19", "3254 millimetres are 3.254"]),

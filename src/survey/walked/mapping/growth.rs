@@ -242,11 +242,13 @@ fn resected(seen: &[Seen], camera: &CameraModel) -> Option<Pose<Body, Camera>> {
         delay_s: 0.0,
         group: 0,
     };
-    let observations: Vec<Observation> = seen.iter().map(observation).collect();
+    // Look-alikes would widen the scale by which the refinement judges residuals.
+    let search = Poses { seen, most };
+    let right: Vec<Observation> = (0..seen.len()).filter(|k| search.agrees(&start, *k)).map(|k| observation(&seen[k])).collect();
     let still = MovingCamera::still(camera);
-    let pose = resect(&start, &still, &observations, REFINING_STEPS)?.pose;
-    let off_px = |o: &Observation, seen: &Seen| squared_residual(&pose, &still, o).map(|squared| squared.sqrt() * seen.sigma_px);
-    let agreeing = observations.iter().zip(seen).filter(|(o, seen)| off_px(o, seen).is_some_and(|px| px < MAX_OFF_PX)).count();
+    let pose = resect(&start, &still, &right, REFINING_STEPS)?.pose;
+    let off_px = |seen: &Seen| squared_residual(&pose, &still, &observation(seen)).map(|squared| squared.sqrt() * seen.sigma_px);
+    let agreeing = seen.iter().filter(|seen| off_px(seen).is_some_and(|px| px < MAX_OFF_PX)).count();
     (agreeing >= MIN_AGREEING && agreeing as f64 >= MIN_SHARE * seen.len() as f64).then(|| pose.inverse())
 }
 
