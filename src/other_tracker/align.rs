@@ -18,8 +18,8 @@ const MIN_ROTATION: f64 = 0.05;
 /// Singular values below this share of the largest are not determined by the motion; the solution
 /// is then the shortest. Raised, weakly determined offsets are taken to be zero.
 const UNDETERMINED: f64 = 1e-4;
-/// Minimum second moment of the rotations about other axes than the main one, as a share of its own:
-/// 3 % of its angles. Lowered, the sensor's rotation about that axis is made of noise.
+/// Minimum second moment of the rotations about other axes than the main one, as a share of its
+/// own: 3 % of its angles. Lowered, the sensor's rotation about that axis is made of noise.
 const MIN_OTHER_AXES: f64 = 1e-3;
 
 /// What leads from the other tracker's poses to ours.
