@@ -29,20 +29,20 @@ pub fn judge_lateness(found: &Lateness, sigma_s: Option<f64>) -> (Verdict, Vec<S
              record it with `stagepose record`"
                 .to_owned(),
         )),
-        Some(sigma_s) if !(sigma_s <= GOOD_S) => {
-            let verdict = if sigma_s <= USELESS_S { Verdict::Usable } else { Verdict::DoNotUse };
+        Some(sigma_s) if exceeds(sigma_s, GOOD_S) => {
+            let verdict = if exceeds(sigma_s, USELESS_S) { Verdict::DoNotUse } else { Verdict::Usable };
             let ms = sigma_s * 1e3;
             findings.push((verdict, format!("the delay is known to {ms:.1} ms only (one sigma): enter the screen's lag, --screen-lag-ms")));
         }
         Some(_) => {}
     }
     let mut find = |text: String| findings.push((Verdict::Usable, text));
-    if !(found.spread_s <= ODD_SPREAD_S) {
+    if exceeds(found.spread_s, ODD_SPREAD_S) {
         let ms = found.spread_s * 1e3;
         find(format!("single stamps are {ms:.1} ms off (rms): they may be made on arrival, behind a device that buffers"));
     }
     let [drift, sigma] = found.drift.map(|per_s| per_s * 60.0);
-    if !(drift.abs() <= MIN_DRIFT_S_PER_MIN.max(ODD_DRIFT_SIGMAS * sigma)) {
+    if exceeds(drift.abs(), MIN_DRIFT_S_PER_MIN.max(ODD_DRIFT_SIGMAS * sigma)) {
         let ms = drift * 1e3;
         find(format!("the delay changes by {ms:+.1} ms a minute: are stamps made from a frame rate, or do the clocks drift apart?"));
     }
@@ -52,6 +52,11 @@ pub fn judge_lateness(found: &Lateness, sigma_s: Option<f64>) -> (Verdict, Vec<S
     }
     let verdict = findings.iter().map(|(verdict, _)| *verdict).max().unwrap_or(Verdict::Good);
     (verdict, findings.into_iter().map(|(_, text)| text).collect())
+}
+
+/// Whether a value is above a limit, or no number.
+fn exceeds(value: f64, limit: f64) -> bool {
+    value.is_nan() || value > limit
 }
 
 #[cfg(test)]
