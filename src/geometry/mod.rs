@@ -35,6 +35,7 @@ mod scoring;
 mod test_planes;
 #[cfg(test)]
 mod test_views;
+#[cfg(feature = "cli")]
 pub mod three_point;
 mod transfer_refinement;
 pub mod triangulation;

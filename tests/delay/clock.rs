@@ -105,7 +105,7 @@ fn clips_that_do_not_show_the_clock_are_refused_with_what_to_film() {
     let (code, said, json) = delay(at, "short", &[]);
     assert!(code == Some(1) && said.contains("5 of 5 frames show the clock, 24 are needed"), "{said}");
     assert!(json["delay_s"].is_null() && json["verdict"] == "do not use", "{json:#}");
-    for (more, word) in [(["--screen-lag-ms", "-3"], "0 to 500"), (["--with-log", "a.txt"], "cannot be used with")] {
+    for (more, word) in [(["--screen-lag-ms", "900"], "0 to 500"), (["--with-log", "a.txt"], "cannot be used with")] {
         let (code, said, _) = delay(at, "short", &more);
         assert!(code == Some(2) && said.contains(word), "{said}");
     }
