@@ -35,6 +35,7 @@ pub mod overlay;
 mod pages;
 #[cfg(feature = "http")]
 mod pair;
+mod pose_log;
 mod poster;
 mod record;
 mod refine;

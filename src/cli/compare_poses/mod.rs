@@ -2,23 +2,20 @@
 
 mod report;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::calibrate::write_whole;
 use super::failure::Failure;
 use super::logging::{self, LogArguments};
 use super::output_file::print;
+use super::pose_log::{self, delay_range};
 use super::spared::Spared;
 use crate::config::LogSettings;
-use crate::delay::log::{self, PoseLog};
+use crate::delay::log::PoseLog;
 use crate::delay::{Turns, Verdict, measure_delay};
 use crate::other_tracker::{Differences, aligned, judged, pairs};
 use crate::printable::printable_lines;
-use crate::safe_file;
 use report::{Clocks, Comparison, Shift};
-
-/// Maximum size of a log, bytes: an hour of records. Raised, a foreign file takes more memory.
-const MAX_LOG: u64 = 1 << 30;
 
 /// Compare our poses with those of another tracker, after aligning the two.
 #[derive(Debug, clap::Args)]
@@ -26,8 +23,8 @@ const MAX_LOG: u64 = 1 << 30;
     after_help = "Example:\n  stagepose compare-poses poses.jsonl other.pcap --json differences.json\n\nBolt both trackers to one rig, and \
                         move, pan, tilt and roll it while both are logged. Each log is a pose record (.jsonl), a TUM trajectory (t tx ty tz \
                         qx qy qz qw), or a capture of FreeD or OpenTrackIO packets by tcpdump (.pcap).\nThe trackers' frames, and where \
-                        each has its sensor, need not be known: both are fitted, and so is the delay between the stamps. Prints what is \
-                        left, axis by axis, and how far the trackers agree."
+                        each has its sensor, need not be known: both are fitted, and so is the delay between the stamps. Prints the \
+                        remaining differences, axis by axis, and how far the trackers agree."
 )]
 pub(super) struct ComparePosesArguments {
     /// Our poses, from `replay --poses`
@@ -38,17 +35,13 @@ pub(super) struct ComparePosesArguments {
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = delay)]
     delay_s: Option<f64>,
     /// Largest delay that is looked for, in either direction, seconds
-    #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = range)]
+    #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = delay_range)]
     range_s: f64,
     /// Write the result as JSON
     #[arg(long, value_name = "OUT.json")]
     json: Option<PathBuf>,
     #[command(flatten)]
     log: LogArguments,
-}
-
-fn range(text: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|s| (0.05..=60.0).contains(s)).ok_or_else(|| "give seconds from 0.05 to 60".to_owned())
 }
 
 fn delay(text: &str) -> Result<f64, String> {
@@ -61,6 +54,7 @@ pub(super) fn run(arguments: &ComparePosesArguments) -> Result<(), Failure> {
     if let Some(file) = &arguments.json {
         spared.claim("--json", file)?;
     }
+    let read = |file| pose_log::read(file, Failure::PoseComparison);
     let (ours, mut others) = (read(&arguments.ours)?, read(&arguments.others)?);
     let clocks = if ours.is_utc == others.is_utc { Clocks::Same } else { Clocks::Apart };
     // Stamps of two clocks are compared from the first row of each.
@@ -99,11 +93,4 @@ pub(super) fn run(arguments: &ComparePosesArguments) -> Result<(), Failure> {
         Verdict::DoNotUse => Err(Failure::PoseComparison("the trackers do not agree well enough to stand in for each other".to_owned())),
         _ => Ok(()),
     }
-}
-
-fn read(file: &Path) -> Result<PoseLog, Failure> {
-    let name = file.display();
-    let bytes = safe_file::read(file, MAX_LOG).map_err(|e| Failure::Usage(format!("{name}: {e}; name a readable file")))?;
-    // A log that is read has rows.
-    log::read(&bytes).map_err(|e| Failure::PoseComparison(format!("{name}: {e}")))
 }

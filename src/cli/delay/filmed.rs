@@ -7,22 +7,19 @@ use nalgebra::UnitQuaternion;
 use crate::capture::{ClipEntry, EntryContent};
 use crate::cli::clip_rows::{self, RowCount};
 use crate::cli::failure::Failure;
+use crate::cli::pose_log;
 use crate::cli::replay::tracker_setup;
 use crate::config::Settings;
 use crate::daemon::{learnt_of_clip, track_entry, utc_ahead_of_clip_ns};
-use crate::delay::{Panorama, RowMean, Turn, Turns, log};
+use crate::delay::{Panorama, RowMean, Turn, Turns};
 use crate::frame::Timestamp;
 use crate::record::State;
-use crate::safe_file;
 use crate::track::LearntCamera;
 use crate::tracker::{Tracker, TrackerSetup};
 
-/// Maximum size of a log, bytes: days at 200 lines a second. Raised, a wrong file takes more
-/// memory.
-const MAX_LOG: u64 = 1 << 30;
 /// Readout of a rolling shutter of unknown readout, seconds: the usual webcam's. Raised, delays of
 /// cameras that film detail only above or below the middle are less certain.
-const USUAL_READOUT_S: f64 = 0.02;
+pub(super) const USUAL_READOUT_S: f64 = 0.02;
 /// How exactly a tracked pose is that of the stamp's instant, one sigma, seconds: by what delays
 /// between rendered clips are off beyond their noise (`benches/delay.py`: tracked, slower). Raised,
 /// sigmas of good clips are too large.
@@ -186,8 +183,7 @@ impl Measuring {
 /// recording states in its `clip.toml`.
 pub(super) fn log_turns(file: &Path, clip: &Path, origin: Timestamp) -> Result<Filmed, Failure> {
     let name = file.display().to_string();
-    let bytes = safe_file::read(file, MAX_LOG).map_err(|e| Failure::Usage(format!("{name}: {e}; name a readable file")))?;
-    let log = log::read(&bytes).map_err(|e| Failure::Delay(format!("{name}: {e}")))?;
+    let log = pose_log::read(file, Failure::Delay)?;
     let mut rows = log.rows;
     if log.is_utc {
         let ahead_ns = utc_ahead_of_clip_ns(clip).ok_or_else(|| {

@@ -5,26 +5,22 @@ use std::path::Path;
 
 use serde_json::json;
 
-use super::DelayArguments;
-use super::report::{Configured, latency_section, refused_json};
+use super::filmed::USUAL_READOUT_S;
+use super::report::{Configured, latency_section};
+use super::{DelayArguments, concluded, refused};
 use crate::capture::EntryContent;
-use crate::cli::calibrate::write_whole;
 use crate::cli::clip_rows::{self, RowCount};
 use crate::cli::failure::Failure;
-use crate::cli::output_file::print;
 use crate::config::Settings;
 use crate::daemon::utc_ahead_of_clip_ns;
 use crate::delay::Verdict;
 use crate::delay::filmed_clock::{Lateness, Look, MIN_LOOKS, find_code, judge_lateness, measure_lateness, read};
-use crate::printable::printable_lines;
 
 /// Lag of a screen, and its sigma, unless it is entered, seconds: from drawing to light, of usual
 /// monitors and tablets.
 const USUAL_LAG_S: [f64; 2] = [0.015, 0.015];
 /// Sigma of an entered lag, seconds. Raised, screens that were measured are trusted less.
 const ENTERED_LAG_SIGMA_S: f64 = 0.0005;
-/// Readout of a rolling shutter of unknown readout, seconds: the usual webcam's.
-const USUAL_READOUT_S: f64 = 0.02;
 
 /// What a clip shows of the clock.
 struct Filmed {
@@ -135,17 +131,10 @@ pub(super) fn run(arguments: &DelayArguments, settings: &Settings) -> Result<(),
     let (verdict, reasons) = judge_lateness(&found, delay_s.map(|[_, sigma]| sigma));
     let configured = Configured::of(&arguments.config, settings);
     let report = LatenessReport { filmed: &filmed, found, delay_s, verdict, reasons, configured, clip: &arguments.clip };
-    if let Some(file) = &arguments.json {
-        write_whole(file, report.json())?;
-    }
-    print(printable_lines(&report.text()).as_bytes())?;
-    match verdict {
-        Verdict::DoNotUse => Err(Failure::Delay("the delay is not known well enough to be used; the reasons say what to film".to_owned())),
-        Verdict::Good | Verdict::Usable => Ok(()),
-    }
+    concluded(verdict, &report.text(), report.json(), arguments)
 }
 
-/// Writes the JSON of a clip that does not show enough, and returns why, with what to do.
+/// Returns why a clip does not show enough, with what to do.
 fn refusal(filmed: &Filmed, arguments: &DelayArguments) -> Failure {
     let (looks, rows, clip) = (filmed.looks.len(), filmed.rows, arguments.clip.display());
     let sentence = if looks < MIN_LOOKS {
@@ -156,6 +145,5 @@ fn refusal(filmed: &Filmed, arguments: &DelayArguments) -> Failure {
     } else {
         format!("{clip}: the clock stands still; film it while the page shows it, for ten seconds or more")
     };
-    let written = arguments.json.as_ref().map_or(Ok(()), |file| write_whole(file, refused_json(&sentence)));
-    written.map_or_else(|failure| failure, |()| Failure::Delay(sentence))
+    refused(sentence, arguments)
 }

@@ -12,6 +12,7 @@ use super::failure::Failure;
 use super::interrupt;
 use super::logging::{self, LogArguments};
 use super::output_file::print;
+use super::pose_log::delay_range;
 use super::spared::Spared;
 use crate::config::Settings;
 use crate::delay::{Delay, Side, Undetermined, Verdict, judge, measure_delay};
@@ -55,18 +56,13 @@ pub(super) struct DelayArguments {
     #[arg(long, value_name = "MS", requires = "clock", value_parser = screen_lag)]
     screen_lag_ms: Option<f64>,
     /// Largest delay that is looked for, in either direction, seconds
-    #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = range)]
+    #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = delay_range)]
     range_s: f64,
     /// Write the result as JSON
     #[arg(long, value_name = "OUT.json")]
     json: Option<PathBuf>,
     #[command(flatten)]
     log: LogArguments,
-}
-
-/// Reads a range; beyond a minute, clips are of different clocks.
-fn range(text: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|s| (0.05..=60.0).contains(s)).ok_or_else(|| "give seconds from 0.05 to 60".to_owned())
 }
 
 /// Reads the lag of a screen.
@@ -116,24 +112,16 @@ impl<'a> Second<'a> {
 
 pub(super) fn run(arguments: &DelayArguments) -> Result<(), Failure> {
     let first = Settings::load_camera(&arguments.config)?;
-    if arguments.clock {
-        logging::start_for_trials(&arguments.log, first.log);
-        first.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
-        interrupt::watch();
-        let mut spared = Spared::default().with_files(&first.files, "a file of the config").with_clip(&arguments.clip);
-        if let Some(file) = &arguments.json {
-            spared.claim("--json", file)?;
-        }
-        return filmed_clock::run(arguments, &first);
-    }
-    let second = Second::of(arguments)?;
+    let second = if arguments.clock { None } else { Some(Second::of(arguments)?) };
     logging::start_for_trials(&arguments.log, first.log);
     first.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
     interrupt::watch();
-    let mut spared = second.spared(Spared::default().with_files(&first.files, "a file of the config").with_clip(&arguments.clip));
+    let spared = Spared::default().with_files(&first.files, "a file of the config").with_clip(&arguments.clip);
+    let mut spared = second.iter().fold(spared, |spared, second| second.spared(spared));
     if let Some(file) = &arguments.json {
         spared.claim("--json", file)?;
     }
+    let Some(second) = second else { return filmed_clock::run(arguments, &first) };
     let filmed = clip_turns(&first, &arguments.clip, None)?;
     let other = second.turns(&arguments.clip, filmed.origin)?;
     let measured = measure_delay(&filmed.turns, &other.turns, arguments.range_s);
@@ -149,14 +137,25 @@ pub(super) fn run(arguments: &DelayArguments) -> Result<(), Failure> {
         second: second.configured(),
         delay_of_mount: first.mount.as_ref().map(|mount| mount.delay.as_secs_f64()),
     };
+    concluded(verdict, &report.text(), report.json(), arguments)
+}
+
+/// Prints a measurement, and writes its JSON; the failure of a delay that should not be used.
+fn concluded(verdict: Verdict, text: &str, json: String, arguments: &DelayArguments) -> Result<(), Failure> {
     if let Some(file) = &arguments.json {
-        write_whole(file, report.json())?;
+        write_whole(file, json)?;
     }
-    print(printable_lines(&report.text()).as_bytes())?;
+    print(printable_lines(text).as_bytes())?;
     match verdict {
         Verdict::DoNotUse => Err(Failure::Delay("the delay is not known well enough to be used; the reasons say what to film".to_owned())),
         Verdict::Good | Verdict::Usable => Ok(()),
     }
+}
+
+/// Writes the JSON of a delay that cannot be measured, and returns the failure with this sentence.
+fn refused(sentence: String, arguments: &DelayArguments) -> Failure {
+    let written = arguments.json.as_ref().map_or(Ok(()), |file| write_whole(file, refused_json(&sentence)));
+    written.map_or_else(|failure| failure, |()| Failure::Delay(sentence))
 }
 
 /// Returns the delay between the middle rows, to which stamps belong, from that between the rows in
@@ -167,7 +166,7 @@ fn of_middle_rows(delay: Delay, first: &Filmed, second: &Filmed) -> Delay {
     Delay { delay_s: delay.delay_s + second_s - first_s, sigma_s, ..delay }
 }
 
-/// Writes the JSON of a delay that cannot be measured, and returns why, with what to do.
+/// Returns why a delay cannot be measured, with what to do.
 fn refusal(why: Undetermined, first: &Filmed, second: &Filmed, arguments: &DelayArguments) -> Failure {
     let of = |side: Side| if side == Side::First { first } else { second };
     let sharply = "pan the rig to and fro sharply for five to ten seconds, at 20 degrees per second or more";
@@ -181,7 +180,5 @@ fn refusal(why: Undetermined, first: &Filmed, second: &Filmed, arguments: &Delay
             .to_owned(),
         Undetermined::AtTheEnd(_) => "give a larger --range-s".to_owned(),
     };
-    let sentence = format!("{why}; {fix}");
-    let written = arguments.json.as_ref().map_or(Ok(()), |file| write_whole(file, refused_json(&sentence)));
-    written.map_or_else(|failure| failure, |()| Failure::Delay(sentence))
+    refused(format!("{why}; {fix}"), arguments)
 }
