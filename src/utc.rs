@@ -20,6 +20,11 @@ pub fn date_and_time(seconds: u64) -> String {
     format!("{}T{:02}:{:02}:{:02}Z", date(seconds), of_day / 3600, of_day / 60 % 60, of_day % 60)
 }
 
+/// Formats the current date and time for a report: "2026-11-21 07:45:00 UTC".
+pub fn report_date() -> String {
+    date_and_time(now_s()).replace('T', " ").replace('Z', " UTC")
+}
+
 /// Converts days since 1970-01-01 to year, month and day.
 fn civil(days: u64) -> (u64, u64, u64) {
     let shifted = days + 719_468;

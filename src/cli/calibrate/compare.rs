@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use super::{CalibrateArguments, output, report_date};
+use super::{CalibrateArguments, output};
 use crate::calibrate::judge::map::{self, MAP_COLUMNS, MAP_ROWS};
 use crate::calibrate::report::{self, Comparison};
 use crate::camera::{Calibration, CameraModel};
@@ -11,6 +11,7 @@ use crate::cli::failure::Failure;
 use crate::cli::output_file::print;
 use crate::config::read_calibration;
 use crate::printable::printable_lines;
+use crate::utc;
 
 /// Another calibration with its file's name.
 pub(super) type Other<'a> = (&'a Path, Calibration);
@@ -40,7 +41,7 @@ pub(super) fn run(own: &Path, arguments: &CalibrateArguments) -> Result<(), Fail
     let comparison = between(&read(own)?.1.model, &read(other)?)?;
     print(printable_lines(&table(&comparison)).as_bytes())?;
     match &arguments.report {
-        Some(file) => output::write(file, report::comparison_html(&own.display().to_string(), &comparison, &report_date())),
+        Some(file) => output::write(file, report::comparison_html(&own.display().to_string(), &comparison, &utc::report_date())),
         None => Ok(()),
     }
 }

@@ -167,7 +167,7 @@ fn write_results(
         output::write(file, json::text(made, calibration, comparison))?;
     }
     if let Some(file) = &arguments.report {
-        output::write(file, report::html(made, comparison, &report_date()))?;
+        output::write(file, report::html(made, comparison, &utc::report_date()))?;
     }
     if let Some(file) = arguments.output.as_ref().filter(|_| accepted) {
         let text = match form_of(file, arguments.format) {
@@ -178,11 +178,6 @@ fn write_results(
         output::write(file, &text)?;
     }
     Ok(())
-}
-
-/// Returns the time for a report.
-fn report_date() -> String {
-    utc::date_and_time(utc::now_s()).replace('T', " ").replace('Z', " UTC")
 }
 
 fn form_of(file: &Path, asked: Option<OutputForm>) -> OutputForm {

@@ -87,8 +87,7 @@ pub(super) fn run(arguments: &CompareArguments) -> Result<(), Failure> {
     }
     if let Some(file) = &arguments.report {
         let names = [&arguments.a, &arguments.b].map(|path| path.display().to_string());
-        let date = utc::date_and_time(utc::now_s()).replace('T', " ").replace('Z', " UTC");
-        write_whole(file, report::html(&made, [&a.picture, &b.picture], [&names[0], &names[1]], &date))?;
+        write_whole(file, report::html(&made, [&a.picture, &b.picture], [&names[0], &names[1]], &utc::report_date()))?;
     }
     Ok(())
 }

@@ -121,8 +121,7 @@ pub(super) fn run(arguments: &MapArguments) -> Result<(), Failure> {
         write_whole(file, json::text(&made, &judgement))?;
     }
     if let Some(file) = &arguments.report {
-        let date = utc::date_and_time(utc::now_s()).replace('T', " ").replace('Z', " UTC");
-        write_whole(file, report::html(&made, &judgement, &date))?;
+        write_whole(file, report::html(&made, &judgement, &utc::report_date()))?;
     }
     if judgement.verdict == Verdict::DoNotUse {
         return Err(Failure::Survey(format!("{}; nothing is written to {}", judgement.sentence(), output.display())));
