@@ -5,8 +5,8 @@ use image::GrayImage;
 use nalgebra::Vector2;
 
 use super::layout::{SIZE, margin_points, mark_centre, ring_centres};
-use crate::geometry::Homography;
-use crate::geometry::PointPair;
+use crate::geometry::robust_kernel::median;
+use crate::geometry::{Homography, PointPair};
 
 /// Sides of the windows over which brightness is averaged, as shares of the picture's width: for
 /// codes that fill the picture, then for small ones in a dark room. Raised, the latter are missed;
@@ -62,11 +62,7 @@ impl Placed {
         let mut placed = Self { from_cells, levels: [0.0; 2] };
         let levels = |inset: usize| -> Option<Vec<f64>> { ring_centres(inset).map(|centre| placed.level(image, centre)).collect() };
         let (black, white) = (levels(0)?, levels(1)?);
-        let median = |mut values: Vec<f64>| {
-            values.sort_by(f64::total_cmp);
-            values[values.len() / 2]
-        };
-        let found = [median(black.clone()), median(white.clone())];
+        let found = [median(&mut black.clone())?, median(&mut white.clone())?];
         let middle = 0.5 * (found[0] + found[1]);
         let margin = margin_points().filter(|at| placed.level(image, *at).is_some_and(|level| level > middle)).count();
         let is_framed = margin as f64 >= MIN_RING_SHARE * margin_points().count() as f64;

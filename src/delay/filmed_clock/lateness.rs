@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::layout::PERIOD_MS;
 use super::read::Reading;
-use crate::geometry::robust_kernel::tukey_weight;
+use crate::geometry::robust_kernel::{median, tukey_weight};
 
 /// Minimum number of frames that show the code. Lowered, a glimpse of the screen is enough.
 pub const MIN_LOOKS: usize = 24;
@@ -159,10 +159,7 @@ fn hold_ms(looks: &[Look]) -> Option<f64> {
 
 /// Fits a line by least squares with Tukey's weights. `exposure`: its prior mean and sigma.
 fn fit(rows: &[(Vector3<f64>, f64)], [mean, sigma]: [f64; 2]) -> Option<Line> {
-    let median = |mut values: Vec<f64>| {
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied()
-    };
+    let median = |mut values: Vec<f64>| median(&mut values);
     let mut at = Vector3::new(median(rows.iter().map(|row| row.1).collect())?, 0.0, mean);
     let mut line = None;
     for _ in 0..REWEIGHTINGS {
@@ -226,7 +223,7 @@ mod tests {
         late_s: f64,
         jitter_s: f64,
         drift: f64,
-        /// Every so many frames the device delivers the picture before again; 0 for never.
+        /// The device repeats the previous picture once in so many frames; 0: never.
         repeats_every: usize,
     }
 
