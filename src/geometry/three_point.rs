@@ -19,7 +19,7 @@ const POLISHING_STEPS: usize = 5;
 /// Returns the up to four poses `T_camera_body` that put three points of a body on three rays.
 /// `rays` are directions of unit length in camera axes. Empty for points on a line.
 pub fn three_point(points: &[Vector3<f64>; 3], rays: &[Vector3<f64>; 3]) -> Vec<Pose<Camera, Body>> {
-    let Some(of_points) = axes(points) else { return Vec::new() };
+    let Some(of_points) = triangle_axes(points, MIN_SINE) else { return Vec::new() };
     let [p1, p2, p3] = points;
     let [a2, b2, c2] = [p2 - p3, p1 - p3, p1 - p2].map(|side| side.norm_squared());
     let [alpha, beta, gamma] = [rays[1].dot(&rays[2]), rays[0].dot(&rays[2]), rays[0].dot(&rays[1])];
@@ -37,20 +37,20 @@ pub fn three_point(points: &[Vector3<f64>; 3], rays: &[Vector3<f64>; 3]) -> Vec<
         let second = ((apart - 1.0) * third * third - 2.0 * apart * beta * third + 1.0 + apart) / (2.0 * (gamma - third * alpha));
         let first_m = (b2 / (1.0 + third * third - 2.0 * third * beta)).sqrt();
         let seen = [rays[0] * first_m, rays[1] * (second * first_m), rays[2] * (third * first_m)];
-        let rotation = axes(&seen)? * of_points.transpose();
+        let rotation = triangle_axes(&seen, MIN_SINE)? * of_points.transpose();
         let pose = Pose::from_matrix(&rotation, seen[0] - rotation * p1);
         (second > 0.0 && third > 0.0 && pose.is_finite()).then_some(pose)
     };
     real_roots(&quartic).into_iter().filter_map(pose).collect()
 }
 
-/// Returns the axes of a triangle: along its first side, in its plane, and normal to it. `None` for
-/// points on a line.
-fn axes(points: &[Vector3<f64>; 3]) -> Option<Matrix3<f64>> {
+/// Returns the axes of a triangle: along its first side, in its plane, and normal to it. `None` if
+/// the sine of the angle at its first point is below `min_sine`.
+pub fn triangle_axes(points: &[Vector3<f64>; 3], min_sine: f64) -> Option<Matrix3<f64>> {
     let [along, other] = [points[1] - points[0], points[2] - points[0]];
     let normal = along.cross(&other);
-    // Written so that it is also false for NaN.
-    let is_wide = normal.norm() > MIN_SINE * along.norm() * other.norm() && normal.norm() > 0.0;
+    // This form is also false for NaN.
+    let is_wide = normal.norm() > min_sine * along.norm() * other.norm();
     let (x, z) = (along.normalize(), normal.normalize());
     is_wide.then(|| Matrix3::from_columns(&[x, z.cross(&x), z]))
 }

@@ -1,6 +1,8 @@
 //! Triangulation: a point's depths in two cameras.
 
 use nalgebra::{Matrix2, Vector2};
+#[cfg(feature = "cli")]
+use nalgebra::{Matrix3, Vector3};
 
 use super::relative_pose::{RayPair, TwoViewMotion};
 
@@ -17,6 +19,19 @@ pub fn depths(motion: &TwoViewMotion, pair: &RayPair) -> Option<(f64, f64)> {
     }
     let d = normal.try_inverse()? * right;
     Some((d.x, d.y))
+}
+
+/// Returns the point with the least sum of squared distances from some rays, each an origin and a
+/// direction of unit length; `None` for parallel ones.
+#[cfg(feature = "cli")]
+pub fn nearest_to_rays(rays: impl IntoIterator<Item = (Vector3<f64>, Vector3<f64>)>) -> Option<Vector3<f64>> {
+    let (mut matrix, mut right) = (Matrix3::zeros(), Vector3::zeros());
+    for (origin, along) in rays {
+        let across = Matrix3::identity() - along * along.transpose();
+        matrix += across;
+        right += across * origin;
+    }
+    matrix.try_inverse().map(|inverse| inverse * right).filter(|place| place.iter().all(|v| v.is_finite()))
 }
 
 #[cfg(test)]

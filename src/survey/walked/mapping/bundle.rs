@@ -11,6 +11,7 @@ use super::super::dense_system::Factor;
 use super::tracks::{Sighting, Track};
 use super::views::{View, Views, project};
 use crate::geometry::robust_kernel::median;
+use crate::geometry::triangulation::nearest_to_rays;
 use crate::geometry::{Body, Camera, Pose, skew};
 
 /// Number of rounds that are enough: sightings that do not fit are dropped after each. Raised,
@@ -149,14 +150,11 @@ fn started(views: &Views<'_>, track: Track) -> Option<CloudPoint> {
 
 /// Returns the point nearest to the rays of all sightings.
 fn meeting(views: &Views<'_>, sightings: &[Sighting]) -> Option<Vector3<f64>> {
-    let (mut matrix, mut right) = (Matrix3::zeros(), Vector3::zeros());
-    for seen in sightings {
-        let along = views.direction(seen.view, seen.pixel)?;
-        let across = Matrix3::identity() - along * along.transpose();
-        matrix += across;
-        right += across * views.pose_at(seen.view, &views.views[seen.view].pose, seen.pixel).translation;
-    }
-    matrix.try_inverse().map(|inverse| inverse * right).filter(|place| place.iter().all(|v| v.is_finite()))
+    let ray = |seen: &Sighting| {
+        let origin = views.pose_at(seen.view, &views.views[seen.view].pose, seen.pixel).translation;
+        Some((origin, views.direction(seen.view, seen.pixel)?))
+    };
+    nearest_to_rays(sightings.iter().map(ray).collect::<Option<Vec<_>>>()?)
 }
 
 /// Whether enough sightings from different enough directions determine a point.

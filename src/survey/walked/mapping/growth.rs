@@ -234,7 +234,8 @@ fn resected(seen: &[Seen], camera: &CameraModel) -> Option<Pose<Body, Camera>> {
         keep: 1,
         seed: SEED,
     };
-    let (_, start) = ransac::search(&Poses { seen, most }, &options).into_iter().next()?;
+    let search = Poses { seen, most };
+    let (_, start) = ransac::search(&search, &options).into_iter().next()?;
     let observation = |seen: &Seen| Observation {
         point: seen.place.into(),
         pixel: seen.pixel,
@@ -243,7 +244,6 @@ fn resected(seen: &[Seen], camera: &CameraModel) -> Option<Pose<Body, Camera>> {
         group: 0,
     };
     // Look-alikes would widen the scale by which the refinement judges residuals.
-    let search = Poses { seen, most };
     let right: Vec<Observation> = (0..seen.len()).filter(|k| search.agrees(&start, *k)).map(|k| observation(&seen[k])).collect();
     let still = MovingCamera::still(camera);
     let pose = resect(&start, &still, &right, REFINING_STEPS)?.pose;

@@ -61,9 +61,8 @@ pub fn hold_out(
         Err(SurveyError::Interrupted) => return Err(SurveyError::Interrupted),
         Err(_) => return Ok(None),
     };
-    let own = setup.stage.surfaces.len();
-    let kept = (own..made.surfaces.len()).filter(|k| made.is_supported(*k, distance_m));
-    let stage = BodySpec { surfaces: kept.map(|k| made.surfaces[k].clone()).collect(), ..setup.stage.clone() };
+    let kept = made.supported_from(setup.stage.surfaces.len(), distance_m);
+    let stage = BodySpec { surfaces: kept.into_iter().map(|k| made.surfaces[k].clone()).collect(), ..setup.stage.clone() };
     if stage.surfaces.is_empty() {
         return Ok(None);
     }

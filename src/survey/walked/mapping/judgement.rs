@@ -43,6 +43,11 @@ impl Survey {
         let support = self.supports[k];
         !support.is_little() && support.scatter <= MAX_SCATTER && self.unmodelled_m[k] <= MAX_HEIGHT * distance_m
     }
+
+    /// Returns the supported surfaces from `first` on ([`is_supported`](Self::is_supported)).
+    pub fn supported_from(&self, first: usize, distance_m: f64) -> Vec<usize> {
+        (first..self.surfaces.len()).filter(|k| self.is_supported(*k, distance_m)).collect()
+    }
 }
 
 impl Mapped {

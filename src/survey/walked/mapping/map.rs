@@ -108,7 +108,7 @@ pub fn map(
     if setup.stage.surfaces.is_empty() {
         let points = placed_points(named, &clicked, &keyframes, &cloud.poses, setup)?;
         let scale = joined(None, named, &points, &cloud.poses[0]).ok_or(SurveyError::Undetermined)?.0.anchoring().length(1.0);
-        if gives_scale(named) {
+        if !scale_from(setup, named).is_empty() {
             cloud = cloud.scaled(scale);
             keyframes.iter_mut().for_each(|keyframe| keyframe.motion.velocity *= scale);
         }
@@ -144,7 +144,7 @@ pub fn map(
             |step| progress(MapStep::Survey(step)),
             goes_on,
         )?;
-        let kept: Vec<usize> = (own..made.surfaces.len()).filter(|k| made.is_supported(*k, distance_m)).collect();
+        let kept = made.supported_from(own, distance_m);
         tracing::debug!(round, kept = kept.len(), rms_px = made.rms_px, scale = made.scale, "mapped");
         take_motions(&mut keyframes, &made);
         facets.iter_mut().zip(&made.surfaces[own..]).for_each(|(facet, surface)| facet.pose = surface.pose);
@@ -230,11 +230,6 @@ fn placed_points(
         Ok(found)
     };
     named.points.iter().zip(&clicks).map(place).collect()
-}
-
-/// Whether named points give a scale.
-fn gives_scale(named: &NamedPoints) -> bool {
-    !named.distances.is_empty() || named.points.iter().filter(|point| point.position_m.is_some()).count() > 1
 }
 
 /// Returns what gives the scale.

@@ -10,6 +10,8 @@ use super::anchoring::{FREEDOM, Fit, IntoMap, Normal, Score};
 use super::views::project;
 use crate::camera::{CameraModel, Pixel};
 use crate::geometry::robust_kernel::median;
+use crate::geometry::three_point::triangle_axes;
+use crate::geometry::triangulation::nearest_to_rays;
 use crate::geometry::{Body, Camera, Pose, skew};
 use crate::survey::named_points::{NamedDistance, NamedPoint, NamedPoints};
 
@@ -72,14 +74,8 @@ pub struct Contradiction {
 
 /// Returns a point where the rays of its clicks meet; `None` if they do not determine it.
 pub fn placed(clicks: &[SeenFrom], camera: &CameraModel) -> Option<PlacedPoint> {
-    let (mut matrix, mut right) = (Matrix3::zeros(), Vector3::zeros());
-    for (pose, pixel) in clicks {
-        let along = pose.rotation * camera.unproject(Pixel(*pixel))?.0.push(1.0).normalize();
-        let across = Matrix3::identity() - along * along.transpose();
-        matrix += across;
-        right += across * pose.translation;
-    }
-    let mut place = matrix.try_inverse()? * right;
+    let ray = |(pose, pixel): &SeenFrom| Some((pose.translation, pose.rotation * camera.unproject(Pixel(*pixel))?.0.push(1.0).normalize()));
+    let mut place = nearest_to_rays(clicks.iter().map(ray).collect::<Option<Vec<_>>>()?)?;
     let mut covariance = Matrix3::zeros();
     for _ in 0..STEPS {
         let (mut normal, mut score) = (Matrix3::zeros(), Vector3::zeros());
@@ -221,7 +217,7 @@ fn start(named: &NamedPoints, points: &[PlacedPoint], first: &Pose<Body, Camera>
         ratios.push((in_map_b - in_map_a).norm() / (b - a).norm().max(f64::MIN_POSITIVE));
     }
     let scale = median(&mut ratios).filter(|s| s.is_finite() && *s > 0.0).unwrap_or(1.0);
-    let floor = named.floor.and_then(|floor| Some((axes(floor.map(|k| points[k].place))?, points[floor[0]].place)));
+    let floor = named.floor.and_then(|floor| Some((triangle_axes(&floor.map(|k| points[k].place), MIN_SINE)?, points[floor[0]].place)));
     let (rotation, origin) = match floor {
         Some((axes, origin)) => {
             // The cameras are above the floor.
@@ -239,21 +235,12 @@ fn start(named: &NamedPoints, points: &[PlacedPoint], first: &Pose<Body, Camera>
 /// Returns the fit of three points or more: their triangle's axes, then least squares from there.
 fn by_positions(pairs: &[[Vector3<f64>; 2]]) -> Option<IntoMap> {
     let corners = pairs.first().zip(pairs.get(1))?;
-    let third = pairs[2..].iter().find(|third| axes([corners.0[0], corners.1[0], third[0]]).is_some())?;
-    let [in_stage, in_map] = [0, 1].map(|k| axes([corners.0[k], corners.1[k], third[k]]));
+    let third = pairs[2..].iter().find(|third| triangle_axes(&[corners.0[0], corners.1[0], third[0]], MIN_SINE).is_some())?;
+    let [in_stage, in_map] = [0, 1].map(|k| triangle_axes(&[corners.0[k], corners.1[k], third[k]], MIN_SINE));
     let rotation = quaternion(&(in_map? * in_stage?.transpose()));
     let side = |k: usize| (corners.1[k] - corners.0[k]).norm() + (third[k] - corners.0[k]).norm();
     let fit = IntoMap { scale: side(1) / side(0), rotation, shift: Vector3::zeros() };
     Some(IntoMap { shift: corners.0[1] - fit.turned(&corners.0[0]), ..fit })
-}
-
-/// Returns the axes of a triangle: x from the first point to the second, z normal to it.
-fn axes([a, b, c]: [Vector3<f64>; 3]) -> Option<Matrix3<f64>> {
-    let [along, other] = [b - a, c - a];
-    let normal = along.cross(&other);
-    let is_wide = normal.norm() > MIN_SINE * along.norm() * other.norm();
-    let (x, z) = (along.normalize(), normal.normalize());
-    is_wide.then(|| Matrix3::from_columns(&[x, z.cross(&x), z]))
 }
 
 fn quaternion(axes: &Matrix3<f64>) -> UnitQuaternion<f64> {
