@@ -168,7 +168,6 @@ pub struct Tracker {
 /// The pose stage, with the object names for the records.
 pub(crate) struct PoseRecorder {
     stage: PoseStage,
-    fixed: Option<FixedCamera>,
     names: Vec<String>,
     clock: ComputeClock,
 }
@@ -185,16 +184,12 @@ impl Tracker {
         let bodies: Vec<&BodySpec> = std::iter::once(&setup.stage).chain(&setup.objects).collect();
         let mut matcher = BodyTracker::new(setup.camera, setup.shutter, setup.mask, &bodies, setup.settings, setup.clock, setup.store);
         matcher.begin_with(&setup.learnt);
-        Ok(Self {
-            matcher,
-            poses: PoseRecorder { stage: PoseStage::default().fixed(setup.fixed), fixed: setup.fixed, names, clock: setup.clock },
-            last: None,
-        })
+        Ok(Self { matcher, poses: PoseRecorder { stage: PoseStage::default().fixed(setup.fixed), names, clock: setup.clock }, last: None })
     }
 
     /// Adds a filter between the measured pose and the reported one, from the next frame on.
     pub fn with_filter(mut self, filter: FilterSettings) -> Self {
-        self.poses.stage = PoseStage::with_filter(filter).fixed(self.poses.fixed);
+        self.poses.stage = std::mem::take(&mut self.poses.stage).filtered(filter);
         self
     }
 
@@ -241,7 +236,7 @@ impl PoseRecorder {
         let _span = tracing::debug_span!("pose", sequence = observation.sequence).entered();
         let start = self.clock.start();
         let PoseEstimate { camera, objects, is_moved } = self.stage.estimate(observation);
-        let measurement = if self.fixed.is_some() { standing(&camera) } else { measurement(observation, &camera) };
+        let measurement = if self.stage.is_fixed() { standing(&camera) } else { measurement(observation, &camera) };
         let reason = if is_moved { Some(Reason::CameraMoved) } else { observation.stage.reason };
         let objects = self.names.iter().zip(objects).map(|(name, o)| object_sample(name, o)).collect();
         let pose_ms = start.elapsed_ms();

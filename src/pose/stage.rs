@@ -69,6 +69,16 @@ impl PoseStage {
         Self { filter, fixed: None, camera: BodyMotion::new(filter), objects: Vec::new() }
     }
 
+    /// Returns the stage with another filter, from the next frame on.
+    pub fn filtered(self, filter: FilterSettings) -> Self {
+        Self { fixed: self.fixed, ..Self::with_filter(filter) }
+    }
+
+    /// Whether the camera's pose is configured.
+    pub fn is_fixed(&self) -> bool {
+        self.fixed.is_some()
+    }
+
     /// Takes the camera's pose as configured, from the next frame on.
     pub fn fixed(mut self, camera: Option<FixedCamera>) -> Self {
         self.fixed = camera.map(FixedWatch::new);

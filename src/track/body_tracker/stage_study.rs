@@ -7,9 +7,10 @@ use super::BodyTracker;
 use crate::camera::Shutter;
 use crate::frame::Frame;
 use crate::geometry::{Body, Camera, Pose};
-use crate::motion::Motion;
+use crate::motion::{Motion, MotionEstimate};
 use crate::track::acquire::candidate::{SurfaceMatch, SurfaceView};
 use crate::track::align::{AlignRequest, Alignment, ShutterClue, Start};
+use crate::track::body::tracked_body::TrackedBody;
 use crate::track::model_error::misfit::ModelReport;
 
 /// A study of the stage with a tracker's pictures.
@@ -46,32 +47,32 @@ impl StageStudy<'_> {
     /// Aligns the stage from a start with the given uncertainty (one sigma, metres and radians) and
     /// returns the result; `None` if nothing converges. Leaves track state and motion unchanged.
     pub fn try_start(&mut self, frame: &Frame, start: &Pose<Body, Camera>, shift_m: f64, turn_rad: f64) -> Option<Alignment> {
-        if !self.tracker.fits(&frame.image) {
-            return None;
-        }
-        let BodyTracker { levels, bodies, camera_rays, .. } = &mut *self.tracker;
-        levels.update(&frame.image);
-        let stage = bodies.first_mut()?;
-        let expected = stage.unseen(*start, [shift_m, turn_rad], None);
-        let request = AlignRequest::new(Start::found(&expected), stage.track.was_reported());
-        Some(stage.aligner.align(levels, camera_rays, &request)?.alignment)
+        self.aligned_from(frame, |stage| stage.unseen(*start, [shift_m, turn_rad], None))
     }
 
     /// As [`try_start`](Self::try_start), from a motion of which the rates are known, too: one
     /// sigma of them in metres and radians per second.
     pub fn try_moving_start(&mut self, frame: &Frame, start: &Motion, of_pose: [f64; 2], of_rates: [f64; 2]) -> Option<Alignment> {
+        self.aligned_from(frame, |stage| {
+            let mut expected = stage.unseen(start.pose, of_pose, None);
+            expected.motion.velocity = start.velocity;
+            expected.motion.angular_velocity = start.angular_velocity;
+            for axis in 6..12 {
+                expected.covariance[(axis, axis)] = of_rates[axis / 3 - 2].powi(2);
+            }
+            expected
+        })
+    }
+
+    /// Aligns the stage with a frame from what is expected of its motion.
+    fn aligned_from(&mut self, frame: &Frame, expected: impl FnOnce(&TrackedBody) -> MotionEstimate) -> Option<Alignment> {
         if !self.tracker.fits(&frame.image) {
             return None;
         }
         let BodyTracker { levels, bodies, camera_rays, .. } = &mut *self.tracker;
         levels.update(&frame.image);
         let stage = bodies.first_mut()?;
-        let mut expected = stage.unseen(start.pose, of_pose, None);
-        expected.motion.velocity = start.velocity;
-        expected.motion.angular_velocity = start.angular_velocity;
-        for axis in 6..12 {
-            expected.covariance[(axis, axis)] = of_rates[axis / 3 - 2].powi(2);
-        }
+        let expected = expected(stage);
         let request = AlignRequest::new(Start::found(&expected), stage.track.was_reported());
         Some(stage.aligner.align(levels, camera_rays, &request)?.alignment)
     }
