@@ -150,11 +150,7 @@ pub(super) fn run(arguments: &ExportArguments) -> Result<(), Failure> {
         spared.claim("the materials beside --output:", &materials)?;
     }
     let bytes = match &input.take {
-        Some(take) if arguments.to == Format::Mcap => {
-            recording::write_mcap(arguments, take, &input)?;
-            None
-        }
-        Some(take) => Some(of_take(arguments, take, &input, &scenery)?),
+        Some(take) => of_take(arguments, take, &input, &scenery)?,
         None => Some(of_stage(arguments, &scenery, &materials)?),
     };
     for sheet in &pictures {
@@ -180,24 +176,23 @@ fn refuse_ending(arguments: &ExportArguments) -> Result<(), Failure> {
     )))
 }
 
-/// Returns a take in its format.
-fn of_take(arguments: &ExportArguments, take: &Take, input: &Input, scenery: &Scenery) -> Result<Vec<u8>, Failure> {
+/// Returns a take in its format; `None` for MCAP, which is written as it is made.
+fn of_take(arguments: &ExportArguments, take: &Take, input: &Input, scenery: &Scenery) -> Result<Option<Vec<u8>>, Failure> {
     let lens = input.lens.as_ref();
     let shot = |write: fn(&Shot<'_>, &Scenery) -> String| -> Result<Vec<u8>, Failure> {
         let (lens, rate) = input.lens_and_rate(arguments)?;
         Ok(write(&Shot { take, lens, rate }, scenery).into_bytes())
     };
-    match arguments.to {
+    let bytes = match arguments.to {
         Format::Usd => shot(|shot, scenery| usd::write(Some(shot), scenery)),
         Format::Gltf => shot(|shot, scenery| gltf::write(Some(shot), scenery)),
         Format::Blender => shot(blender::write),
         Format::Ae => shot(after_effects::write),
         Format::Chan => Ok(chan::write(take, lens).into_bytes()),
-        // MCAP is written as it is made.
-        Format::Mcap | Format::Obj => {
-            Err(Failure::Usage("--to obj is for the stage itself; omit POSES, or choose another format".to_owned()))
-        }
-    }
+        Format::Mcap => return recording::write_mcap(arguments, take, input).map(|()| None),
+        Format::Obj => Err(Failure::Usage("--to obj is for the stage itself; omit POSES, or choose another format".to_owned())),
+    };
+    bytes.map(Some)
 }
 
 /// Returns the stage in a format; an OBJ's materials are written to their own file.

@@ -109,7 +109,8 @@ impl Session<'_> {
         // Stamps, tracker and the recording's config must all use the exposure that the camera has
         // locked.
         let exposure_s = exposure_of(&self.settings.shutter.or_zero(), &mode);
-        setup.shutter.exposure_s = Some(exposure_s).filter(|s| *s > 0.0);
+        let known_exposure_s = Some(exposure_s).filter(|s| *s > 0.0);
+        setup.shutter.exposure_s = known_exposure_s;
         if self.settings.device.fps.is_none() {
             self.settings.safety.note_on_rate(mode.fps).into_iter().for_each(|note| tracing::warn!("{note}"));
         }
@@ -157,8 +158,7 @@ impl Session<'_> {
             outputs: &outputs,
         };
         self.supervisor.watch_outputs(Some(Arc::new(outputs.watch())));
-        let exposure_s = Some(exposure_of(&shutter, &mode)).filter(|s| *s > 0.0);
-        self.link.statistics.set_shutter(KnownShutter { exposure_s, ..self.settings.shutter });
+        self.link.statistics.set_shutter(KnownShutter { exposure_s: known_exposure_s, ..self.settings.shutter });
         self.supervisor.set_picture_size(Some(mode.size));
         let end = self.follow(&listening, service, sinks);
         self.supervisor.watch_outputs(None);

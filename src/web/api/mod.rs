@@ -18,6 +18,7 @@ mod uploads;
 
 use std::sync::Arc;
 
+use serde::Serialize;
 use serde_json::json;
 
 pub use self::gltf::judge as judge_model;
@@ -47,6 +48,12 @@ pub fn about(supervisor: &Arc<Supervisor>) -> About {
             "has_config": supervisor.settings().is_some(), "findings": findings,
         })
     })
+}
+
+/// Returns an answer in JSON; serialising fails only for paths that are not UTF-8.
+fn answer(value: &impl Serialize) -> Result<Reply, Reply> {
+    let text = serde_json::to_string(value).map_err(|e| Reply::text(500, format!("a name cannot be sent: {e}\n")))?;
+    Ok(Reply::json(200, text))
 }
 
 /// Returns the reply for an operation that the system refused.

@@ -8,6 +8,7 @@ use std::time::Duration;
 use axum::http::Method;
 use serde::{Deserialize, Serialize};
 
+use super::answer;
 use crate::daemon::Supervisor;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
@@ -63,12 +64,7 @@ struct Wanted {
 pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
     let (for_get, for_camera) = (supervisor.clone(), supervisor.clone());
     vec![
-        Route::slow(Method::GET, "/api/v1/setup", Access::Paired, move |_| {
-            let means = means(&for_get, cameras());
-            // Serialising fails only for paths that are not UTF-8.
-            let text = serde_json::to_string(&means).map_err(|e| Reply::text(500, format!("the cameras cannot be listed: {e}\n")))?;
-            Ok(Reply::json(200, text))
-        }),
+        Route::slow(Method::GET, "/api/v1/setup", Access::Paired, move |_| answer(&means(&for_get, cameras()))),
         Route::slow(Method::POST, "/api/v1/setup/camera", Access::Change, move |call| {
             let wanted: Wanted = call.json(LARGEST)?;
             call.still_may()?;

@@ -9,7 +9,7 @@ use std::time::Duration;
 use axum::http::Method;
 use serde::Serialize;
 
-use super::failed;
+use super::{answer, failed};
 use crate::camera::parse_calibration;
 use crate::capture::decode_oriented;
 use crate::daemon::Supervisor;
@@ -49,9 +49,9 @@ struct Kept {
 }
 
 pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
-    let route = |method, path, access, answer: fn(&Supervisor, &mut Call) -> Result<Reply, Reply>| {
+    let route = |method, path, access, handler: fn(&Supervisor, &mut Call) -> Result<Reply, Reply>| {
         let supervisor = supervisor.clone();
-        Route::slow(method, path, access, move |call| answer(&supervisor, call))
+        Route::slow(method, path, access, move |call| handler(&supervisor, call))
     };
     vec![
         route(Method::GET, "/api/v1/pictures/{name}", Access::Paired, picture),
@@ -86,7 +86,7 @@ fn put_picture(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply>
     let (picture, _) = decode_oriented(&bytes).map_err(|e| Reply::text(422, format!("{name}: {e}\n")))?;
     let (width, height) = picture.dimensions();
     let file = keep(supervisor, call, PICTURES, &name, &bytes)?;
-    reply(&Kept { file, width, height, fov_deg: None })
+    answer(&Kept { file, width, height, fov_deg: None })
 }
 
 fn put_calibration(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Reply> {
@@ -96,7 +96,7 @@ fn put_calibration(supervisor: &Supervisor, call: &mut Call) -> Result<Reply, Re
     let lens = calibration.model.intrinsics();
     let fov_deg = 2.0 * (f64::from(lens.width) / (2.0 * lens.fx)).atan().to_degrees();
     let file = keep(supervisor, call, CALIBRATIONS, &name, &bytes)?;
-    reply(&Kept { file, width: lens.width, height: lens.height, fov_deg: Some(fov_deg) })
+    answer(&Kept { file, width: lens.width, height: lens.height, fov_deg: Some(fov_deg) })
 }
 
 /// Keeps a file in this folder, and returns its name for the config.
@@ -120,12 +120,6 @@ fn keep(supervisor: &Supervisor, call: &Call, folder: &str, name: &str, bytes: &
     safe_file::write_lasting(&whole, bytes).map_err(unwritten)?;
     // A config's names are relative to its own folder, which may be another one.
     Ok(if keeping.is_elsewhere() { whole } else { below })
-}
-
-fn reply(kept: &Kept) -> Result<Reply, Reply> {
-    // Serialising fails only for paths that are not UTF-8.
-    let text = serde_json::to_string(kept).map_err(|e| Reply::text(500, format!("the file's name cannot be sent: {e}\n")))?;
-    Ok(Reply::json(200, text))
 }
 
 #[cfg(test)]

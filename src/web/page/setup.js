@@ -111,7 +111,10 @@ function Step() {
 /** The view. */
 export function Setup() {
   useEffect(() => watchFindings(), []);
-  useEffect(() => void findCameras(), []);
+  // The step of the camera looks for cameras itself.
+  useEffect(() => {
+    if (draft.peek().step !== "camera") void findCameras();
+  }, []);
   const { step, door, photo } = draft.value;
   return html`<main class="setup">
     <link rel="stylesheet" href="./setup.css" />
