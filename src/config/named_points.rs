@@ -89,7 +89,7 @@ fn click(origin: &Origin<'_>, typed: &Spanned<as_typed::MapClick>) -> Result<Cli
         return Err(origin.missing(here(), "px", "the pixel, column and row, such as px = [640.5, 380.0]"));
     };
     let Exactly([Number(u), Number(v)]) = *px.get_ref();
-    // Written so that it is also false for NaN.
+    // This form also refuses NaN.
     if !(u.abs() < MAX_PX && v.abs() < MAX_PX) {
         let wanted = "a pixel of the frame, column and row";
         return Err(section.refuse("px", &px.span(), Problem::Range { value: format!("[{u}, {v}]"), wanted }));

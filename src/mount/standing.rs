@@ -1,4 +1,4 @@
-//! Where a camera stands: the mean of what a clip measured while nobody touched it.
+//! The pose of a camera that stands still: the mean of the poses measured in a clip.
 
 use nalgebra::Matrix6;
 use thiserror::Error;

@@ -3,7 +3,7 @@
 //!
 //! Two trackers have frames and sensors of their own. [`aligned`] finds the two rigid transforms
 //! between them (the other's world in ours, and its sensor on our camera), from the poses that both
-//! have of one instant ([`pairs`]); what is left are the differences that a receiver would see
+//! have of one instant ([`pairs`]). The differences that remain are those that a receiver would see
 //! ([`Differences`]).
 
 mod align;

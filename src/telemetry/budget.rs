@@ -2,7 +2,7 @@
 //! part is known.
 //!
 //! A pose is that of mid-exposure in the middle row, so half of the exposure and half of the
-//! readout pass after its instant. The transfer is what is left of a frame's age when tracking
+//! readout pass after its instant. The transfer is the rest of a frame's age when tracking
 //! begins.
 
 use std::fmt;

@@ -36,7 +36,7 @@ pub(super) struct ListenArguments {
     /// name, such as eth0
     #[arg(long, value_name = "NETWORK", requires = "group", value_parser = network)]
     interface: Option<Interface>,
-    /// Ask for OTP's transforms at this address, every 10 s: nobody sends them unasked
+    /// Ask for OTP's transforms at this address, every 10 s: producers send only what is asked for
     #[arg(long, value_name = "ADDRESS:PORT")]
     ask: Option<SocketAddr>,
     /// Stop after this many packets [default: at Ctrl-C]

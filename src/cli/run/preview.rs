@@ -72,7 +72,7 @@ impl Preview {
     }
 }
 
-/// Opens the camera; `None` if none is wanted, or nobody can see it.
+/// Opens the camera; `None` if none is chosen, or there is no page to show it.
 fn start(wanted: Option<&str>, play: Option<&Path>, link: &LiveLink, pages: &Pages) -> Result<Option<Running>, Failure> {
     let (Some(opener), Some(mut show)) = (camera::previewed(wanted, play)?, pages.viewer()) else { return Ok(None) };
     let mut source = LiveSource::start(opener, Shutter::default(), Patience::default(), link.clone());
