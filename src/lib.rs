@@ -203,7 +203,7 @@ pub use survey::shutter::{ShutterEstimate, ShutterTime, estimate_shutter};
 pub use serde_json;
 pub use {crossbeam_channel, image, nalgebra};
 
-/// The README's code, compiled with the doctests.
+/// The code of the document for programmers, compiled with the doctests.
 #[cfg(doctest)]
-#[doc = include_str!("../README.md")]
-struct Readme;
+#[doc = include_str!("../docs/library.md")]
+struct LibraryDocument;

@@ -246,7 +246,7 @@ fn timecode_schema() -> Value {
         "properties": {"timecode": word, "fraction": number, "rate": word, "state": word, "without_s": number}})
 }
 
-/// The record as the README describes it. Only what every record has is required.
+/// The record as `docs/record.md` describes it. Only what every record has is required.
 fn record_schema() -> Value {
     let list = json!({"type": ["array", "null"], "items": {"type": "number"}});
     let pose = json!({"type": ["object", "null"], "properties": {"position_m": list, "orientation_xyzw": list}});

@@ -44,7 +44,8 @@ for suite in "${suites[@]}"; do
     for file in /usr/lib/systemd/system/stagepose.service /usr/lib/udev/rules.d/60-stagepose.rules \
         /usr/share/man/man1/stagepose-replay.1.gz /usr/share/bash-completion/completions/stagepose \
         /usr/share/zsh/vendor-completions/_stagepose /usr/share/fish/vendor_completions.d/stagepose.fish \
-        /usr/share/doc/stagepose/examples/stage.toml; do
+        /usr/share/doc/stagepose/examples/stage.toml /usr/share/doc/stagepose/config/stage.toml \
+        /usr/share/doc/stagepose/docs/page.md; do
         [ -s "$root$file" ] || { echo "install.sh: $file is missing on $suite" >&2; exit 1; }
     done
     in_root apt-get remove -y stagepose >>"$folder/$suite-install.log" 2>&1

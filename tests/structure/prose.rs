@@ -1,4 +1,5 @@
 //! Prose is at most 100 columns wide: comments on lines of their own, and paragraphs of documents.
+//! Links of documents lead to files.
 
 use std::path::Path;
 
@@ -52,6 +53,33 @@ fn prose_is_at_most_100_columns_wide() {
     }
     assert!(read > 700, "only {read} files are read");
     assert!(wide.is_empty(), "{} lines of prose are wider than {MAX_COLUMNS} columns:\n{}", wide.len(), wide.join("\n"));
+}
+
+/// Files that a document's links and pictures name, without places in them and other sites.
+fn linked(text: &str) -> impl Iterator<Item = &str> {
+    let targets = text.split("](").skip(1).filter_map(|rest| rest.split_once(')'));
+    targets.map(|(target, _)| target.split('#').next().unwrap_or_default()).filter(|file| !file.is_empty() && !file.contains("://"))
+}
+
+#[test]
+fn links_of_documents_lead_to_files() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let files = DOCUMENTS.iter().map(|name| root.join(name)).chain(super::files_below("docs"));
+    let (mut followed, mut dead) = (0, Vec::new());
+    for file in files.filter(|file| file.extension().is_some_and(|e| e == "md")) {
+        let text = std::fs::read_to_string(&file).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
+        let folder = file.parent().unwrap_or(root);
+        let missing = linked(&text).inspect(|_| followed += 1).filter(|name| !folder.join(name).exists());
+        dead.extend(missing.map(|name| format!("{}: {name}", file.display())));
+    }
+    assert!(followed > 100, "only {followed} links are followed");
+    assert!(dead.is_empty(), "{} links lead nowhere:\n{}", dead.len(), dead.join("\n"));
+}
+
+#[test]
+fn links_are_read_without_places_and_other_sites() {
+    let text = "[a](docs/a.md#part), ![b](b.jpg); [here](#part), [there](https://example.org/c.md)";
+    assert_eq!(linked(text).collect::<Vec<_>>(), ["docs/a.md", "b.jpg"]);
 }
 
 #[test]
