@@ -62,6 +62,24 @@ impl ViewPicker {
         Self { board, taken: ViewSet::default(), pictures: Vec::new(), before: None, sharpest_px: f64::INFINITY, without: None }
     }
 
+    /// Adds a picture that was taken before, whatever it adds; returns whether it shows the board.
+    pub fn recall(&mut self, name: PathBuf, picture: &GrayImage) -> bool {
+        let inspected = inspect(name, picture, &self.board);
+        let Ok(found) = &inspected.board else { return false };
+        let shape = ViewShape::new(&observations_of(&found.corners, &self.board), picture.dimensions(), None);
+        self.sharpest_px = self.sharpest_px.min(found.blur_px);
+        let Some(shape) = shape else { return false };
+        self.taken.add(shape);
+        self.pictures.push(inspected);
+        true
+    }
+
+    /// Returns the board's corners in the last frame, raw pixels; `None` for hidden ones. `None` if
+    /// that frame showed no board.
+    pub fn corners(&self) -> Option<&[Option<Vector2<f64>>]> {
+        self.before.as_deref()
+    }
+
     /// Examines the next frame, and takes it if it is useful.
     pub fn look_at(&mut self, name: PathBuf, picture: &GrayImage) -> Look {
         let found = match find_board(picture, &self.board) {

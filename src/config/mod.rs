@@ -47,7 +47,7 @@ mod values;
 pub use error::{ConfigError, Problem};
 pub use http::{HostName, HttpSettings};
 pub use lens::LensSource;
-pub use named_files::{FileKind, files_named_in};
+pub use named_files::{FileKind, files_named_in, named_below};
 pub use settings::{LOG_LEVELS, LogFormat, LogSettings, RecorderSettings, Settings};
 pub use source::{ConfigSource, read_calibration};
 pub use timecode::{TimecodeInput, TimecodeSettings};

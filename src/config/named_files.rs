@@ -58,6 +58,26 @@ pub fn files_named_in(text: &str, file: &Path) -> Vec<(PathBuf, FileKind)> {
     named_files(&typed).into_iter().map(|(name, kind)| (folder.join(name.get_ref()), kind)).collect()
 }
 
+/// Returns a config's text with every file name that it has relative to its own folder named below
+/// `folder` instead; `None` if the text is not a config.
+pub fn named_below(text: &str, folder: &Path) -> Option<String> {
+    let typed = Config::parse(text, Path::new("stage.toml")).ok()?;
+    let below = |name: &str| toml::Value::String(folder.join(name).to_string_lossy().into_owned()).to_string();
+    let changes = named_files(&typed).into_iter().map(|(named, _)| (named.span(), below(named.get_ref()))).collect();
+    Some(with_changes(text, changes))
+}
+
+/// Returns a text after changes at places that do not overlap.
+fn with_changes(text: &str, mut changes: Vec<Change>) -> String {
+    // Apply changes from the end, so that earlier spans stay valid.
+    changes.sort_by_key(|(span, _)| std::cmp::Reverse((span.start, span.end)));
+    let mut changed = text.to_owned();
+    for (span, new) in changes {
+        changed.replace_range(span, &new);
+    }
+    changed
+}
+
 /// A file of a copy: its name in the copy's folder, and its bytes.
 pub type CopiedFile = (String, Vec<u8>);
 /// A change of a config's text: the range to replace, and its replacement.
@@ -102,14 +122,8 @@ impl ConfigSource {
     }
 
     /// Returns the config's text after the changes, as `stage.toml`.
-    pub(super) fn changed(&self, mut changes: Vec<Change>) -> CopiedFile {
-        // Apply changes from the end, so that earlier spans stay valid.
-        changes.sort_by_key(|(span, _)| std::cmp::Reverse((span.start, span.end)));
-        let mut copy = self.text.to_string();
-        for (span, new) in changes {
-            copy.replace_range(span, &new);
-        }
-        ("stage.toml".to_owned(), copy.into_bytes())
+    pub(super) fn changed(&self, changes: Vec<Change>) -> CopiedFile {
+        ("stage.toml".to_owned(), with_changes(&self.text, changes).into_bytes())
     }
 
     /// Returns the change that adds an exposure to a config that leaves it open.
@@ -168,6 +182,14 @@ mod tests {
         for (a, b) in was.stage.surfaces.iter().zip(&is.stage.surfaces) {
             assert_eq!((a.artwork.as_raw(), a.size_m), (b.artwork.as_raw(), b.size_m));
         }
+    }
+
+    #[test]
+    fn a_config_that_moves_names_its_files_below_its_former_folder() {
+        let text = "[camera]\ncalibration = 'camera.toml' # the lens\n[[stage.surface]]\nimage = \"/art/a.png\"\nshape = \"shape.toml\"\nsize_m = [4.0, 3.0]\n";
+        let moved = "[camera]\ncalibration = \"walks/a/camera.toml\" # the lens\n[[stage.surface]]\nimage = \"/art/a.png\"\nshape = \"walks/a/shape.toml\"\nsize_m = [4.0, 3.0]\n";
+        assert_eq!(named_below(text, Path::new("walks/a")).as_deref(), Some(moved));
+        assert_eq!(named_below("[camera", Path::new("a")), None);
     }
 
     #[test]

@@ -10,6 +10,7 @@ mod jobs;
 mod kept_views;
 pub mod learnt_state;
 pub mod live;
+mod own_command;
 mod own_folders;
 mod reason_watch;
 pub mod recorder;
@@ -27,6 +28,7 @@ pub use free_memory::give_back;
 pub use jobs::Progress;
 pub use kept_views::kept_views;
 pub use learnt_state::{LearntFile, learnt_of_clip, utc_ahead_of_clip_ns};
+pub use own_command::{PROGRESS_EVERY, run_own};
 pub use own_folders::{Keeping, state_folder};
 #[cfg(test)]
 pub use retrack::nothing_compared;

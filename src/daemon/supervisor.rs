@@ -71,6 +71,8 @@ pub struct Supervisor {
     played: Mutex<Option<PathBuf>>,
     /// The camera to show while nothing is tracked.
     previewed: Mutex<Option<String>>,
+    /// The program whose commands the page may ask for.
+    program: Mutex<Option<PathBuf>>,
     save: AtomicBool,
     reload: AtomicBool,
     mode: AtomicU8,
@@ -98,6 +100,7 @@ impl Supervisor {
             clip: Mutex::default(),
             played: Mutex::default(),
             previewed: Mutex::default(),
+            program: Mutex::default(),
             save: AtomicBool::new(false),
             reload: AtomicBool::new(false),
             mode: AtomicU8::new(Mode::Track as u8),
@@ -168,6 +171,16 @@ impl Supervisor {
     /// Returns the camera to show while nothing is tracked.
     pub fn previewed(&self) -> Option<String> {
         held(&self.previewed).clone()
+    }
+
+    /// Sets the program whose commands (`survey`, `check` …) the page may ask for.
+    pub fn set_program(&self, program: Option<PathBuf>) {
+        *held(&self.program) = program;
+    }
+
+    /// Returns the program whose commands the page may ask for, if any.
+    pub fn program(&self) -> Option<PathBuf> {
+        held(&self.program).clone()
     }
 
     /// Sets the page's address; `None` without a page.

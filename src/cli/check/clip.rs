@@ -12,14 +12,28 @@ use crate::diagnose::{Finding, Grade, Shown, Travel, corners_begun_at_top_left, 
 use crate::track::{LearntCamera, ModelNews, ModelReport, Part, Reason, ReferenceKind};
 use crate::tracker::TrackerSetup;
 
+/// What became of a clip's frames.
+pub(super) struct FrameCounts {
+    /// All frames that were read.
+    pub all: u64,
+    /// Those in which the stage's picture was found.
+    pub found: u64,
+    /// Those in which it was found or followed.
+    pub followed: u64,
+    /// Those with a pose.
+    pub given: u64,
+}
+
 /// What a clip showed.
 pub(super) struct Examined {
     /// Width and height of its frames, pixels.
     pub size: (u32, u32),
     /// A description of the clip.
     pub line: String,
-    /// How many frames were recognised, tracked and reported.
+    /// How many frames were recognised, tracked and reported, in words.
     pub counts: String,
+    /// The same, and the residual.
+    pub frames: FrameCounts,
     /// The findings, worst first.
     pub findings: Vec<Finding>,
     /// Share of the frames in which the stage is followed.
@@ -63,6 +77,7 @@ pub(super) fn examine(settings: &Settings, clip: &Path, fps: Option<f64>, learnt
             outcome.followed(),
             outcome.tracked
         ),
+        frames: FrameCounts { all: outcome.frames, found: outcome.recognised(), followed: outcome.followed(), given: outcome.tracked },
         findings,
         followed: as_configured.followed(),
         is_as_modelled: as_configured.is_as_modelled(),

@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use image::GrayImage;
 
 use super::angles::surface_angles;
+use super::calibrate::write_whole;
 use super::clip_timecode::timecode_in_words;
 use super::failure::Failure;
 use super::learnt::LearntArguments;
@@ -42,6 +43,9 @@ pub(super) struct CheckArguments {
     /// Do not open the camera
     #[arg(long)]
     no_device: bool,
+    /// Write the verdict, the findings and what the clip showed as JSON
+    #[arg(long, value_name = "OUT.json")]
+    json: Option<PathBuf>,
     /// Write a picture for each surface that shows where it has trackable texture, and print it too
     #[arg(long, value_name = "DIR")]
     ratings: Option<PathBuf>,
@@ -55,13 +59,14 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     let settings = Settings::load(&arguments.config)?;
     logging::start_for_trials(&arguments.log, settings.log);
     settings.rehearse_outputs()?;
+    let mut spared = arguments.clip.iter().fold(Spared::default(), |spared, clip| spared.with_clip(clip));
     if let Some(folder) = &arguments.ratings {
-        let spared = arguments.clip.iter().fold(Spared::default(), |spared, clip| spared.with_clip(clip));
         spared.refuse_within_clip("--ratings", folder)?;
     }
+    spared.claim_whole_files(&[("--json", &arguments.json)])?;
     let mut camera = settings.camera;
     let mut findings = of_config(&settings);
-    let (mut place, mut shutter_lines, mut is_followed) = (None, Vec::new(), true);
+    let (mut place, mut shutter_lines, mut is_followed, mut frames) = (None, Vec::new(), true, None);
     if let Some(file) = &arguments.clip {
         let seen = clip::examine(&settings, file, arguments.fps, arguments.learnt.of(file)?.0)?;
         let (scaled, note) = settings.camera_for(seen.size.0, seen.size.1)?;
@@ -71,6 +76,7 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
         findings.splice(0..0, seen.findings);
         findings.extend(note.map(Finding::note));
         is_followed = seen.followed >= pass::FOLLOWED;
+        frames = Some(seen.frames);
         place = Some(format!("clip        {}\n            {}", seen.line, seen.counts));
         shutter_lines = match seen.shutter {
             Some(lines) => lines,
@@ -93,6 +99,9 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     findings.sort_by_key(|f| f.grade);
     let verdict = Verdict::of(&findings, is_followed, arguments.clip.is_some());
     let mut report = report(&settings, &camera, &verdict, &findings, &ratings, place);
+    if let Some(file) = &arguments.json {
+        write_whole(file, json::text(&verdict, &findings, frames.as_ref(), &shutter_lines))?;
+    }
     for (k, line) in shutter_lines.iter().enumerate() {
         let _ = write!(report, "\n{:<11} {line}", if k == 0 { "shutter" } else { "" });
     }
@@ -351,6 +360,7 @@ fn distances(surface: &SurfaceSpec, camera: &CameraModel) -> (f64, f64) {
 }
 
 mod clip;
+mod json;
 mod lens;
 mod mount;
 mod pass;

@@ -97,6 +97,7 @@ pub(in crate::cli) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> 
         link,
     };
     show.supervisor.set_played(arguments.play.clone());
+    show.supervisor.set_program(std::env::current_exe().ok());
     let outcome = show.sessions(settings);
     show.end(outcome)
 }

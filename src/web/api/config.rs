@@ -48,27 +48,10 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
         }),
         Route::slow(Method::PUT, "/api/v1/config", Access::Change, move |call| {
             let text = text(call)?;
-            let wanted = call.header("if-match").ok_or_else(|| {
+            let wanted = call.header("if-match").map(str::to_owned).ok_or_else(|| {
                 Reply::text(428, "say which config this one replaces: If-Match with the ETag of GET /api/v1/config, or * for any\n")
             })?;
-            let _alone = for_put.alone();
-            // A config that does not exist yet has the tag of empty content.
-            let before = match safe_file::read(&for_put.keeping().current(), MAX_CONFIG) {
-                Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(unreadable(for_put.file(), &e)),
-                read => read.unwrap_or_default(),
-            };
-            if wanted != "*" && wanted != tag(&before) {
-                return Err(Reply::text(412, "the config was changed meanwhile; read it again, and put the change into that one\n"));
-            }
-            let (settings, findings) = judged_to_run(&text, for_put.file(), &for_put);
-            if settings.is_none() {
-                return Ok(reply(422, &findings, false));
-            }
-            call.still_may()?;
-            let changed = for_put.keeping().changed();
-            replace(&changed, &text).map_err(|e| unwritable(&changed, &e))?;
-            for_put.reload();
-            Ok(reply(200, &findings, true).with("etag", &tag(text.as_bytes())))
+            take_over(&for_put, call, &text, Some(&wanted).filter(|wanted| *wanted != "*"))
         })
         .takes(MAX_CONFIG)
         .paced(AT_ONCE, ONE_EACH),
@@ -79,6 +62,29 @@ pub(super) fn routes(supervisor: &Arc<Supervisor>) -> Vec<Route> {
         .takes(MAX_CONFIG)
         .paced(CHECKS_AT_ONCE, ONE_CHECK_EACH),
     ]
+}
+
+/// Makes this text the config, if it can be run: the former one is kept, and the session switches
+/// to it. `wanted` is the ETag of the config that it replaces; `None` replaces any.
+pub(super) fn take_over(supervisor: &Supervisor, call: &Call, text: &str, wanted: Option<&String>) -> Result<Reply, Reply> {
+    let _alone = supervisor.alone();
+    // A config that does not exist yet has the tag of empty content.
+    let before = match safe_file::read(&supervisor.keeping().current(), MAX_CONFIG) {
+        Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(unreadable(supervisor.file(), &e)),
+        read => read.unwrap_or_default(),
+    };
+    if wanted.is_some_and(|wanted| *wanted != tag(&before)) {
+        return Err(Reply::text(412, "the config was changed meanwhile; read it again, and put the change into that one\n"));
+    }
+    let (settings, findings) = judged_to_run(text, supervisor.file(), supervisor);
+    if settings.is_none() {
+        return Ok(reply(422, &findings, false));
+    }
+    call.still_may()?;
+    let changed = supervisor.keeping().changed();
+    replace(&changed, text).map_err(|e| unwritable(&changed, &e))?;
+    supervisor.reload();
+    Ok(reply(200, &findings, true).with("etag", &tag(text.as_bytes())))
 }
 
 /// Returns the config in a request.

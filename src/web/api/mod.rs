@@ -2,8 +2,12 @@
 //! runs on a separate thread with lower priority than the tracker's.
 
 mod backup;
+#[cfg(feature = "calibrate")]
+mod boards;
 mod clock;
+mod commands;
 mod config;
+mod drafts;
 mod findings;
 mod gltf;
 mod health;
@@ -31,9 +35,13 @@ use crate::publish::FrameClock;
 
 /// Returns all routes; ages are by `clock`.
 pub fn routes(supervisor: &Arc<Supervisor>, clock: &Arc<FrameClock>) -> Vec<Route> {
-    let resources = [steering::routes, config::routes, backup::routes, sets::routes, health::routes, setup::routes, uploads::routes];
+    let resources =
+        [steering::routes, config::routes, backup::routes, sets::routes, health::routes, setup::routes, drafts::routes, uploads::routes];
     let lines: Arc<LineIndex> = Arc::default();
-    let of_recordings = [recordings::routes(supervisor, &lines), retrack::routes(supervisor, &lines)].concat();
+    let of_recordings =
+        [recordings::routes(supervisor, &lines), retrack::routes(supervisor, &lines), commands::routes(supervisor, &lines)].concat();
+    #[cfg(feature = "calibrate")]
+    let of_recordings = [of_recordings, boards::routes(supervisor)].concat();
     let probes = health::probes(&supervisor.link.statistics, clock);
     resources.into_iter().flat_map(|resource| resource(supervisor)).chain(of_recordings).chain(probes).chain([clock::route()]).collect()
 }
