@@ -41,6 +41,12 @@ const VIEWS = {
     await field("Out").fill("0.3");
     await page.waitForTimeout(3000);
   },
+  async setup(page) {
+    await page.getByRole("button", { name: /3 Stage/ }).click();
+    await page.getByText("Poster", { exact: true }).click();
+    await page.getByRole("button", { name: "Make the poster" }).click();
+    await page.getByAltText("The poster").waitFor();
+  },
   async recordings(page) {
     await page.locator(".recordings button").last().click();
     await page.getByRole("slider").waitFor();
@@ -75,7 +81,7 @@ try {
   daemons.push(start(place.folder, "camera.mjpeg", []));
   for (const [name, prepared] of Object.entries(VIEWS)) {
     if (process.argv.length > 2 && !process.argv.includes(name)) continue;
-    const { page, close } = await pageOf(browser, (name === "live" || name === "set" ? still : place).address, { view: name, viewport: SIZE, deviceScaleFactor: SCALE, colorScheme: "dark", bypassCSP: true });
+    const { page, close } = await pageOf(browser, (["live", "set", "setup"].includes(name) ? still : place).address, { view: name, viewport: SIZE, deviceScaleFactor: SCALE, colorScheme: "dark", bypassCSP: true });
     // On a machine that is busy, a browser without a graphics card draws seldom.
     page.setDefaultTimeout(5 * PATIENCE);
     await prepared(page);

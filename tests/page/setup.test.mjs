@@ -248,7 +248,7 @@ test("the corners of a frozen picture are dragged and moved by keys, and taken b
     await page.getByText("Freeze the picture", { exact: true }).click();
     await page.getByRole("button", { name: "Freeze", exact: true }).click();
     await page.getByAltText("The frozen picture").waitFor();
-    const corners = () => page.evaluate(async () => (await import("/steps/draft.js")).draft.value.corners);
+    const corners = () => page.evaluate(async () => (await import("/steps/draft.js")).shown.value.corners);
     const begun = await corners();
     assert.deepEqual(begun, [[128, 72], [512, 72], [512, 288], [128, 288]]);
     const handle = (name) => page.getByRole("button", { name: new RegExp(`^Corner \\d, ${name}`) });

@@ -17,6 +17,8 @@ import { html } from "./ui.js";
  * @import { Signal } from "./vendor/signals.js" */
 
 const keysShown = signal(false);
+/** Whether a phone shows the switches of the display. */
+const displayShown = signal(false);
 
 /**
  * Views that are loaded when they are first opened: most people open few.
@@ -82,9 +84,11 @@ function Bar() {
     </nav>
     <${State} />
     <${Recording} />
-    <div class="switches">
+    <div class="switches ${displayShown.value ? "opened" : ""}">
       <${Lock} />
       ${shown.value === "live" || shown.value === "set" ? html`<${Switch} on=${frozen.value} act=${toggleFrozen}>Freeze<//>` : null}
+      <button type="button" class="more" aria-expanded=${displayShown.value ? "true" : "false"} onClick=${switching(displayShown)}>Display</button>
+      <div class="display">
       ${shown.value === "live"
         ? html`<${Switch} on=${outlined.value} act=${toggleOutlines}>Outlines<//><${Switch} on=${floored.value} act=${toggleFloor}>Floor<//><${Switch} on=${parted.value} act=${toggleParts}>Seen parts<//><${Switch} on=${rested.value} act=${toggleResiduals}>Residuals<//>`
         : null}
@@ -97,6 +101,7 @@ function Bar() {
           </label>`,
         )}
       </fieldset>
+      </div>
     </div>
     ${[...new Set([unturned.value, unmarked.value])].filter(Boolean).map((why) => html`<p key=${why} class="refused" role="alert">${why}</p>`)}
   </header>`;

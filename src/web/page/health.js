@@ -51,7 +51,8 @@ async function readLog() {
     log.value = "This browser is not paired. Pair it to read the log.";
     return;
   }
-  log.value = await ask(`log?lines=${LINES}`).then((answer) => answer.text(), reason);
+  // Which module says it is for programmers: the file has it.
+  log.value = await ask(`log?lines=${LINES}`).then(async (answer) => (await answer.text()).replace(/ stagepose(::\w+)+:/g, ""), reason);
 }
 
 /** @param {Part} props */
@@ -73,11 +74,13 @@ function decoded(last) {
 /** @param {Output} props */
 function Sent({ name, protocol, sent, failed, withheld, dropped, per_s, latency_us, last, last_hex }) {
   const counts = [`${sent} sent`, per_s === null ? null : `${per_s.toFixed(1)} a second`, failed ? `${failed} failed` : null, withheld ? `${withheld} withheld` : null, dropped ? `${dropped} dropped` : null];
+  const part = parts.value?.find((one) => one.part === `output ${name}`);
   const late = sent === 0 ? "" : `, ${(latency_us / 1000).toFixed(2)} ms after the pose`;
-  return html`<li class="card">
+  return html`<li class="card ${part?.level ?? ""}">
     <h3>${name}</h3>
     <span class="level">${protocol}</span>
     <p>${counts.filter(Boolean).join(", ")}${late}.</p>
+    ${part && part.level !== "good" ? html`<p class="mend">${[part.sentence, part.mend ?? ""].filter(Boolean).map(sentence).join(" ")}</p>` : null}
     ${last === null && !last_hex
       ? html`<p class="mend">Nothing has been sent yet.</p>`
       : html`<details>
@@ -145,11 +148,14 @@ export function Health() {
     };
   }, []);
   const isOld = contact.value === false;
+  // What is said of an output stands with what it sent.
+  const own = parts.value?.filter(({ part }) => !outputs.value.some(({ name }) => part === `output ${name}`)) ?? null;
   return html`<main class=${isOld ? "health silent" : "health"}>
+    <link rel="stylesheet" href="./views.css" />
     <section class="wide" aria-labelledby="parts">
       <h2 id="parts">Parts</h2>
       ${isOld ? html`<p role="alert">stagepose does not answer. Check that it runs.${parts.value ? " Below is its last report." : ""}</p>` : html`<p role="status">${fault.value}</p>`}
-      ${parts.value === null ? (isOld || fault.value ? null : html`<p>Loading.</p>`) : html`<ul class="cards">${parts.value.map((part, k) => html`<${Card} key=${`${k} ${part.part}`} ...${part} />`)}</ul>`}
+      ${own === null ? (isOld || fault.value ? null : html`<p>Loading.</p>`) : html`<ul class="cards">${own.map((part, k) => html`<${Card} key=${`${k} ${part.part}`} ...${part} />`)}</ul>`}
     </section>
     <section class="wide" aria-labelledby="outputs">
       <h2 id="outputs">Outputs</h2>

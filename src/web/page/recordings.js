@@ -267,6 +267,7 @@ export function Recordings() {
     };
   }, []);
   return html`<main class=${contact.value === false ? "silent" : ""}>
+    <link rel="stylesheet" href="./views.css" />
     <section aria-label="The open recording"><${Player} /></section>
     <div class="beside">
       <${Recorder} />

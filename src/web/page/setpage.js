@@ -197,6 +197,7 @@ function Things() {
 /** The view. */
 export function SetPage() {
   return html`<main class=${contact.value === false ? "silent" : ""}>
+    <link rel="stylesheet" href="./views.css" />
     <${Picture} />
     <div class="beside">
       <${Alignment} />

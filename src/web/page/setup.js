@@ -5,17 +5,21 @@ import { Barred, barred } from "./access.js";
 import { sentence } from "./ask.js";
 import { html } from "./ui.js";
 import { Camera, findCameras } from "./steps/camera.js";
-import { Check, isInForce } from "./steps/check.js";
+import { Check } from "./steps/check.js";
 import { config, wanting } from "./steps/config.js";
 import { Frozen } from "./steps/corners.js";
-import { STEPS, after, change, draft, startOver } from "./steps/draft.js";
+import { STEPS, after, change, draft, shown, startOver } from "./steps/draft.js";
+import { isInForce } from "./steps/force.js";
 import { found, watchFindings } from "./steps/judged.js";
+import { readSaid } from "./steps/fromconfig.js";
+import { Two, watchDraft } from "./steps/kept.js";
 import { Lens } from "./steps/lens.js";
 import { Look } from "./steps/look.js";
 import { Origin } from "./steps/origin.js";
 import { Outputs } from "./steps/outputs.js";
 import { Sizes } from "./steps/sizes.js";
-import { Stage } from "./steps/stage.js";
+import { Stage, walks } from "./steps/stage.js";
+import { pictureAt } from "./steps/upload.js";
 import { isWriting, write } from "./steps/write.js";
 
 /** @import { StepName } from "./steps/draft.js" */
@@ -101,9 +105,10 @@ function Step() {
     <${View} key=${step} />
     <${Findings} name=${step} />
     <p class="note wants" role="status">${wants}</p>
+    ${readSaid.value === "" ? null : html`<p class="warned" role="status">${readSaid.value}</p>`}
     <div class="row">
       <button type="submit" class="primary" aria-disabled=${isOff ? "true" : "false"}>${primary(step)}</button>
-      ${step === "camera" && draft.value.written !== null ? html`<button type="button" onClick=${startOver}>Start over</button>` : null}
+      ${step === "camera" && draft.value.edited > 0 ? html`<button type="button" onClick=${startOver}>Start over</button>` : null}
     </div>
   </form>`;
 }
@@ -111,15 +116,20 @@ function Step() {
 /** The view. */
 export function Setup() {
   useEffect(() => watchFindings(), []);
+  useEffect(() => watchDraft(), []);
   // The step of the camera looks for cameras itself.
   useEffect(() => {
     if (draft.peek().step !== "camera") void findCameras();
   }, []);
-  const { step, door, photo } = draft.value;
+  const { step } = draft.value;
+  const { door, photo } = shown.value;
+  const isFrozen = step === "stage" && door === "freeze" && photo !== null && !walks.value && pictureAt(photo) !== null;
   return html`<main class="setup">
+    <link rel="stylesheet" href="./views.css" />
     <link rel="stylesheet" href="./setup.css" />
     <${Steps} />
-    ${step === "stage" && door === "freeze" && photo !== null ? html`<${Frozen} />` : html`<${Look} />`}
+    <${Two} />
+    ${isFrozen ? html`<${Frozen} />` : html`<${Look} />`}
     <${Step} />
   </main>`;
 }

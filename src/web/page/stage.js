@@ -17,6 +17,10 @@ export const view = signal(FIRST);
  */
 const SIGMAS = 3;
 const ENLARGED = 100;
+/** Less, where it would reach beyond this share of the drawing: after lost frames, for example. */
+const WIDEST = 0.25;
+/** How many times it is enlarged now. */
+const enlarged = signal(ENLARGED);
 /** How far the camera's pyramid reaches, as a share of the way to the stage's middle. */
 const REACH = 0.35;
 /** Radians that a pixel of a drag turns. */
@@ -139,7 +143,9 @@ function drawDoubt(context, to, { pose, covariance }) {
   const { long, short, turned } = ellipse([0, 6, 12].map((row) => covariance.slice(row, row + 3)), axes(view.value));
   const [x, y] = to(pose.position_m);
   const scale = to(pose.position_m.map((value, k) => value + axes(view.value).right[k]))[0] - x;
-  const by = SIGMAS * ENLARGED * scale;
+  const most = (WIDEST * Math.min(context.canvas.width, context.canvas.height)) / Math.max(SIGMAS * scale * long, 1e-9);
+  enlarged.value = most >= ENLARGED ? ENLARGED : Math.max(1, 10 ** Math.floor(Math.log10(most)));
+  const by = SIGMAS * enlarged.value * scale;
   const line = new Path2D();
   // The canvas has y down.
   line.ellipse(x, y, by * long, by * short, -turned, 0, 2 * Math.PI);
@@ -259,6 +265,6 @@ export function Stage() {
       )}
       <button type="button" onClick=${fit}>All</button>
     </div>
-    <p class="note">The camera's position is known to ${doubt} (1 sigma). The ellipse shows ${SIGMAS} sigmas, enlarged ${ENLARGED} times.</p>
+    <p class="note">The camera's position is known to ${doubt} (1 sigma). The ellipse shows ${SIGMAS} sigmas${enlarged.value > 1 ? `, enlarged ${enlarged.value} times` : ""}.</p>
   </section>`;
 }

@@ -13,7 +13,7 @@ export const BAND = 14;
 /** @type {Record<string, number>} */
 export const HEIGHTS = { tracking: 1, coasting: 0.6, searching: 0.3, lost: 0.3 };
 /** The least rms, pixels, that fills the height: noise alone is not to look like trouble. */
-export const LEAST_FULL = 0.5;
+export const LEAST_FULL = 0.1;
 /** Milliseconds after which a frame does not speak for the time that follows: nothing was shown. */
 const SPEAKS = 1000;
 
@@ -24,7 +24,7 @@ const words = computed(() => {
   const shares = states.filter(({ count }) => count > 0).map(({ word, count }) => {
     return `${word.toLowerCase()} ${Math.round((100 * count) / minute.length)}\u00a0%`;
   });
-  return `Of ${minute.length} frames shown: ${shares.join(", ")}; largest residual ${amount(worst(), 2, "px")}.`;
+  return `Of ${minute.length} frames shown: ${shares.join(", ")}; largest residual ${amount(worst(), 2, "px")}. The top of the curve is ${amount(Math.max(LEAST_FULL, worst() ?? 0), 2, "px")}.`;
 });
 
 /** The largest rms that is remembered; null where nothing was measured. */

@@ -103,12 +103,17 @@ export function undo() {
   if (last !== undefined) set.value = last;
 }
 
+/** Metres between new things. */
+const BESIDE = 1.2;
+
 /** A new thing, which is then chosen. @param {Kind} kind @param {Partial<Thing>} [with_] */
 export function add(kind, with_ = {}) {
   const { name, size_m, colour } = FIRST[kind];
   const id = `${Date.now().toString(36)}${Math.floor(Math.random() * 1e9).toString(36)}`;
   const count = set.value.objects.filter((thing) => thing.kind === kind).length;
-  const thing = { id, kind, name: count === 0 ? name : `${name} ${count + 1}`, on: "floor", position_m: [0, 0, 0], rotation_deg: [0, 0, 0], size_m: [...size_m], colour, shown: true };
+  // Beside the ones that are there already.
+  const beside = [Math.ceil(set.value.objects.length / 2) * BESIDE * (set.value.objects.length % 2 === 0 ? -1 : 1) || 0, 0, 0];
+  const thing = { id, kind, name: count === 0 ? name : `${name} ${count + 1}`, on: "floor", position_m: beside, rotation_deg: [0, 0, 0], size_m: [...size_m], colour, shown: true };
   change({ objects: [...set.value.objects, { ...thing, ...with_ }] });
   chosen.value = id;
 }

@@ -6,7 +6,8 @@ import { post, read, reason } from "../ask.js";
 import { html } from "../ui.js";
 import { means } from "./config.js";
 import { change, draft } from "./draft.js";
-import { locked } from "./locks.js";
+import { automatic, locked } from "./locks.js";
+import { warnings, watchPictures } from "./warnings.js";
 
 /** @import { Means } from "../types.js" */
 
@@ -69,6 +70,16 @@ function Lock() {
     ${controls === null ? html`<p class="note">A camera that focuses by itself changes its lens, and the pose with it.</p>` : html`<p class="note">${Object.entries(controls).map(([name, value]) => `${name} = ${value}`).join(", ")}</p>`}`;
 }
 
+/** What is wrong with the pictures, and which automatics run. */
+function Warnings() {
+  useEffect(() => watchPictures(), []);
+  const camera = means.value?.cameras.find(({ device }) => device === draft.value.device);
+  const runs = camera && draft.value.controls === null ? automatic(camera.controls) : [];
+  const all = [...warnings.value, ...(runs.length === 0 ? [] : [`The camera sets by itself: ${runs.join(", ")}. Lock it, or poses change when it does.`])];
+  if (all.length === 0) return null;
+  return html`<div role="status"><ul class="findings">${all.map((words) => html`<li key=${words} class="warning">${words}</li>`)}</ul></div>`;
+}
+
 export function Camera() {
   useEffect(() => void findCameras(), [barred.value]);
   const { cameras, plays } = means.value ?? { cameras: [], plays: null };
@@ -76,6 +87,7 @@ export function Camera() {
     ${plays !== null ? html`<p>The clip <b>${plays}</b> is played in place of a camera.</p>` : null}
     ${plays === null ? cameras.map((camera) => html`<${Choice} key=${camera.device} camera=${camera} />`) : null}
     ${plays === null ? html`<${Lock} />` : null}
+    <${Warnings} />
     <p class="refused" role="alert">${fault.value}</p>
     <div class="row"><button type="button" onClick=${findCameras}>Look again</button></div>
   `;

@@ -1,12 +1,15 @@
 // Step 6: the config is written, and shows how well the stage is tracked.
 import { computed } from "../vendor/signals.js";
 import { barred, session } from "../access.js";
+import { isInForce } from "./force.js";
+import { Pan } from "./pan.js";
 import { sentence } from "../ask.js";
 import { head, standing } from "../daemon.js";
 import { added, minute } from "../minute.js";
 import { StateMark, amount, html } from "../ui.js";
 import { config, wanting } from "./config.js";
-import { STEPS, change, draft } from "./draft.js";
+import { STEPS, change } from "./draft.js";
+import { readBack } from "./fromconfig.js";
 import { found, unasked } from "./judged.js";
 import { isOther, isWriting, said, write } from "./write.js";
 
@@ -21,9 +24,6 @@ const recent = computed(() => {
   const rms = frames.flatMap((frame) => (frame.state === "tracking" && frame.rms !== null ? [frame.rms] : [])).sort((a, b) => a - b);
   return { count: frames.length, share: frames.filter(({ state }) => state === "tracking").length / Math.max(frames.length, 1), rms: rms[Math.floor(rms.length / 2)] ?? null };
 });
-
-/** Whether the daemon tracks by what this set-up wrote. */
-export const isInForce = computed(() => draft.value.written !== null && draft.value.written === config.value && session.value?.mode === "track");
 
 function Tracking() {
   const { count, share, rms } = recent.value;
@@ -58,7 +58,7 @@ function Other() {
   if (!isOther.value) return null;
   return html`<p class="warned" role="alert">
     ${session.value?.config_file ?? "The config"} holds another config, which this set-up did not write, or which was changed since. Writing replaces it; it is kept in the folder “former”.
-    <button type="button" onClick=${() => write(true)}>Replace it</button>
+    <span class="row"><button type="button" class="danger" onClick=${() => write(true)}>Replace it</button><button type="button" onClick=${readBack}>Go on from that one</button></span>
   </p>`;
 }
 
@@ -68,6 +68,6 @@ export function Check() {
     <${Other} />
     <p role="status">${isWriting.value ? "Writing …" : said.value}</p>
     ${unasked.value && barred.value === null ? html`<p class="refused">${unasked.value}</p>` : null}
-    ${isInForce.value ? html`<${Tracking} />` : text === null ? null : html`<p>The config is complete. Writing it starts tracking.</p>`}
+    ${isInForce.value ? html`<${Tracking} /><${Pan} />` : text === null ? null : html`<p>The config is complete. Writing it starts tracking.</p>`}
     ${text === null ? null : html`<details><summary>The config as text</summary><pre tabindex="0">${text}</pre></details>`}`;
 }

@@ -3,7 +3,7 @@ import { computed, signal } from "../vendor/signals.js";
 import { useEffect, useRef } from "../vendor/hooks.js";
 import { theme } from "../theme.js";
 import { emptied, html } from "../ui.js";
-import { change, draft } from "./draft.js";
+import { changeSurface, shown } from "./draft.js";
 import { snapped } from "./edges.js";
 import { pictureAt } from "./upload.js";
 
@@ -26,7 +26,7 @@ const picture = signal(/** @type {HTMLImageElement | null} */ (null));
 const snap = signal("");
 /** Where each corner lies, percent of the picture; pixels' centres are half a pixel into them. */
 const places = computed(() => {
-  const { photo, corners } = draft.value;
+  const { photo, corners } = shown.value;
   return photo === null ? [] : corners.map(([x, y]) => [(100 * (x + 0.5)) / photo.width, (100 * (y + 0.5)) / photo.height]);
 });
 
@@ -35,8 +35,8 @@ export const cornersFor = (width, height) => BEGIN.map(([x, y]) => [Math.round(x
 
 /** @param {number[][]} corners */
 function place(corners) {
-  const { corners: before, former } = draft.peek();
-  change({ corners, former: [...former, before].slice(-FORMER) });
+  const { corners: before, former } = shown.peek();
+  changeSurface({ corners, former: [...former, before].slice(-FORMER) });
   snap.value = "";
 }
 
@@ -54,9 +54,9 @@ function grey(of) {
 function snapAll() {
   const levels = picture.value === null ? null : grey(picture.value);
   if (levels === null) return;
-  const found = snapped(levels, draft.peek().corners);
+  const found = snapped(levels, shown.peek().corners);
   const missed = NAMES.filter((_, k) => found[k] === null);
-  if (missed.length < NAMES.length) place(draft.peek().corners.map((corner, k) => found[k]?.at.map((value) => Number(value.toFixed(2))) ?? corner));
+  if (missed.length < NAMES.length) place(shown.peek().corners.map((corner, k) => found[k]?.at.map((value) => Number(value.toFixed(2))) ?? corner));
   const sigma = Math.max(...found.map((one) => one?.sigma ?? 0));
   const stay = missed.length === 0 ? "" : ` No edges are seen at ${missed.join(", ")}: place by hand, within 8 px of the edge to snap.`;
   snap.value = missed.length === NAMES.length ? stay.trim() : `Snapped to the edges, ± ${sigma.toFixed(2)} px.${stay}`;
@@ -64,9 +64,9 @@ function snapAll() {
 
 /** Goes back to the corners before the last change. */
 function undo() {
-  const { former } = draft.peek();
+  const { former } = shown.peek();
   const before = former.at(-1);
-  if (before) change({ corners: before, former: former.slice(0, -1) });
+  if (before) changeSurface({ corners: before, former: former.slice(0, -1) });
   snap.value = "";
 }
 
@@ -78,7 +78,7 @@ function undo() {
  * @param {number} dy
  */
 function moved(corners, k, dx, dy) {
-  const { width, height } = draft.peek().photo ?? { width: 1, height: 1 };
+  const { width, height } = shown.peek().photo ?? { width: 1, height: 1 };
   const within = (/** @type {number} */ value, /** @type {number} */ length) => Number(Math.min(Math.max(value, -0.5), length - 0.5).toFixed(2));
   return corners.map(([x, y], at) => (at === k ? [within(x + dx, width), within(y + dy, height)] : [x, y]));
 }
@@ -94,7 +94,7 @@ function byKey(event, k) {
   if (way === undefined) return;
   event.preventDefault();
   const by = event.shiftKey ? LARGE : event.altKey ? SMALL : STEP;
-  place(moved(draft.peek().corners, k, by * way[0], by * way[1]));
+  place(moved(shown.peek().corners, k, by * way[0], by * way[1]));
 }
 
 /** @param {{k: number}} props */
@@ -104,17 +104,17 @@ function Handle({ k }) {
   const down = (/** @type {PointerEvent} */ event) => {
     const { currentTarget, clientX: x, clientY: y, pointerId } = event;
     /** @type {HTMLElement} */ (currentTarget).setPointerCapture(pointerId);
-    from.current = { x, y, corners: draft.peek().corners };
-    place(draft.peek().corners);
+    from.current = { x, y, corners: shown.peek().corners };
+    place(shown.peek().corners);
   };
   const move = (/** @type {PointerEvent} */ { currentTarget, clientX, clientY }) => {
     const parent = /** @type {HTMLElement} */ (currentTarget).parentElement;
     if (from.current === null || parent === null) return;
-    const scale = (draft.peek().photo?.width ?? 1) / parent.clientWidth;
-    change({ corners: moved(from.current.corners, k, (clientX - from.current.x) * scale, (clientY - from.current.y) * scale) });
+    const scale = (shown.peek().photo?.width ?? 1) / parent.clientWidth;
+    changeSurface({ corners: moved(from.current.corners, k, (clientX - from.current.x) * scale, (clientY - from.current.y) * scale) });
   };
   const [x, y] = places.value[k] ?? [0, 0];
-  const at = (draft.value.corners[k] ?? []).map((value) => value.toFixed(1)).join(", ");
+  const at = (shown.value.corners[k] ?? []).map((value) => value.toFixed(1)).join(", ");
   return html`<button
     type="button"
     class="handle"
@@ -148,7 +148,7 @@ function drawOutline(on) {
 /** Draws what is around the chosen corner, enlarged. @param {HTMLCanvasElement} on */
 function drawLoupe(on) {
   const drawn = emptied(on);
-  const corner = draft.value.corners[chosen.value];
+  const corner = shown.value.corners[chosen.value];
   if (!drawn || corner === undefined || picture.value === null) return;
   const { context, width, height, colour } = drawn;
   const [scale, x, y] = [ENLARGES * devicePixelRatio, corner[0] + 0.5, corner[1] + 0.5];
@@ -167,7 +167,7 @@ function drawLoupe(on) {
 /** The frozen picture with the corners in it. */
 export function Frozen() {
   const marks = useRef(/** @type {HTMLCanvasElement | null} */ (null));
-  const { photo } = draft.value;
+  const { photo } = shown.value;
   useEffect(() => {
     const canvas = marks.current;
     if (canvas === null) return;
@@ -177,11 +177,11 @@ export function Frozen() {
   }, [photo?.name]);
   useEffect(() => {
     if (marks.current) drawOutline(marks.current);
-  }, [draft.value.corners, theme.value]);
+  }, [shown.value.corners, theme.value]);
   if (photo === null) return null;
   const aspect = photo.width / photo.height;
   return html`<figure class="picture corners" style=${{ aspectRatio: aspect, maxWidth: `calc((100vh - 12rem) * ${aspect})` }}>
-    <img src=${pictureAt(photo.name)} alt="The frozen picture" onLoad=${(/** @type {Event} */ { target }) => (picture.value = /** @type {HTMLImageElement} */ (target))} draggable=${false} />
+    <img src=${pictureAt(photo)} alt="The frozen picture" onLoad=${(/** @type {Event} */ { target }) => (picture.value = /** @type {HTMLImageElement} */ (target))} draggable=${false} />
     <canvas ref=${marks} class="marks" aria-hidden="true" />
     ${NAMES.map((name, k) => html`<${Handle} key=${name} k=${k} />`)}
   </figure>`;
@@ -192,14 +192,14 @@ export function Loupe() {
   const canvas = useRef(/** @type {HTMLCanvasElement | null} */ (null));
   useEffect(() => {
     if (canvas.current) drawLoupe(canvas.current);
-  }, [draft.value.corners, chosen.value, picture.value, theme.value]);
-  const corner = draft.value.corners[chosen.value] ?? [0, 0];
+  }, [shown.value.corners, chosen.value, picture.value, theme.value]);
+  const corner = shown.value.corners[chosen.value] ?? [0, 0];
   return html`<div class="loupe">
     <canvas ref=${canvas} role="img" aria-label="The chosen corner, enlarged" />
     <div>
       <p>Corner ${chosen.value + 1}, ${NAMES[chosen.value]}: ${corner.map((value) => value.toFixed(1)).join(", ")} px</p>
       <p class="note">Drag a corner, or move it with the arrow keys: 1 px, with Shift 10, with Alt 0.1. Tab goes to the next one, S snaps to edges.</p>
-      <div class="row"><button type="button" onClick=${snapAll}>Snap to edges</button><button type="button" disabled=${draft.value.former.length === 0} onClick=${undo}>Undo</button></div>
+      <div class="row"><button type="button" onClick=${snapAll}>Snap to edges</button><button type="button" disabled=${shown.value.former.length === 0} onClick=${undo}>Undo</button></div>
       <p role="status">${snap.value}</p>
     </div>
   </div>`;

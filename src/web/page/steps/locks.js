@@ -4,14 +4,14 @@
 
 /** Automatic modes with the value that ends them, and what they change. */
 const AUTOMATICS = [
-  { name: "auto_exposure", off: 1, holds: ["exposure_time_absolute", "gain"] },
-  { name: "exposure_auto", off: 1, holds: ["exposure_absolute", "gain"] },
-  { name: "exposure_dynamic_framerate", off: 0, holds: [] },
-  { name: "exposure_auto_priority", off: 0, holds: [] },
-  { name: "focus_automatic_continuous", off: 0, holds: ["focus_absolute"] },
-  { name: "focus_auto", off: 0, holds: ["focus_absolute"] },
-  { name: "white_balance_automatic", off: 0, holds: ["white_balance_temperature"] },
-  { name: "white_balance_temperature_auto", off: 0, holds: ["white_balance_temperature"] },
+  { name: "auto_exposure", off: 1, holds: ["exposure_time_absolute", "gain"], word: "exposure" },
+  { name: "exposure_auto", off: 1, holds: ["exposure_absolute", "gain"], word: "exposure" },
+  { name: "exposure_dynamic_framerate", off: 0, holds: [], word: "frame rate" },
+  { name: "exposure_auto_priority", off: 0, holds: [], word: "frame rate" },
+  { name: "focus_automatic_continuous", off: 0, holds: ["focus_absolute"], word: "focus" },
+  { name: "focus_auto", off: 0, holds: ["focus_absolute"], word: "focus" },
+  { name: "white_balance_automatic", off: 0, holds: ["white_balance_temperature"], word: "white balance" },
+  { name: "white_balance_temperature_auto", off: 0, holds: ["white_balance_temperature"], word: "white balance" },
 ];
 
 /**
@@ -29,4 +29,10 @@ export function locked(controls) {
     if (typeof value === "number") held[name] = value;
   }
   return held;
+}
+
+/** What the camera sets by itself just now, in words. @param {Means["cameras"][number]["controls"]} controls */
+export function automatic(controls) {
+  const values = new Map(controls.map(({ name, value }) => [name, value]));
+  return AUTOMATICS.filter(({ name, off }) => typeof values.get(name) === "number" && values.get(name) !== off).map(({ word }) => word);
 }

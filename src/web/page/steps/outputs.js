@@ -1,6 +1,7 @@
 // Step 7: who gets the poses.
 import { html, typed } from "../ui.js";
 import { change, draft } from "./draft.js";
+import { Sheet } from "./sheet.js";
 
 /** Protocols, with who takes them. */
 const KINDS = [
@@ -23,7 +24,7 @@ export function Outputs() {
   const isAddress = ADDRESS.test(to.trim());
   return html`${outputs.length === 0 ? html`<p>Only this page gets the poses. Add those who need them, or leave it for later.</p>` : null}
     <ul class="list wanted">
-      ${outputs.map((output, k) => html`<li key=${k}><b>${output.kind}</b> to ${output.to} <button type="button" onClick=${() => change({ outputs: outputs.filter((_, at) => at !== k) })}>Remove</button></li>`)}
+      ${outputs.map((output, k) => html`<li key=${k}><b>${output.kind}</b> to ${output.to} <button type="button" class="quiet danger" onClick=${() => change({ outputs: outputs.filter((_, at) => at !== k) })}>Remove</button></li>`)}
     </ul>
     <label class="field wide">
       <span>Protocol</span>
@@ -35,5 +36,6 @@ export function Outputs() {
       <span>Address and port of the receiver</span>
       <input data-first placeholder="192.168.1.20:40000" value=${to} aria-invalid=${to !== "" && !isAddress ? "true" : "false"} onInput=${(/** @type {Event} */ event) => change({ to: typed(event) })} />
     </label>
-    <div class="row"><button type="button" disabled=${!isAddress} onClick=${add}>Add</button></div>`;
+    <div class="row"><button type="button" disabled=${!isAddress} onClick=${add}>Add</button></div>
+    <${Sheet} />`;
 }

@@ -1,8 +1,9 @@
 // Step 4: width and height of what the picture shows.
 import { html, typed } from "../ui.js";
-import { isSide, picture, size } from "./config.js";
-import { change, draft } from "./draft.js";
+import { nameOf, picture } from "./config.js";
+import { change, changeSurface, draft, shown } from "./draft.js";
 import { EXAMPLES, UNITS } from "./lengths.js";
+import { isSide, size } from "./sides.js";
 
 /** @import { Unit } from "./lengths.js" */
 
@@ -14,11 +15,10 @@ const ALIKE = 0.01;
 
 /** What the artwork says of the sizes; empty if they agree, or without artwork. */
 function doubt() {
-  const of = draft.value;
-  const shown = picture(of);
-  const [width, height] = size(of);
-  if (of.door !== "artwork" || shown === null || width === null || height === null || !isSide(width) || !isSide(height)) return "";
-  const [drawn, taped] = [shown.width / shown.height, width / height];
+  const seen = picture(shown.value);
+  const [width, height] = size(draft.value);
+  if (shown.value.door === "freeze" || seen === null || seen.height === 0 || width === null || height === null || !isSide(width) || !isSide(height)) return "";
+  const [drawn, taped] = [seen.width / seen.height, width / height];
   if (Math.abs(Math.log(drawn / taped)) < ALIKE) return "";
   if (Math.abs(Math.log(drawn * taped)) < ALIKE) return "The artwork is as wide as you say that it is high. Exchange width and height.";
   return `The artwork is ${drawn.toFixed(3)} times as wide as high, the tape says ${taped.toFixed(3)}. Measure again, edge to edge of what the artwork shows: with this width the height would be ${(width / drawn).toFixed(3)} m. If the print was stretched, both may be right.`;
@@ -30,14 +30,16 @@ function Length({ name, label, isFirst = false }) {
   const metres = size(draft.value)[name === "width" ? 0 : 1];
   return html`<label class="field wide">
     <span>${label}</span>
-    <input data-first=${isFirst ? "" : null} inputmode=${unit === "ft" ? "text" : "decimal"} placeholder=${EXAMPLES[unit]} value=${draft.value[name]} aria-invalid=${draft.value[name] !== "" && !isSide(metres) ? "true" : "false"} onInput=${(/** @type {Event} */ event) => change({ [name]: typed(event) })} />
+    <input data-first=${isFirst ? "" : null} inputmode=${unit === "ft" ? "text" : "decimal"} placeholder=${EXAMPLES[unit]} value=${shown.value[name]} aria-invalid=${shown.value[name] !== "" && !isSide(metres) ? "true" : "false"} onInput=${(/** @type {Event} */ event) => changeSurface({ [name]: typed(event) })} />
     <span class="unit">${unit === "ft" ? (metres === null ? "ft in" : `${metres.toFixed(3)} m`) : unit}</span>
   </label>`;
 }
 
 export function Sizes() {
   const said = doubt();
-  return html`<${Length} name="width" label="Width" isFirst />
+  const { surfaces, surface } = draft.value;
+  return html`${surfaces.length === 1 ? null : html`<div class="row">${surfaces.map((_, k) => html`<button key=${k} type="button" class="tab" aria-pressed=${k === surface ? "true" : "false"} onClick=${() => change({ surface: k })}>${nameOf(k)}</button>`)}</div>`}
+    <${Length} name="width" label="Width" isFirst />
     <${Length} name="height" label="Height" />
     <label class="field wide">
       <span>Measured in</span>

@@ -31,5 +31,8 @@ export const putPicture = (file, name) => put("pictures", plain(name, [file.type
 /** @param {File} file */
 export const putCalibration = (file) => put("calibrations", plain(file.name, [".toml", ".yaml", ".yml", ".m"]), new Blob([file], { type: "text/plain" }));
 
-/** The address of a picture that the daemon keeps. @param {string} name */
-export const pictureAt = (name) => `./api/v1/pictures/${name}`;
+/** The address of a picture that the daemon keeps; null if it serves none. @param {KeptFile} of */
+export function pictureAt({ file }) {
+  const [, folder, name] = /(?:^|\/)(pictures|prints)\/([^/]+)$/.exec(file) ?? [];
+  return folder === undefined ? null : `./api/v1/${folder}/${name}`;
+}
