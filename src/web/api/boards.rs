@@ -273,7 +273,7 @@ mod tests {
         assert_eq!(ask(&second, "POST", "/api/v1/boards/look", b"no picture").0, 422);
         assert_eq!(ask(&second, "POST", "/api/v1/boards/look?columns=1", &photograph(0, 0)).0, 400);
         assert_eq!(ask(&second, "POST", "/api/v1/lens", br#"{"columns":9,"rows":6,"square_mm":24}"#).0, 409);
-        assert_eq!(ask(&second, "POST", "/api/v1/lens", br#"{"columns":9,"rows":6,"square_mm":0.02}"#).0, 422);
+        assert_eq!(ask(&second, "POST", "/api/v1/lens", br#"{"columns":2,"rows":6,"square_mm":24}"#).0, 422);
         assert_eq!(ask(&second, "GET", "/api/v1/lens", b"").0, 404);
     }
 }

@@ -22,6 +22,11 @@ fn with_a_recording(folder: &Path) -> Arc<Supervisor> {
     supervisor
 }
 
+/// Returns the routes without rate limits: a test asks more often than people do.
+fn unpaced(supervisor: &Arc<Supervisor>) -> Vec<Route> {
+    routes(supervisor, &Arc::default()).into_iter().map(|route| Route { pace: None, ..route }).collect()
+}
+
 /// Starts a job and returns how it ended.
 fn ended(supervisor: &Arc<Supervisor>, routes: &[Route], path: &str, content: &[u8]) -> (String, String) {
     let (status, said) = respond(routes, "POST", path, content);
@@ -53,7 +58,7 @@ fn a_sheet_has_the_name_of_what_it_shows() {
 fn a_sheet_is_made_once_and_fetched() {
     let folder = tempfile::tempdir().unwrap();
     let supervisor = supervised(folder.path());
-    let routes = routes(&supervisor, &Arc::default());
+    let routes = unpaced(&supervisor);
     assert_eq!(respond(&routes, "PUT", "/api/v1/prints/poster-a3-1", b"").0, 409, "there is no program");
     let text = "for file; do :; done\nprintf pdf > \"$file\"\ncp backdrop.png \"${file%.pdf}-picture.png\"\n\
         echo '[[stage.surface]]'; echo 'size_m = [0.277, 0.36]'";
@@ -73,7 +78,7 @@ fn a_sheet_is_made_once_and_fetched() {
 fn a_recording_is_surveyed_and_the_stage_is_taken_over() {
     let folder = tempfile::tempdir().unwrap();
     let supervisor = with_a_recording(folder.path());
-    let routes = routes(&supervisor, &Arc::default());
+    let routes = unpaced(&supervisor);
     let path = "/api/v1/recordings/clip-1/survey";
     assert_eq!(respond(&routes, "GET", path, b"").0, 404);
     assert_eq!(respond(&routes, "POST", &format!("{path}/use"), b"").0, 409);
@@ -114,7 +119,7 @@ fn a_check_does_not_try_what_the_daemon_has_open() {
 fn a_command_that_fails_says_why_and_leaves_no_former_result() {
     let folder = tempfile::tempdir().unwrap();
     let supervisor = with_a_recording(folder.path());
-    let routes = routes(&supervisor, &Arc::default());
+    let routes = unpaced(&supervisor);
     let path = "/api/v1/recordings/clip-1/check";
     assert_eq!(respond(&routes, "POST", path, b"{}").0, 409, "there is no program");
     // Exit code 1 is a verdict.
