@@ -1,11 +1,9 @@
 //! The socket on which receivers ask an output for something (OTP's advertisements).
 
 use std::io;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
+use std::net::{SocketAddr, UdpSocket};
 
-use socket2::{Domain, Protocol, Socket, Type};
-
-use super::network::{Interface, needs_interface};
+use super::network::{Interface, udp_listener};
 
 /// Maximum number of datagrams read at a time: a flood cannot hold the output up. Chosen: more than
 /// the consumers of a stage send in a tenth of a second. Raised, a flood takes more time.
@@ -22,24 +20,8 @@ impl Ear {
     /// Opens a socket on a multicast group, which it joins on `interface`, or on an address of this
     /// machine.
     pub fn open(listen: SocketAddr, interface: Option<&Interface>) -> io::Result<Self> {
-        let socket = Socket::new(Domain::for_address(listen), Type::DGRAM, Some(Protocol::UDP))?;
+        let socket = udp_listener(listen, interface)?;
         socket.set_nonblocking(true)?;
-        // Other programs on this machine may listen to the same group.
-        socket.set_reuse_address(listen.ip().is_multicast())?;
-        let index = interface.map_or(Ok(0), Interface::index)?;
-        let mut at = listen;
-        if let (true, SocketAddr::V6(v6)) = (needs_interface(&at), &mut at) {
-            v6.set_scope_id(index);
-        }
-        socket.bind(&at.into())?;
-        match listen.ip() {
-            IpAddr::V4(group) if group.is_multicast() => {
-                let address = if let Some(Interface::Address(address)) = interface { *address } else { Ipv4Addr::UNSPECIFIED };
-                socket.join_multicast_v4(&group, &address)?;
-            }
-            IpAddr::V6(group) if group.is_multicast() => socket.join_multicast_v6(&group, index)?,
-            _ => {}
-        }
         Ok(Self { socket: socket.into() })
     }
 
@@ -63,7 +45,10 @@ impl Ear {
 
 #[cfg(test)]
 mod tests {
+    use std::net::Ipv4Addr;
     use std::time::{Duration, Instant};
+
+    use socket2::{Domain, Socket, Type};
 
     use super::*;
 

@@ -43,7 +43,7 @@ pub use clocks::{Clocks, Reading};
 pub use frame_clock::FrameClock;
 pub use json::JsonSettings;
 pub use mounted::{Mount, MountSettings};
-pub use network::{Interface, needs_interface};
+pub use network::{Interface, needs_interface, udp_listener, udp_sender};
 pub use placement::{Axes, Placement};
 pub use publisher::{Context, OutputStatistics, PublishError, Publisher};
 pub use report::BodyChoice;

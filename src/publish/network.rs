@@ -1,10 +1,12 @@
-//! The network interface for multicasts: an address of this machine for IPv4, a name for IPv6.
+//! The network interface for multicasts: an address of this machine for IPv4, a name for IPv6; and
+//! sockets that send and listen on it.
 
 use std::ffi::CString;
 use std::io;
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use nix::libc;
+use socket2::{Domain, Protocol, Socket, Type};
 
 /// A network interface, as named in the config or an argument.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -50,6 +52,50 @@ pub fn needs_interface(to: &SocketAddr) -> bool {
         SocketAddr::V4(to) => to.ip().is_multicast(),
         SocketAddr::V6(to) => to.scope_id() == 0 && (to.ip().is_multicast() || to.ip().is_unicast_link_local()),
     }
+}
+
+/// Opens a UDP socket that multicasts on `interface`; without one, the kernel chooses.
+///
+/// # Errors
+/// When the system has no socket, or no such interface.
+pub fn udp_sender(domain: Domain, interface: Option<&Interface>) -> io::Result<Socket> {
+    let socket = Socket::new(domain, Type::DGRAM, Some(Protocol::UDP))?;
+    match interface {
+        Some(Interface::Address(address)) if domain == Domain::IPV4 => socket.set_multicast_if_v4(address)?,
+        Some(interface) if domain == Domain::IPV6 => socket.set_multicast_if_v6(interface.index()?)?,
+        _ => {}
+    }
+    Ok(socket)
+}
+
+/// Opens a UDP socket that listens on an address of this machine, or on a multicast group, which it
+/// joins on `interface`. Any address of IPv6 also hears IPv4.
+///
+/// # Errors
+/// When the port is taken, the address is not this machine's, or there is no such interface.
+pub fn udp_listener(at: SocketAddr, interface: Option<&Interface>) -> io::Result<Socket> {
+    let socket = Socket::new(Domain::for_address(at), Type::DGRAM, Some(Protocol::UDP))?;
+    // Other programs on this machine may listen to the same group.
+    socket.set_reuse_address(at.ip().is_multicast())?;
+    let index = interface.map_or(Ok(0), Interface::index)?;
+    let mut bound = at;
+    if let SocketAddr::V6(v6) = &mut bound {
+        socket.set_only_v6(false)?;
+        if needs_interface(&at) {
+            v6.set_scope_id(index);
+        }
+    }
+    socket.bind(&bound.into())?;
+    match (at.ip(), interface) {
+        (IpAddr::V4(group), Some(Interface::Name(_))) if group.is_multicast() => {
+            return Err(io::Error::other("an IPv4 group needs this machine's address on the network, not its name"));
+        }
+        (IpAddr::V4(group), Some(Interface::Address(address))) if group.is_multicast() => socket.join_multicast_v4(&group, address)?,
+        (IpAddr::V4(group), None) if group.is_multicast() => socket.join_multicast_v4(&group, &Ipv4Addr::UNSPECIFIED)?,
+        (IpAddr::V6(group), _) if group.is_multicast() => socket.join_multicast_v6(&group, index)?,
+        _ => {}
+    }
+    Ok(socket)
 }
 
 #[cfg(test)]

@@ -9,11 +9,11 @@ use std::io::{self, BufWriter, ErrorKind, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::path::{Path, PathBuf};
 
-use socket2::{Domain, Protocol, Socket, Type};
+use socket2::Domain;
 
 use super::complaints::Complaints;
 use super::ear::Ear;
-use super::network::{Interface, needs_interface};
+use super::network::{Interface, needs_interface, udp_sender};
 use crate::safe_file;
 
 /// UDP destinations.
@@ -158,26 +158,22 @@ struct UdpSender {
     targets: Vec<(SocketAddr, Complaints)>,
 }
 
-/// Creates an IPv4 socket that multicasts on `interface`.
+/// Creates an IPv4 socket.
 fn socket_v4(settings: &UdpSettings) -> io::Result<UdpSocket> {
-    let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
+    let socket = udp_sender(Domain::IPV4, settings.interface.as_ref())?;
     socket.set_nonblocking(true)?;
     socket.set_broadcast(true)?;
     socket.set_ttl_v4(u32::from(settings.ttl))?;
     socket.set_multicast_ttl_v4(u32::from(settings.ttl))?;
-    if let Some(Interface::Address(address)) = &settings.interface {
-        socket.set_multicast_if_v4(address)?;
-    }
     Ok(socket.into())
 }
 
-/// Creates an IPv6 socket; `index` is the interface's index, 0 leaves the choice to the kernel.
-fn socket_v6(settings: &UdpSettings, index: u32) -> io::Result<UdpSocket> {
-    let socket = Socket::new(Domain::IPV6, Type::DGRAM, Some(Protocol::UDP))?;
+/// Creates an IPv6 socket.
+fn socket_v6(settings: &UdpSettings) -> io::Result<UdpSocket> {
+    let socket = udp_sender(Domain::IPV6, settings.interface.as_ref())?;
     socket.set_nonblocking(true)?;
     socket.set_unicast_hops_v6(u32::from(settings.ttl))?;
     socket.set_multicast_hops_v6(u32::from(settings.ttl))?;
-    socket.set_multicast_if_v6(index)?;
     Ok(socket.into())
 }
 
@@ -185,7 +181,7 @@ impl UdpSender {
     fn open(name: &str, settings: &UdpSettings) -> io::Result<Self> {
         let index = settings.interface.as_ref().map_or(Ok(0), Interface::index)?;
         let v4 = settings.to.iter().any(SocketAddr::is_ipv4).then(|| socket_v4(settings)).transpose()?;
-        let v6 = settings.to.iter().any(SocketAddr::is_ipv6).then(|| socket_v6(settings, index)).transpose()?;
+        let v6 = settings.to.iter().any(SocketAddr::is_ipv6).then(|| socket_v6(settings)).transpose()?;
         let scoped = |mut to: SocketAddr| {
             if let (true, SocketAddr::V6(v6)) = (needs_interface(&to), &mut to) {
                 v6.set_scope_id(index);

@@ -1,14 +1,14 @@
 //! Asks OTP's producers for all modules, as every consumer must.
 
 use std::io;
-use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
-use socket2::{Domain, Protocol, Socket, Type};
+use socket2::Domain;
 use uuid::Builder;
 
 use crate::protocols::otp::{OtpError, OtpHeader, OtpMessage, OtpModule};
-use crate::publish::Interface;
+use crate::publish::{Interface, udp_sender};
 
 /// Interval between questions (table A-2 of ANSI E1.59-2021).
 const EVERY: Duration = Duration::from_secs(10);
@@ -24,13 +24,7 @@ pub(super) struct Asking {
 impl Asking {
     /// Opens a socket that asks at an address, multicast on `interface`.
     pub fn new(to: SocketAddr, interface: Option<&Interface>) -> io::Result<Self> {
-        let socket = Socket::new(Domain::for_address(to), Type::DGRAM, Some(Protocol::UDP))?;
-        match interface {
-            Some(Interface::Address(address)) if to.is_ipv4() => socket.set_multicast_if_v4(address)?,
-            Some(interface) if to.is_ipv6() => socket.set_multicast_if_v6(interface.index()?)?,
-            _ if to.is_ipv4() => socket.set_multicast_if_v4(&Ipv4Addr::UNSPECIFIED)?,
-            _ => {}
-        }
+        let socket = udp_sender(Domain::for_address(to), interface)?;
         Ok(Self { socket: socket.into(), to, asked: None, folio: 0 })
     }
 

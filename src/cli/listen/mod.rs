@@ -8,14 +8,12 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::path::Path;
 use std::time::Duration;
 
-use socket2::{Domain, Protocol, Socket, Type};
-
 use asking::Asking;
 
 use super::failure::Failure;
 use super::interrupt;
 use crate::printable::printable;
-use crate::publish::Interface;
+use crate::publish::{Interface, udp_listener};
 
 /// Print the packets that arrive on a UDP port, decoded.
 #[derive(Debug, clap::Args)]
@@ -87,42 +85,18 @@ fn print(from: SocketAddr, line: &str) -> io::Result<()> {
     out.flush()
 }
 
-/// Opens a socket for IPv6 and IPv4, or for IPv4 only if the group is IPv4 or this machine has no
-/// IPv6.
+/// Opens a socket on the group, or for IPv6 and IPv4, or for IPv4 only if this machine has no IPv6.
 fn open(arguments: &ListenArguments) -> io::Result<UdpSocket> {
-    let v6 = || bound(arguments, Domain::IPV6, Ipv6Addr::UNSPECIFIED.into());
-    let v4 = || bound(arguments, Domain::IPV4, Ipv4Addr::UNSPECIFIED.into());
+    let at = |address| udp_listener(SocketAddr::new(address, arguments.port), arguments.interface.as_ref());
     let socket = match arguments.group {
-        Some(IpAddr::V4(group)) => {
-            let socket = v4()?;
-            let address = match &arguments.interface {
-                None => Ipv4Addr::UNSPECIFIED,
-                Some(Interface::Address(address)) => *address,
-                Some(Interface::Name(_)) => return Err(io::Error::other("an IPv4 group needs this machine's address as --interface")),
-            };
-            socket.join_multicast_v4(&group, &address)?;
-            socket
-        }
-        Some(IpAddr::V6(group)) => {
-            let socket = v6()?;
-            socket.join_multicast_v6(&group, arguments.interface.as_ref().map_or(Ok(0), Interface::index)?)?;
-            socket
-        }
-        None => v6().or_else(|e| if e.kind() == io::ErrorKind::AddrInUse { Err(e) } else { v4() })?,
+        Some(group) => at(group)?,
+        None => at(Ipv6Addr::UNSPECIFIED.into()).or_else(|e| match e.kind() {
+            io::ErrorKind::AddrInUse => Err(e),
+            _ => at(Ipv4Addr::UNSPECIFIED.into()),
+        })?,
     };
     socket.set_read_timeout(Some(Duration::from_millis(200)))?;
     Ok(socket.into())
-}
-
-fn bound(arguments: &ListenArguments, domain: Domain, address: IpAddr) -> io::Result<Socket> {
-    let socket = Socket::new(domain, Type::DGRAM, Some(Protocol::UDP))?;
-    // Other programs may listen to the same multicast.
-    socket.set_reuse_address(arguments.group.is_some())?;
-    if domain == Domain::IPV6 {
-        socket.set_only_v6(false)?;
-    }
-    socket.bind(&SocketAddr::from((address, arguments.port)).into())?;
-    Ok(socket)
 }
 
 fn network(text: &str) -> Result<Interface, String> {
