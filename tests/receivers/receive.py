@@ -227,6 +227,85 @@ def node(lines, rows):
     return f"{poses} OSC poses, {found} PSN poses"
 
 
+def otp_layers(data, what):
+    """Yields the layers that fill `data`: vector and content."""
+    while data:
+        vector, length = struct.unpack(">HH", data[:4])
+        assert 4 + length <= len(data), f"{what} exceeds what wraps it"
+        yield vector, data[4 : 4 + length]
+        data = data[4 + length :]
+
+
+def otp_points(packet):
+    """Decodes a transform packet by the layout of ANSI E1.59-2021; returns the modules of each point
+    by their number. Written from the standard's tables alone, like no other decoder here."""
+    assert len(packet) <= 1472 and packet[:12] == b"OTP-E1.59\0\0\0", packet[:12]
+    ((vector, content),) = otp_layers(packet[12:], "the OTP layer")
+    # Footer 2, CID 16, folio 4, page 2, last page 2, options 1, reserved 4, name 32.
+    page, last_page = struct.unpack(">HH", content[22:26])
+    assert vector == 1 and page <= last_page and content[31:63].rstrip(b"\0").decode().startswith("stagepose")
+    ((vector, content),) = otp_layers(content[63:], "the transform layer")
+    # System 1, timestamp 8, options 1, reserved 4.
+    assert vector == 1 and content[0] == 1 and content[9] == 0x80, "system 1, a full point set"
+    points = []
+    for vector, content in otp_layers(content[14:], "a point layer"):
+        priority, group, number, timestamp_us = struct.unpack(">BHIQ", content[:15])
+        modules = {"address": (group, number), "priority": priority, "us": timestamp_us}
+        for manufacturer, module in otp_layers(content[20:], "a module layer"):
+            assert vector == 1 and manufacturer == 0
+            modules[struct.unpack(">H", module[:2])[0]] = module[2:]
+        points.append(modules)
+    return points
+
+
+def otp_angles(pose):
+    """Returns the angles about x, y and z, degrees, of R = Rz Ry Rx."""
+    r = body(pose)
+    return [math.degrees(v) for v in (math.atan2(r[2][1], r[2][2]), -math.asin(r[2][0]), math.atan2(r[1][0], r[0][0]))]
+
+
+def otp(packets, lines):
+    """Compares positions (module 1) and rotations (module 3) with the JSON lines of the same test;
+    a packet's line is the one with the nearest position."""
+    poses = [line["pose"] for line in map(json.loads, lines) if line.get("pose")]
+    worst, last_us = [0.0, 0.0], 0
+    for packet in packets:
+        (point,) = otp_points(packet)
+        assert point["address"] == (1, 1) and point["priority"] == 100 and point["us"] > last_us, point
+        last_us = point["us"]
+        assert set(point) >= {1, 2, 3, 4} and point[1][0] == 0, "all that was asked for, in micrometres"
+        um, udeg = struct.unpack(">iii", point[1][1:]), struct.unpack(">III", point[3])
+        off = lambda pose: max(abs(1e6 * p - v) for p, v in zip(pose["position_m"], um))
+        pose = min(poses, key=off)
+        assert all(v < 360_000_000 for v in udeg), udeg
+        turned = max(abs((1e6 * a - v + 180e6) % 360e6 - 180e6) for a, v in zip(otp_angles(pose), udeg))
+        worst = [max(worst[0], off(pose)), max(worst[1], turned)]
+    assert len(packets) >= 30 and worst[0] <= 0.501 and worst[1] <= 1.6, f"{len(packets)} packets, {worst[0]} um, {worst[1]} udeg"
+    return f"{len(packets)} packets, worst {worst[0]:.2f} um, {worst[1]:.2f} udeg"
+
+
+def test_of_otp(a):
+    """Asks for all modules, as a consumer must, while `send-test` moves a camera; returns the
+    packets and the JSON lines. A producer says nothing in its first 12 s, which are for asking."""
+    shown, asked, lines = Udp(), free_port(), a.out / "otp.jsonl"
+    config = a.out / "otp.toml"
+    keys = {"listen": f"127.0.0.1:{asked}", "interface": "127.0.0.1"}
+    config.write_text(output("otp", shown.port, **keys) + f'[[output]]\nkind = "json"\nfile = "{lines.resolve()}"\n')
+    program = subprocess.Popen([str(a.stagepose), "send-test", "--seconds", "15", "--config", str(config)], stderr=subprocess.DEVNULL)
+    # Vector 1 of an advertisement: manufacturer and number of each module.
+    modules = b"".join(struct.pack(">HH", 0, number) for number in range(1, 7))
+    layer = lambda vector, content: struct.pack(">HH", vector, len(content)) + content
+    asking = layer(1, bytes(4) + layer(1, bytes(4) + modules))
+    head = bytes(2) + bytes(range(16)) + bytes(4) + bytes(4) + bytes(5) + b"receive.py".ljust(32, b"\0")
+    packet = b"OTP-E1.59\0\0\0" + layer(2, head + asking)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as consumer:
+        while program.poll() is None:
+            consumer.sendto(packet, ("127.0.0.1", asked))
+            time.sleep(1)
+    assert program.returncode == 0, "send-test"
+    return shown.close(), lines.read_text().splitlines()
+
+
 def json_lines(lines, rows, every_row):
     records = [r for r in map(json.loads, lines) if "event" not in r]
     poses = [r for r in records if r["pose"]]
@@ -433,6 +512,7 @@ def main():
         process.terminate()
         thread.join(timeout=5)
         report.check("node-osc, @jwetzell/posistagenet", lambda: node(lines, rows))
+    report.check("OTP (own decoder)", lambda: otp(*test_of_otp(a)))
     packets, states = replay_darkened(a, stage)
     report.check("Marks (cbor2, pypsn, python-osc)", lambda: marks(packets, states))
     sys.exit(1 if report.failed else 0)
