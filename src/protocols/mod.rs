@@ -4,11 +4,13 @@
 //! This module only converts between bytes and numbers: no sockets, no clocks, no state. [`freed`],
 //! [`psn`], [`opentrackio`] and [`otp`] hold one protocol each; [`PanTiltRoll`] has the angles that
 //! FreeD and OpenTrackIO share, [`opentrackio_lens`] expresses a lens in OpenTrackIO's terms, and
-//! [`otp_pose`] a pose in OTP's.
+//! [`otp_pose`] a pose in OTP's. [`camera_packet`] is what a received packet of FreeD or
+//! OpenTrackIO says of its camera.
 //! Decoders refuse damaged data with an error that states why, and never panic. `publish` decides
 //! what an output sends and when.
 
 mod body_pose;
+pub mod camera_packet;
 pub mod freed;
 #[cfg(test)]
 pub(crate) mod golden;

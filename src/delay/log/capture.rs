@@ -6,12 +6,10 @@
 //! packet is the last 29 bytes of a network packet, whatever the link layer before it is; an
 //! OpenTrackIO packet begins with its identifier. Checksums tell both from others.
 
-use nalgebra::Vector3;
-use serde_json::Value;
-
 use super::{LogError, LoggedPose};
 use crate::frame::Timestamp;
-use crate::protocols::PanTiltRoll;
+use crate::geometry::{Body, Pose, Stage};
+use crate::protocols::camera_packet::{CameraPacket, CameraSource};
 use crate::protocols::freed::{FreedPacket, LENGTH};
 use crate::protocols::opentrackio;
 
@@ -56,13 +54,6 @@ pub(super) fn is_capture(bytes: &[u8]) -> bool {
     Form::of(bytes).is_some() || bytes.get(..4) == Some(&NEXT_GENERATION.to_be_bytes())
 }
 
-/// The sender of a packet: a FreeD camera, or an OpenTrackIO source.
-#[derive(Debug, Clone, PartialEq)]
-enum Sender {
-    Freed(u8),
-    OpenTrackIo(Option<String>),
-}
-
 /// Reads the packets of the sender that comes first; other packets are skipped.
 pub(super) fn read(bytes: &[u8]) -> Result<Vec<LoggedPose>, LogError> {
     let pcapng = "a pcapng capture, which is not read; save it as pcap (`tcpdump -w` does, or Wireshark's \"Save As\")";
@@ -73,40 +64,32 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<LoggedPose>, LogError> {
     while let (Some(seconds), Some(fraction), Some(length)) = (form.number(rest, 0), form.number(rest, 4), form.number(rest, 8)) {
         let Some(packet) = rest.get(PACKET_HEADER..).and_then(|rest| rest.get(..length as usize)) else { break };
         rest = &rest[PACKET_HEADER + packet.len()..];
-        let Some((sender, angles, position)) = freed(packet).or_else(|| sample(packet)) else { continue };
-        if *first.get_or_insert(sender.clone()) != sender {
+        let Some((source, pose)) = camera(packet) else { continue };
+        if *first.get_or_insert(source.clone()) != source {
             continue;
         }
         let at = Timestamp::from_ns(i64::from(seconds) * 1_000_000_000 + i64::from(fraction) * form.ns_per_unit);
-        rows.push(LoggedPose { at, rotation: angles.rotation(), position });
+        rows.push(LoggedPose { at, rotation: pose.rotation, position: pose.translation });
     }
     Ok(rows)
 }
 
-/// Decodes the FreeD packet at the end of a network packet.
-fn freed(packet: &[u8]) -> Option<(Sender, PanTiltRoll, Vector3<f64>)> {
-    let freed = FreedPacket::decode(packet.get(packet.len().checked_sub(LENGTH)?..)?).ok()?;
-    // FreeD's pan is positive to the right.
-    let angles = PanTiltRoll { pan_deg: -freed.pan_deg, tilt_deg: freed.tilt_deg, roll_deg: freed.roll_deg };
-    Some((Sender::Freed(freed.camera_id), angles, Vector3::from(freed.position_mm) / 1000.0))
-}
-
-/// Decodes the OpenTrackIO sample in a network packet; one without a pose is skipped.
-fn sample(packet: &[u8]) -> Option<(Sender, PanTiltRoll, Vector3<f64>)> {
-    let at = packet.windows(4).position(|four| four == b"OTrk")?;
-    let (_, sample) = opentrackio::decode(&packet[at..]).ok()?;
-    let transform = sample.get("transforms")?.get(0)?;
-    let number = |of: &str, key: &str| transform.get(of)?.get(key)?.as_f64().filter(|v| v.is_finite());
-    let position = Vector3::new(number("translation", "x")?, number("translation", "y")?, number("translation", "z")?);
-    let angles =
-        PanTiltRoll { pan_deg: number("rotation", "pan")?, tilt_deg: number("rotation", "tilt")?, roll_deg: number("rotation", "roll")? };
-    let source = sample.get("sourceId").and_then(Value::as_str).map(str::to_owned);
-    Some((Sender::OpenTrackIo(source), angles, position))
+/// Decodes the FreeD packet at the end of a network packet, or the OpenTrackIO sample in it; one
+/// without a pose is skipped.
+fn camera(packet: &[u8]) -> Option<(CameraSource, Pose<Stage, Body>)> {
+    let freed = || FreedPacket::decode(packet.get(packet.len().checked_sub(LENGTH)?..)?).ok();
+    let sample = || {
+        let at = packet.windows(4).position(|four| four == b"OTrk")?;
+        Some(CameraPacket::of_sample(&opentrackio::decode(&packet[at..]).ok()?.1))
+    };
+    let read = freed().map(|freed| CameraPacket::of_freed(&freed)).or_else(sample)?;
+    Some((read.source, read.pose?))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::protocols::PanTiltRoll;
 
     /// A capture of packets with their stamps, behind 42 bytes of Ethernet, IP and UDP.
     fn capture(is_big_endian: bool, packets: &[(u32, u32, FreedPacket)]) -> Vec<u8> {
