@@ -93,6 +93,7 @@ fn send(outputs: &[OutputSettings], frames: u64) -> (Vec<Instant>, Vec<Duration>
         stamps: Stamps::Recorded(ClipStart::default()),
         timecode: None,
         frame_rate: Some(HZ),
+        rings: None,
         is_test: false,
     };
     let publisher = Publisher::start(outputs, &context).expect("loopback takes outputs");
@@ -186,6 +187,7 @@ fn output(k: usize, protocol: Protocol, to: Vec<SocketAddr>) -> OutputSettings {
         on_loss: OnLoss::Stop,
         placement: Placement::default(),
         is_guarded: true,
+        passes_rings: false,
     }
 }
 

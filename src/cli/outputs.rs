@@ -6,7 +6,7 @@ use super::failure::Failure;
 use super::pages::Pages;
 use crate::camera::CameraModel;
 use crate::config::{HttpSettings, Settings};
-use crate::publish::{Context, OutputSettings, OutputStatistics, PoseWithheld, Publisher, Stamps};
+use crate::publish::{Context, HeardRings, OutputSettings, OutputStatistics, PoseWithheld, Publisher, Stamps};
 use crate::record::PoseSample;
 use crate::timecode::TimecodeSource;
 
@@ -24,11 +24,16 @@ impl Outputs {
         camera: CameraModel,
         stamps: Stamps,
         timecode: Option<Arc<TimecodeSource>>,
+        rings: Option<Arc<HeardRings>>,
         frame_rate: Option<f64>,
     ) -> Result<Self, Failure> {
         let objects = settings.objects.iter().map(|object| object.name.clone()).collect();
         let (mount, safety) = (settings.mount.clone(), settings.safety);
-        Self::open(&settings.outputs, http, &Context { camera, objects, mount, safety, stamps, timecode, frame_rate, is_test: false })
+        Self::open(
+            &settings.outputs,
+            http,
+            &Context { camera, objects, mount, safety, stamps, timecode, rings, frame_rate, is_test: false },
+        )
     }
 
     /// As [`start`](Self::start), from what sending needs.

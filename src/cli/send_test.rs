@@ -68,6 +68,7 @@ pub(super) fn run(arguments: &SendTestArguments) -> Result<(), Failure> {
         stamps: Stamps::Recorded(ClipStart::default()),
         timecode: None,
         frame_rate: Some(arguments.fps),
+        rings: None,
         is_test: true,
     };
     let outputs = Outputs::open(&settings.outputs, settings.http.as_ref(), &context)?;

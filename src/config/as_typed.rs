@@ -33,6 +33,8 @@ pub struct Config {
     pub recorder: Option<Recorder>,
     /// `[timecode]`.
     pub timecode: Option<Spanned<Timecode>>,
+    /// `[other_tracker]`.
+    pub other_tracker: Option<Spanned<OtherTracker>>,
     /// `[filter]`.
     pub filter: Option<Filter>,
     /// `[safety]`.
@@ -318,6 +320,23 @@ pub struct Timecode {
     pub begins_s: Option<Spanned<Number>>,
 }
 
+/// `[other_tracker]`.
+#[derive(Debug, Deserialize)]
+pub struct OtherTracker {
+    /// freed or opentrackio.
+    pub protocol: Option<Spanned<String>>,
+    /// Address and port where its packets arrive.
+    pub listen: Option<Spanned<String>>,
+    /// The network of a multicast group.
+    pub interface: Option<Spanned<String>>,
+    /// FreeD: the camera's number.
+    pub camera_id: Option<Spanned<Count>>,
+    /// OpenTrackIO: the source's `sourceId`.
+    pub source_id: Option<Spanned<String>>,
+    /// Raw zoom at the wide and at the long end.
+    pub zoom_range: Option<Spanned<Exactly<Number, 2>>>,
+}
+
 /// `[filter]`.
 #[derive(Debug, Deserialize)]
 pub struct Filter {
@@ -412,6 +431,8 @@ pub struct Output {
     pub spare: Option<Spanned<String>>,
     /// freed: raw zoom value.
     pub zoom: Option<Spanned<Count>>,
+    /// freed, opentrackio: whose zoom and focus are sent.
+    pub rings: Option<Spanned<String>>,
     /// freed: raw focus value.
     pub focus: Option<Spanned<Count>>,
     /// opentrackio: json, cbor.

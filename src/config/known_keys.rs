@@ -15,7 +15,7 @@ use super::{ConfigError, Problem};
 type Keys = fn() -> &'static [&'static str];
 
 /// Every section of this version: its path, its name in messages, its keys.
-const SECTIONS: [(&[&str], &str, Keys); 25] = [
+const SECTIONS: [(&[&str], &str, Keys); 26] = [
     (&[], "the config", fields::<as_typed::Config>),
     (&["camera"], "[camera]", fields::<as_typed::Camera>),
     (&["camera", "pose"], "[camera.pose]", fields::<as_typed::CameraPose>),
@@ -34,6 +34,7 @@ const SECTIONS: [(&[&str], &str, Keys); 25] = [
     (&["mount"], "[mount]", fields::<as_typed::Mount>),
     (&["tracker"], "[tracker]", fields::<as_typed::Tracker>),
     (&["timecode"], "[timecode]", fields::<as_typed::Timecode>),
+    (&["other_tracker"], "[other_tracker]", fields::<as_typed::OtherTracker>),
     (&["filter"], "[filter]", fields::<as_typed::Filter>),
     (&["safety"], "[safety]", fields::<as_typed::Safety>),
     (&["output"], "[[output]]", fields::<as_typed::Output>),

@@ -22,6 +22,7 @@ mod mount;
 mod named_files;
 mod named_points;
 mod origin;
+mod other_tracker;
 #[cfg(test)]
 mod output_tests;
 mod outputs;
@@ -48,6 +49,7 @@ pub use error::{ConfigError, Problem};
 pub use http::{HostName, HttpSettings};
 pub use lens::LensSource;
 pub use named_files::{FileKind, files_named_in, named_below};
+pub use other_tracker::OtherTrackerSettings;
 pub use settings::{LOG_LEVELS, LogFormat, LogSettings, RecorderSettings, Settings};
 pub use source::{ConfigSource, read_calibration};
 pub use timecode::{TimecodeInput, TimecodeSettings};

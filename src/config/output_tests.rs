@@ -357,3 +357,13 @@ fn a_receiver_preset_sets_axes_and_units() {
     let said = message(&format!("{OSC}receiver = \"unity\"\n"));
     assert!(said.starts_with("`receiver` in [[output]], line 4: `unity` cannot be used; give unreal, disguise"), "{said}");
 }
+
+#[test]
+fn rings_need_the_other_tracker() {
+    let rings = format!("{FREED}rings = \"other_tracker\"\n");
+    let said = load(&rings).unwrap_err().to_string();
+    assert!(said.contains("`rings` in [[output]]") && said.contains("no [other_tracker]"), "{said}");
+    let other = "[other_tracker]\nprotocol = \"freed\"\nlisten = \"127.0.0.1:40000\"\n";
+    assert!(load(&format!("{rings}{other}")).unwrap().outputs[0].passes_rings);
+    assert!(!load(&format!("{FREED}{other}")).unwrap().outputs[0].passes_rings);
+}

@@ -30,6 +30,8 @@ pub(super) struct OutputReader<'a> {
     pub objects: Vec<String>,
     /// The mount, if there is one.
     pub mount: Option<&'a MountSettings>,
+    /// Whether there is an `[other_tracker]`.
+    pub has_other_tracker: bool,
 }
 
 impl OutputReader<'_> {
@@ -45,6 +47,18 @@ impl OutputReader<'_> {
             outputs.push(output);
         }
         Ok(outputs)
+    }
+
+    /// Whether `rings` asks for the other tracker's zoom and focus.
+    fn passes_rings(&self, section: &Section<'_>, output: &as_typed::Output) -> Result<bool, ConfigError> {
+        let words = [("own", false), ("other_tracker", true)];
+        let passes = section.word("rings", output.rings.as_ref(), false, &words, "\"other_tracker\", or \"own\" for `zoom` and `focus`")?;
+        match &output.rings {
+            Some(typed) if passes && !self.has_other_tracker => {
+                Err(section.conflict("rings", typed, "there is no [other_tracker] whose zoom and focus could be sent; add it"))
+            }
+            _ => Ok(passes),
+        }
     }
 
     fn section(&self) -> Section<'_> {
@@ -77,6 +91,7 @@ impl OutputReader<'_> {
             delay: mount_delay,
             on_loss,
             placement,
+            passes_rings: self.passes_rings(&section, output)?,
             is_guarded: output.safety.as_ref().is_none_or(|e| *e.get_ref()),
         })
     }

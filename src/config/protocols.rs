@@ -68,12 +68,13 @@ fn refuse_others_keys(section: &Section<'_>, o: &as_typed::Output, kind: Kind) -
         typed.as_ref().map(Spanned::span)
     }
     use Kind::{Freed, Json, OpenTrackIo, Osc, Otp, Psn};
-    let keys: [Owned; 20] = [
+    let keys: [Owned; 21] = [
         ("sensor_width_mm", at(&o.sensor_width_mm), &[Freed, OpenTrackIo], "it belongs to freed and opentrackio; remove it"),
         ("camera_id", at(&o.camera_id), &[Freed], "it belongs to freed; remove it"),
         ("spare", at(&o.spare), &[Freed], "it belongs to freed; remove it"),
         ("zoom", at(&o.zoom), &[Freed], "it belongs to freed; remove it"),
         ("focus", at(&o.focus), &[Freed], "it belongs to freed; remove it"),
+        ("rings", at(&o.rings), &[Freed, OpenTrackIo], "it belongs to freed and opentrackio; remove it"),
         ("encoding", at(&o.encoding), &[OpenTrackIo], "it belongs to opentrackio; remove it"),
         ("source_number", at(&o.source_number), &[OpenTrackIo], "it belongs to opentrackio; remove it"),
         ("principal_point", at(&o.principal_point), &[OpenTrackIo], "it belongs to opentrackio; remove it"),

@@ -11,9 +11,10 @@ use toml::Spanned;
 
 use super::as_typed::{Config, Output};
 use super::origin::Origin;
+use super::other_tracker::OTHER_TRACKER;
 use super::outputs::OUTPUT;
 use super::{ConfigError, Problem, Settings};
-use crate::publish::{BodyChoice, Protocol, Publisher, TransportError};
+use crate::publish::{BodyChoice, Protocol, Publisher, TransportError, udp_listener};
 
 impl Settings {
     /// Opens every output and the HTTP server's port and closes them again.
@@ -41,12 +42,22 @@ impl Settings {
             let (key, span) = output.map_or(("to", 0..0), |(o, span)| place_of(&reason, o, span));
             return Err(origin.value(OUTPUT, key, &span, Problem::Transport(reason)));
         }
+        self.rehearse_other_tracker(&typed, &origin, &is_held)?;
         let Some(http) = self.http.as_ref().filter(|http| !is_held(http.listen)) else { return Ok(()) };
         let reason = match TcpListener::bind(http.listen) {
             Ok(_) => return Ok(()),
             Err(error) => error.to_string(),
         };
         Err(origin.value("[http]", "listen", &http_place(&typed), Problem::Listen { address: http.listen, reason }))
+    }
+
+    /// Opens the other tracker's port and closes it again.
+    fn rehearse_other_tracker(&self, typed: &Config, origin: &Origin<'_>, is_held: &dyn Fn(SocketAddr) -> bool) -> Result<(), ConfigError> {
+        let Some(other) = self.other_tracker.as_ref().filter(|other| !is_held(other.listen)) else { return Ok(()) };
+        let Err(error) = udp_listener(other.listen, other.interface.as_ref()) else { return Ok(()) };
+        let place = typed.other_tracker.as_ref().and_then(|other| other.get_ref().listen.as_ref()).map_or(0..0, Spanned::span);
+        let problem = Problem::Listen { address: other.listen, reason: error.to_string() };
+        Err(origin.value(OTHER_TRACKER, "listen", &place, problem))
     }
 
     /// Refuses an object with the camera's output name if an output sends both: receivers cannot
@@ -70,7 +81,8 @@ impl Settings {
             let tcp = output.stream().and_then(|stream| stream.tcp_listen);
             tcp.into_iter().chain(output.listen())
         });
-        of_outputs.chain(self.http.as_ref().map(|http| http.listen))
+        let of_other_tracker = self.other_tracker.as_ref().map(|other| other.listen);
+        of_outputs.chain(of_other_tracker).chain(self.http.as_ref().map(|http| http.listen))
     }
 
     /// Refuses two outputs to one file, by whatever name: their lines would mix.

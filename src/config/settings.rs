@@ -21,6 +21,7 @@ use super::mount::mount;
 use super::named_files::named_files;
 use super::named_points::named_points;
 use super::origin::Origin;
+use super::other_tracker::{OtherTrackerSettings, other_tracker};
 use super::outputs::{OUTPUT, OutputReader, safety};
 use super::protocols::address;
 use super::shutter::shutter;
@@ -79,6 +80,8 @@ pub struct Settings {
     pub tracker: TrackerSettings,
     /// Where timecode comes from; `None` without `[timecode]`.
     pub(crate) timecode: Option<TimecodeSettings>,
+    /// Another tracker beside this one; `None` without `[other_tracker]`.
+    pub(crate) other_tracker: Option<OtherTrackerSettings>,
     /// What is recorded while tracking.
     pub(crate) recorder: RecorderSettings,
     /// How the measured pose is filtered before it is reported.
@@ -251,7 +254,8 @@ impl Settings {
         let first_as_typed = bodies.first_as_typed;
         let names: Vec<String> = objects.iter().map(|o| o.name.clone()).collect();
         let mount = mount(&origin, typed.mount.as_ref(), &names, &mut notes)?;
-        let outputs = OutputReader { origin: &origin, objects: names, mount: mount.as_ref() };
+        let outputs =
+            OutputReader { origin: &origin, objects: names, mount: mount.as_ref(), has_other_tracker: typed.other_tracker.is_some() };
         let files = files_of(&typed, &origin);
         let (device, safety) = (device(&section, camera)?, safety(&origin, typed.safety.as_ref())?);
         notes.extend(device.fps.and_then(|fps| safety.note_on_rate(fps)));
@@ -277,6 +281,7 @@ impl Settings {
             mount,
             tracker: tracker(&origin, typed.tracker.as_ref(), transfer)?,
             timecode: typed.timecode.as_ref().map(|typed| timecode(&origin, typed)).transpose()?,
+            other_tracker: typed.other_tracker.as_ref().map(|typed| other_tracker(&origin, typed)).transpose()?,
             recorder: recorder(&origin, typed.recorder.as_ref())?,
             filter: filter(&origin, typed.filter.as_ref())?,
             safety,
@@ -304,7 +309,12 @@ impl Settings {
         let names = typed.object.iter().filter_map(|object| object.get_ref().name.as_ref());
         let objects: Vec<String> = names.map(|name| name.get_ref().clone()).collect();
         let mount = mount(&origin, typed.mount.as_ref(), &objects, &mut Vec::new())?;
-        let outputs = OutputReader { origin: &origin, objects: objects.clone(), mount: mount.as_ref() };
+        let outputs = OutputReader {
+            origin: &origin,
+            objects: objects.clone(),
+            mount: mount.as_ref(),
+            has_other_tracker: typed.other_tracker.is_some(),
+        };
         Ok(SendingSettings {
             camera: found.map(|(_, camera)| camera),
             missing_calibration,

@@ -10,8 +10,12 @@ mod jobs;
 mod kept_views;
 pub mod learnt_state;
 pub mod live;
+#[cfg(feature = "cli")]
+mod other_tracker;
 mod own_command;
 mod own_folders;
+#[cfg(any(feature = "http", feature = "cli"))]
+mod priority;
 mod reason_watch;
 pub mod recorder;
 pub mod report;
@@ -28,8 +32,12 @@ pub use free_memory::give_back;
 pub use jobs::Progress;
 pub use kept_views::kept_views;
 pub use learnt_state::{LearntFile, learnt_of_clip, utc_ahead_of_clip_ns};
+#[cfg(feature = "cli")]
+pub use other_tracker::OtherTrackerReader;
 pub use own_command::{PROGRESS_EVERY, run_own};
 pub use own_folders::{Keeping, state_folder};
+#[cfg(any(feature = "http", feature = "cli"))]
+pub use priority::stand_back;
 #[cfg(test)]
 pub use retrack::nothing_compared;
 pub use retrack::retrack;

@@ -3,8 +3,10 @@
 
 use super::encoder::Encoder;
 use super::report::{BodyReport, Report};
+use super::rings::Rings;
 use crate::camera::CameraModel;
 use crate::geometry::{Body, Pose, Stage};
+use crate::protocols::camera_packet::Ring;
 use crate::protocols::freed::FreedPacket;
 
 /// The content of the two spare bytes.
@@ -78,7 +80,8 @@ impl Encoder for FreedEncoder {
     fn encode(&mut self, report: &Report, send: &mut dyn FnMut(&[u8])) {
         let Some(body) = report.bodies.first() else { return };
         let Some(mut packet) = self.packet(body) else { return };
-        (packet.zoom, packet.focus) = (self.zoom, self.settings.focus);
+        let raw = |ring: Option<Ring>, usual| ring.map_or(usual, Rings::freed);
+        (packet.zoom, packet.focus) = (raw(report.rings.zoom, self.zoom), raw(report.rings.focus, self.settings.focus));
         packet.spare = self.spare(report, body);
         // A pose that does not fit never gets here.
         let (bytes, _) = packet.encode();
@@ -108,6 +111,8 @@ mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
 
     use super::*;
+    use crate::publish::golden::golden_report;
+    use crate::record::State;
 
     #[test]
     fn the_encoder_accepts_only_the_24_bit_range() {
@@ -115,5 +120,20 @@ mod tests {
         let encoder = FreedEncoder::new(settings, Some(&CameraModel::pinhole(640, 480, 600.0, 600.0, 319.5, 239.5).unwrap()));
         let at = |x| Pose::new(UnitQuaternion::identity(), Vector3::new(0.0, x, 0.0));
         assert_eq!([131.0, -131.072, 131.0721, -131.1, 1e6].map(|x| encoder.holds(&at(x))), [true, true, false, false, false]);
+    }
+
+    #[test]
+    fn zoom_and_focus_of_another_device_replace_the_configured_ones() {
+        let settings = FreedSettings { camera_id: 1, spare: Spare::Zero, zoom: Some(5), sensor_width_mm: 4.8, focus: 6 };
+        let mut encoder = FreedEncoder::new(settings, None);
+        let mut sent = |rings: Rings| {
+            let mut found = None;
+            let report = Report { rings, ..golden_report(State::Tracking) };
+            encoder.encode(&report, &mut |bytes| found = FreedPacket::decode(bytes).ok());
+            found.map(|packet| (packet.zoom, packet.focus))
+        };
+        assert_eq!(sent(Rings::default()), Some((5, 6)));
+        assert_eq!(sent(Rings { zoom: Some(Ring::Raw(40_000.0)), focus: None }), Some((40_000, 6)));
+        assert_eq!(sent(Rings { zoom: Some(Ring::Raw(1.0)), focus: Some(Ring::Normalised(1.0)) }), Some((1, 65_535)));
     }
 }

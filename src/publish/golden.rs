@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::report::{BodyChoice, BodyReport, Report, ReportedTimecode};
+use super::rings::Rings;
 use crate::frame::Timestamp;
 use crate::protocols::golden::golden_camera;
 use crate::protocols::to_body_axes;
@@ -33,6 +34,7 @@ pub(crate) fn golden_report(state: State) -> Report {
         sent_monotonic: Timestamp::from_ns(5_052_500_000),
         recorded: None,
         timecode: ReportedTimecode::TimeOfDay,
+        rings: Rings::default(),
         clock: None,
         is_on_clock: false,
         rate_hz: 30.0,

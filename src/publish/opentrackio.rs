@@ -12,6 +12,7 @@ use super::clocks::{Clocks, SystemClocks};
 use super::complaints::Complaints;
 use super::encoder::Encoder;
 use super::report::{BodyChoice, BodyReport, Report, ReportedTimecode};
+use super::rings::Rings;
 use super::system_clock::ClockQuality;
 use crate::camera::CameraModel;
 use crate::frame::Timestamp;
@@ -85,8 +86,10 @@ impl OpenTrackIoEncoder {
         put("sourceNumber", json!(self.source_number));
         put("tracker", tracker(report, body));
         put("timing", timing(report));
-        if let Some(lens) = &self.lens {
-            put("lens", lens.clone());
+        if self.lens.is_some() || report.rings != Rings::default() {
+            let mut lens = self.lens.clone().unwrap_or_else(|| json!({}));
+            report.rings.add_to_lens(&mut lens);
+            put("lens", lens);
         }
         if let Some(pose) = &body.pose {
             let angles = PanTiltRoll::of_rotation(&pose.rotation, self.last_roll_deg);

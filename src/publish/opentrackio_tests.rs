@@ -1,4 +1,5 @@
 use super::*;
+use crate::protocols::camera_packet::Ring;
 use crate::protocols::opentrackio::decode;
 use crate::publish::golden::golden_report;
 use crate::publish::report::Withheld;
@@ -108,4 +109,14 @@ fn the_clock_is_locked_or_not_and_has_a_frequency_only_on_its_frames() {
     let frequency = json!({"num": 60_000, "denom": 1001});
     let free = ClockQuality { is_synchronised: false, ..quality };
     assert_eq!(of(Some(free), true), json!({"locked": false, "source": "ntp", "frequency": frequency}));
+}
+
+#[test]
+fn zoom_and_focus_of_another_device_are_encoders() {
+    let mut encoder = OpenTrackIoEncoder::new(&settings(Encoding::Json), None, "studio");
+    let mut report = golden_report(State::Tracking);
+    let lens = |encoder: &mut OpenTrackIoEncoder, report: &Report| encoder.sample(report, &report.bodies[0])["lens"].clone();
+    assert_eq!(lens(&mut encoder, &report), Value::Null);
+    report.rings = Rings { zoom: Some(Ring::Normalised(0.25)), focus: Some(Ring::Raw(9.0)) };
+    assert_eq!(lens(&mut encoder, &report), json!({"encoders": {"zoom": 0.25}, "rawEncoders": {"focus": 9}}));
 }

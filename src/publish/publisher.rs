@@ -22,6 +22,7 @@ use super::osc::OscEncoder;
 use super::otp::OtpEncoder;
 use super::psn::PsnEncoder;
 use super::report::BodyChoice;
+use super::rings::HeardRings;
 use super::settings::{OutputSettings, Protocol, SafetySettings};
 use super::stamps::{Pace, Stamps};
 use super::transport::{Transport, TransportError};
@@ -47,6 +48,8 @@ pub struct Context {
     pub stamps: Stamps,
     /// Timecode of the samples' stamps; `None` sends the time of day where a format needs one.
     pub timecode: Option<Arc<TimecodeSource>>,
+    /// Zoom and focus of another device, for the outputs that pass them on.
+    pub rings: Option<Arc<HeardRings>>,
     /// Frames per second if known; otherwise derived from the stamps.
     pub frame_rate: Option<f64>,
     /// Whether the poses are invented; they are marked as such if the format can.
@@ -267,6 +270,7 @@ impl RunningOutput {
             memory: Memory::start(clock.now(), settings.rate),
             clock: clock.clone(),
             timecode: context.timecode.clone(),
+            rings: context.rings.clone().filter(|_| settings.passes_rings),
         };
         let thread = std::thread::Builder::new().name(format!("out-{name}")).spawn(move || worker.run());
         let thread = thread.map_err(|source| PublishError::Thread { output: name.clone(), source })?;

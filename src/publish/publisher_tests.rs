@@ -76,6 +76,7 @@ fn output(protocol: Protocol, ear: &Ear) -> OutputSettings {
         on_loss: OnLoss::Stop,
         placement: Placement::default(),
         is_guarded: true,
+        passes_rings: false,
     }
 }
 
@@ -90,6 +91,7 @@ fn context(safety: SafetySettings) -> Context {
         stamps: Stamps::Recorded(ClipStart::default()),
         timecode: None,
         frame_rate: Some(30.0),
+        rings: None,
         is_test: false,
     }
 }

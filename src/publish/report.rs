@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use nalgebra::Vector3;
 
+use super::rings::Rings;
 use super::system_clock::ClockQuality;
 use crate::frame::Timestamp;
 use crate::geometry::{Body, Pose, Stage};
@@ -137,6 +138,8 @@ pub struct Report {
     pub recorded: Option<Timestamp>,
     /// Timecode of the instant.
     pub timecode: ReportedTimecode,
+    /// Zoom and focus of another device, if they are passed on.
+    pub rings: Rings,
     /// What the system's clock is worth, if the kernel tells.
     pub clock: Option<ClockQuality>,
     /// Whether the instant is a tick on the clock's frames.

@@ -37,6 +37,8 @@ pub struct OutputSettings {
     pub placement: Placement,
     /// Whether `[safety]` applies to it.
     pub is_guarded: bool,
+    /// Whether zoom and focus are those that the other tracker sends.
+    pub passes_rings: bool,
 }
 
 impl OutputSettings {

@@ -12,6 +12,7 @@ use super::encoder::Encoder;
 use super::frame_clock::FrameClock;
 use super::report::{Report, ReportedTimecode};
 use super::resample::Known;
+use super::rings::{HeardRings, Rings};
 use super::settings::{OnLoss, Rate, TickPhase};
 use super::system_clock::{ClockQuality, tai_offset_s};
 use super::ticks::Ticks;
@@ -74,6 +75,8 @@ pub(super) struct Worker {
     pub counters: Arc<Counters>,
     pub clock: Arc<FrameClock>,
     pub timecode: Option<Arc<TimecodeSource>>,
+    /// Zoom and focus that are passed on.
+    pub rings: Option<Arc<HeardRings>>,
     pub memory: Memory,
 }
 
@@ -247,6 +250,7 @@ impl Worker {
             timecode: self.timecode.as_ref().map_or(ReportedTimecode::TimeOfDay, |timecode| {
                 timecode.at(recorded.unwrap_or(monotonic)).map_or(ReportedTimecode::Unknown, ReportedTimecode::Known)
             }),
+            rings: self.rings.as_ref().map_or_else(Rings::default, |rings| rings.get()),
             clock,
             is_on_clock: matches!(self.rate, Rate::Fixed { phase: TickPhase::Clock, .. }),
             rate_hz: self.rate.hz(latest.map_or(USUAL_RATE_HZ, |a| a.rate_hz)),
@@ -356,6 +360,7 @@ mod tests {
             on_loss: OnLoss::Flag,
             placement: Placement::default(),
             is_guarded: false,
+            passes_rings: false,
         };
         let clocks = SteppedClocks::new();
         let clock = Arc::new(FrameClock::with(Arc::new(clocks.clone()), Stamps::Live));
@@ -376,6 +381,7 @@ mod tests {
             memory: Memory::start(clock.now(), settings.rate),
             clock: clock.clone(),
             timecode: None,
+            rings: None,
         };
         let sample = PoseSample {
             sequence: 7,

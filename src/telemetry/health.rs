@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::Page;
+use super::other_tracker::OtherTrackerStatus;
 use super::statistics::{CameraState, RecorderState, Statistics};
 use super::timecode::TimecodeStatus;
 use crate::printable::printable;
@@ -24,6 +25,8 @@ struct Health<'a> {
     clock: Option<Clock>,
     /// Null without `[timecode]`.
     timecode: Option<TimecodeStatus>,
+    /// Null without `[other_tracker]`.
+    other_tracker: Option<OtherTrackerStatus>,
 }
 
 /// What the system's clock is worth.
@@ -71,6 +74,7 @@ pub fn health(statistics: &Statistics, clock: &FrameClock) -> Page {
         },
         clock: ClockQuality::read().map(Clock::from),
         timecode: statistics.timecode().and_then(|source| TimecodeStatus::of(&source, clock.now().monotonic)),
+        other_tracker: statistics.other_tracker(),
     };
     // Serialising to a string fails only for non-string map keys, and the health has none.
     let body = serde_json::to_string(&health).expect("the health has only string keys");

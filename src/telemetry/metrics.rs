@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use super::Page;
 use super::budget::BudgetPart;
 use super::histogram::{EDGES_S, Histogram};
+use super::other_tracker::STATES as OTHER_TRACKER_STATES;
 use super::statistics::{CameraState, RecorderState, Statistics};
 use super::timecode::{STATES, TimecodeStatus};
 use crate::publish::{ClockQuality, FrameClock};
@@ -17,6 +18,7 @@ pub fn metrics(statistics: &Statistics, clock: &FrameClock) -> Page {
     counters(&mut text, statistics);
     gauges(&mut text, statistics, clock);
     timecode(&mut text, statistics, clock);
+    other_tracker(&mut text, statistics);
     system_clock(&mut text);
     budget(&mut text, statistics);
     head(&mut text, "stagepose_stage_seconds", "histogram", "Compute time of a frame by stage.");
@@ -85,6 +87,21 @@ fn timecode(text: &mut String, statistics: &Statistics, clock: &FrameClock) {
     }
     let speed = status.and_then(|status| status.speed).map_or("NaN".to_owned(), |speed| speed.to_string());
     one(text, "stagepose_timecode_speed", "gauge", "Speed of the timecode, 1 for its rate.", speed);
+}
+
+/// Writes the other tracker's state, all 0 without `[other_tracker]`, and how the two differ.
+fn other_tracker(text: &mut String, statistics: &Statistics) {
+    let status = statistics.other_tracker();
+    head(text, "stagepose_other_tracker_state", "gauge", "1 for the state of the other tracker.");
+    for state in OTHER_TRACKER_STATES {
+        let is_state = status.as_ref().is_some_and(|status| status.state == state);
+        let _ = writeln!(text, "stagepose_other_tracker_state{{state=\"{state}\"}} {}", u8::from(is_state));
+    }
+    let difference = status.and_then(|status| status.difference);
+    let number = |value: Option<f64>| value.map_or("NaN".to_owned(), |value| value.to_string());
+    let (metres, degrees) = (difference.as_ref().map(|d| d.rms_m), difference.as_ref().map(|d| d.rms_deg));
+    one(text, "stagepose_other_tracker_difference_meters", "gauge", "Difference to the other tracker, rms.", number(metres));
+    one(text, "stagepose_other_tracker_difference_degrees", "gauge", "The same in rotation.", number(degrees));
 }
 
 /// Writes what the system's clock is worth; NaN where the kernel does not tell.

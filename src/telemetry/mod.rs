@@ -8,6 +8,7 @@ mod health;
 mod histogram;
 mod log_tail;
 mod metrics;
+mod other_tracker;
 mod statistics;
 mod timecode;
 
@@ -15,6 +16,7 @@ pub use budget::{Budget, BudgetPart, MeanTimes, Origin};
 pub use health::health;
 pub use log_tail::{keep_log_line, log_tail};
 pub use metrics::metrics;
+pub use other_tracker::{OtherTrackerStatus, TrackerDifference};
 pub use statistics::{CameraState, RecorderState, STAGES, Statistics};
 pub use timecode::TimecodeStatus;
 

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use super::budget::{Budget, MeanTimes};
 use super::histogram::Histogram;
+use super::other_tracker::OtherTrackerStatus;
 use crate::camera::KnownShutter;
 use crate::frame::Timestamp;
 use crate::publish::FrameClock;
@@ -91,6 +92,7 @@ pub struct Statistics {
     /// What has been learnt of the camera, as of the last sample.
     learnt: Mutex<LearntCamera>,
     timecode: Mutex<Option<Arc<TimecodeSource>>>,
+    other_tracker: Mutex<Option<OtherTrackerStatus>>,
 }
 
 /// The stages of the latency histograms, in their storage order.
@@ -149,6 +151,16 @@ impl Statistics {
     /// Returns where timecode comes from.
     pub fn timecode(&self) -> Option<Arc<TimecodeSource>> {
         self.timecode.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Notes what is known of the other tracker; `None` without `[other_tracker]`.
+    pub fn set_other_tracker(&self, status: Option<OtherTrackerStatus>) {
+        *self.other_tracker.lock().unwrap_or_else(PoisonError::into_inner) = status;
+    }
+
+    /// Returns what is known of the other tracker.
+    pub fn other_tracker(&self) -> Option<OtherTrackerStatus> {
+        self.other_tracker.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Notes that the camera streams; `again` if it had been open before.

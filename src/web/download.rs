@@ -62,7 +62,7 @@ impl Download {
     pub fn start(make: impl FnOnce(&mut dyn Write) -> io::Result<()> + Send + 'static) -> io::Result<Self> {
         let (to, pieces) = mpsc::channel(PIECES);
         let work = move || {
-            super::priority::stand_back();
+            crate::daemon::stand_back();
             let mut sink = Sink { to: to.clone(), buffer: Vec::new() };
             if let Err(error) = make(&mut sink).and_then(|()| sink.flush()) {
                 let _ = to.blocking_send(Err(error));

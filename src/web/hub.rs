@@ -21,8 +21,8 @@ use serde::Serialize;
 use tokio::sync::watch;
 
 use super::camera_motion::{CameraMotion, MotionFollower};
-use super::priority::stand_back;
 use crate::capture::{ClipEntry, EntryContent, Received, with_huffman_tables};
+use crate::daemon::stand_back;
 use crate::drop_oldest::{DropOldestSender, drop_oldest};
 use crate::record::{PoseSample, State};
 use crate::telemetry::Statistics;

@@ -54,8 +54,6 @@ mod packing;
 #[cfg(feature = "http")]
 mod places;
 #[cfg(feature = "http")]
-mod priority;
-#[cfg(feature = "http")]
 mod replies;
 #[cfg(feature = "http")]
 mod reply;

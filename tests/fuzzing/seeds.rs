@@ -10,6 +10,7 @@ pub const STAGE: &str = "[camera]\ncalibration = \"camera.toml\"\nexposure_s = 0
     [[object]]\nname = \"cart\"\n[[object.surface]]\nphoto = \"art.png\"\ncorners_px = [[9, 9], [110, 9], [110, 80], [9, 80]]\nsize_m = [0.7, 0.7]\n\
     [tracker]\nthreads = 2\nfeatures = 800\ncoast_s = 0.2\n[filter]\nkind = \"kalman\"\npredict_s = 0.02\n[safety]\nmax_speed_m_s = 3\n\
     permitted_box_m = [[-5, -5, 0], [5, 5, 3]]\n[[output]]\nkind = \"freed\"\nto = [\"127.0.0.1:40000\"]\nrate_hz = 50\nticks = \"clock\"\n\
+    [other_tracker]\nprotocol = \"freed\"\nlisten = \"0.0.0.0:40000\"\ncamera_id = 1\nzoom_range = [0, 65535]\n\
     [timecode]\nfile = \"ltc.wav\"\nchannel = 2\nrate = \"29.97df\"\nfree_wheel_s = 30.0\n\
     [[output]]\nkind = \"osc\"\nto = [\"127.0.0.1:9000\"]\n[[output.value]]\naddress = \"/x\"\nquantity = \"x\"\nclamp = [0, 1]\n\
     [recorder]\nring_s = 10\n[http]\nlisten = \"127.0.0.1:8080\"\n[log]\nlevel = \"off\"\n";

@@ -124,6 +124,7 @@ impl Place {
             on_loss,
             placement: Placement::default(),
             is_guarded: true,
+            passes_rings: false,
         }
     }
 

@@ -130,6 +130,7 @@ impl Show {
             stamps: Stamps::Live,
             timecode: None,
             frame_rate: Some(if is_fixed { 0.1 } else { 30.0 }),
+            rings: None,
             is_test: false,
         };
         let outputs: Vec<_> = places.iter().map(|place| place.output(story.on_loss(), rate)).collect();

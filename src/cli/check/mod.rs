@@ -108,6 +108,9 @@ pub(super) fn run(arguments: &CheckArguments) -> Result<(), Failure> {
     if let Some(settings) = &settings.timecode {
         let _ = write!(report, "\n{:<11} {}", "timecode", timecode_in_words(settings));
     }
+    if let Some(other) = &settings.other_tracker {
+        let _ = write!(report, "\n{:<11} {}", "other", other.in_words());
+    }
     print(printable_lines(&(report + "\n")).as_bytes())?;
     let file = match verdict {
         Verdict::Good | Verdict::Warned(_) => return Ok(()),

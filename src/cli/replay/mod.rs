@@ -131,7 +131,7 @@ pub(super) fn run(arguments: &ReplayArguments, started: Instant) -> Result<(), F
     arguments.overlay.as_deref().map_or(Ok(()), overlays::refuse_foreign)?;
     let start = || {
         let timecode = timecode_of_clip(settings.timecode.as_ref(), Some(&arguments.clip))?.map(Arc::new);
-        Outputs::start(&settings, settings.http.as_ref(), setup.camera, stamps(), timecode, arguments.fps)
+        Outputs::start(&settings, settings.http.as_ref(), setup.camera, stamps(), timecode, None, arguments.fps)
     };
     let outputs = arguments.outputs.then(start).transpose()?;
     let mut records = Records::begin(poses, tum, arguments.realtime)?.with_parts(parts)?;

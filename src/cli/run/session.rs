@@ -25,7 +25,7 @@ use crate::cli::replay::tracker_setup;
 use crate::config::{ConfigError, LogFormat, LogSettings, RecorderSettings, Settings};
 use crate::daemon::live::{Event, EventListener, LiveLink, LiveSource, Patience, exposure_of};
 use crate::daemon::recorder::{self, AboutClip, RealDisk, Recorder, RecorderPlan};
-use crate::daemon::{Daemon, LearntFile, Mode, RecordingWish, RunningDaemon, Supervisor, TimecodeReader, unwritten};
+use crate::daemon::{Daemon, LearntFile, Mode, OtherTrackerReader, RecordingWish, RunningDaemon, Supervisor, TimecodeReader, unwritten};
 use crate::frame::Timestamp;
 use crate::publish::{PoseWithheld, Stamps};
 use crate::record::{PoseSample, State};
@@ -60,6 +60,8 @@ pub(super) struct Session<'a> {
     pub pages: &'a Pages,
     /// The timecode of the camera's stamps.
     pub timecode: Option<&'a TimecodeReader>,
+    /// Another tracker beside this one.
+    pub other_tracker: Option<&'a OtherTrackerReader>,
     /// A new config that is being read and tried.
     pub reading: RefCell<Option<JoinHandle<Result<Settings, ConfigError>>>>,
 }
@@ -124,6 +126,7 @@ impl Session<'_> {
             setup.camera,
             Stamps::Live,
             self.timecode.map(|timecode| timecode.source().clone()),
+            self.other_tracker.map(|other| other.rings().clone()),
             Some(mode.fps),
         )?;
         pages.show_scene(&setup);
@@ -206,6 +209,7 @@ impl Session<'_> {
             match samples.recv_timeout(Duration::from_millis(50)) {
                 Ok(sample) => {
                     service.seen(&sample);
+                    self.other_tracker.into_iter().for_each(|other| other.ours(&sample));
                     tell(&sample, pages, outputs, sinks);
                     outputs.slowest_ms().into_iter().for_each(|ms| self.link.statistics.sent_after_ms(ms));
                 }
@@ -216,6 +220,9 @@ impl Session<'_> {
             service.tick(self.link);
             if let Some(timecode) = self.timecode {
                 timecode.look(self.link);
+            }
+            if let Some(other) = self.other_tracker {
+                other.look(self.link);
             }
             for PoseWithheld { output, body, reason } in outputs.withheld() {
                 self.link.events.publish(Event::PoseWithheld { output, body, reason: reason.words().into() });

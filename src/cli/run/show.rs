@@ -15,10 +15,10 @@ use crate::cli::failure::Failure;
 use crate::cli::interrupt;
 use crate::cli::logging;
 use crate::cli::pages::Pages;
-use crate::config::{HttpSettings, LogSettings, Settings, TimecodeSettings};
+use crate::config::{HttpSettings, LogSettings, OtherTrackerSettings, Settings, TimecodeSettings};
 use crate::contain;
 use crate::daemon::live::{Event, LiveLink};
-use crate::daemon::{Mode, Supervisor, TimecodeReader, give_back};
+use crate::daemon::{Mode, OtherTrackerReader, Supervisor, TimecodeReader, give_back};
 use crate::printable::printable;
 use crate::publish::{SafetySettings, Stamps};
 use crate::web::page_address;
@@ -45,6 +45,7 @@ struct Show<'a> {
     sinks: Sinks,
     clips: Clips,
     timecode: Timecode,
+    other_tracker: OtherTracker,
     /// The previous config, which worked.
     previous: Option<Settings>,
     /// When stages failed.
@@ -92,6 +93,7 @@ pub(in crate::cli) fn live(arguments: &LiveArguments, clip: Option<PathBuf>) -> 
         service: Service::start(arguments.seconds),
         clips: Clips::new(clip),
         timecode: Timecode::default(),
+        other_tracker: OtherTracker::default(),
         previous: None,
         failures: Vec::new(),
         link,
@@ -140,8 +142,10 @@ impl Show<'_> {
         let pages = self.server.serve(settings.http.as_ref(), &settings.safety, &self.supervisor, self.arguments)?;
         self.supervisor.use_settings(Some(settings.clone()));
         let timecode = self.timecode.of(settings.timecode.as_ref(), &self.link);
+        let other_tracker = self.other_tracker.of(settings.other_tracker.as_ref(), &self.link);
         let (supervisor, reading) = (&self.supervisor, RefCell::default());
-        let session = Session { settings, arguments: self.arguments, link: &self.link, supervisor, pages, timecode, reading };
+        let session =
+            Session { settings, arguments: self.arguments, link: &self.link, supervisor, pages, timecode, other_tracker, reading };
         session.run(&mut self.service, &mut self.sinks, &mut self.clips)
     }
 
@@ -307,6 +311,28 @@ impl Timecode {
             let started = settings.map(|settings| TimecodeReader::start(settings.clone(), link)).transpose();
             self.0 = started.unwrap_or_else(|e| {
                 tracing::error!("timecode: cannot start its thread ({e}); close other programs");
+                None
+            });
+        }
+        self.0.as_ref()
+    }
+}
+
+/// The reader of another tracker. It outlives sessions, so that the last minute of both is not
+/// forgotten, and restarts only if `[other_tracker]` of the config changes.
+#[derive(Default)]
+struct OtherTracker(Option<OtherTrackerReader>);
+
+impl OtherTracker {
+    /// Returns the reader for a config. Tracking goes on without one that cannot be started.
+    fn of(&mut self, settings: Option<&OtherTrackerSettings>, link: &LiveLink) -> Option<&OtherTrackerReader> {
+        if self.0.as_ref().map(OtherTrackerReader::settings) != settings {
+            // The old one must let go of its port first.
+            self.0 = None;
+            link.statistics.set_other_tracker(None);
+            let started = settings.map(|settings| OtherTrackerReader::start(settings.clone())).transpose();
+            self.0 = started.unwrap_or_else(|e| {
+                tracing::error!("other tracker: cannot start its threads ({e}); close other programs");
                 None
             });
         }

@@ -159,6 +159,15 @@ pub enum Event {
         /// Why, with the fix.
         reason: String,
     },
+    /// The other tracker's state, or how far it agrees with ours, changed.
+    OtherTracker {
+        /// `never heard`, `unreadable`, `other source`, `heard`, `no pose`, `stale` or `lost`.
+        state: Cow<'static, str>,
+        /// `good`, `usable` or `do not use`; null until it is known.
+        verdict: Option<String>,
+        /// What it means, and what to do about it.
+        text: String,
+    },
     /// The safety limits started to withhold a pose.
     PoseWithheld {
         /// The output.
@@ -298,6 +307,10 @@ impl Event {
                 (if is_good { Level::INFO } else { Level::WARN }, text.clone())
             }
             Self::TimecodeRate { text, .. } => (Level::WARN, text.clone()),
+            Self::OtherTracker { state, verdict, text } => {
+                let is_good = state == "heard" && verdict.as_ref().is_none_or(|verdict| verdict == "good");
+                (if is_good { Level::INFO } else { Level::WARN }, text.clone())
+            }
             Self::TimecodeWaiting { reason } => (Level::WARN, format!("no timecode: {reason}")),
             // The output has already logged a warning, at most once a minute.
             Self::PoseWithheld { output, body, reason } => {

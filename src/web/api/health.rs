@@ -18,7 +18,9 @@ use crate::printable::printable;
 use crate::protocols::{freed::FreedPacket, opentrackio, otp::OtpMessage, psn::PsnPacket};
 use crate::publish::{ClockQuality, FrameClock, OutputStatistics, Stamps};
 use crate::record::State;
-use crate::telemetry::{BudgetPart, CameraState, Origin, Page, RecorderState, Statistics, TimecodeStatus, health, log_tail, metrics};
+use crate::telemetry::{
+    BudgetPart, CameraState, Origin, OtherTrackerStatus, Page, RecorderState, Statistics, TimecodeStatus, health, log_tail, metrics,
+};
 use crate::track::{LearntCamera, LearntTime};
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
@@ -99,6 +101,7 @@ fn parts(supervisor: &Supervisor) -> Vec<Part> {
     parts.push(clock(statistics));
     parts.extend(ClockQuality::read().map(system_clock));
     parts.extend(timecode(statistics));
+    parts.extend(statistics.other_tracker().as_ref().map(other_tracker));
     parts
 }
 
@@ -259,6 +262,16 @@ fn timecode(statistics: &Statistics) -> Option<Part> {
         ("never found", _) => part("timecode", "bad", "no timecode has come yet", cable),
         _ => part("timecode", "bad", "timecode is lost", cable),
     })
+}
+
+fn other_tracker(status: &OtherTrackerStatus) -> Part {
+    let level = match (status.state, status.difference.as_ref().map(|difference| difference.verdict.as_str())) {
+        ("heard", Some("do not use")) => "bad",
+        ("heard", _) if status.hint.is_none() => "good",
+        ("heard" | "no pose" | "stale", _) => "warn",
+        _ => "bad",
+    };
+    part("other tracker", level, status.sentence.clone(), status.hint.as_deref())
 }
 
 /// Packets per second of each output, from two readings of its counter.

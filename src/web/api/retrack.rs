@@ -11,10 +11,9 @@ use super::failed;
 use super::line_index::LineIndex;
 use super::recordings::{Folder, MAX_POINTS};
 use super::timeline::timeline;
-use crate::daemon::{Supervisor, retrack};
+use crate::daemon::{Supervisor, retrack, stand_back};
 use crate::safe_file;
 use crate::web::call::Call;
-use crate::web::priority::stand_back;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 

@@ -8,7 +8,7 @@ const STANDS_BACK: libc::c_int = 10;
 
 /// Lowers the calling thread's priority, and takes it out of real-time scheduling if the service
 /// has that. If the system refuses, the priority stays.
-pub(super) fn stand_back() {
+pub fn stand_back() {
     // SAFETY: both take numbers, and a structure that lives through the call; on Linux 0 means the
     // calling thread.
     unsafe {
