@@ -44,6 +44,7 @@ mod report;
 mod run;
 mod send_test;
 mod spared;
+mod stage_files;
 mod survey;
 mod timecode;
 mod walk;

@@ -40,6 +40,7 @@ impl Pages {
             state: Some(crate::daemon::state_folder()),
             page_dir: page_dir.map(Path::to_owned),
             about: Some(web::about(supervisor)),
+            stage: Some(Arc::new(super::stage_files::StageOfDaemon::new(supervisor.clone()))),
             statistics: supervisor.link.statistics.clone(),
         });
         let server = web::Server::start_site(http, routes, site).map_err(|e| Failure::Publishing(e.to_string()))?;

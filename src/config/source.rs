@@ -24,6 +24,13 @@ pub struct ConfigSource {
     pub(super) files: Arc<BTreeMap<PathBuf, Arc<[u8]>>>,
 }
 
+impl ConfigSource {
+    /// Whether both are the same reading of a config.
+    pub fn is_same_reading(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.text, &other.text) && Arc::ptr_eq(&self.files, &other.files)
+    }
+}
+
 /// Maximum size of a config, bytes. A round figure above any config. Raised, an endless file takes
 /// more memory.
 const MAX_CONFIG_BYTES: u64 = 4 << 20;

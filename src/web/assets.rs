@@ -220,7 +220,7 @@ fn answer(request: &Request<Body>, asset: &Asset, k: usize, tag: &str) -> Respon
     headers.insert(header::VARY, HeaderValue::from_static("accept-encoding"));
     if has_it(request, tag) {
         *response.status_mut() = StatusCode::NOT_MODIFIED;
-    } else if unpacks(request) {
+    } else if unpacks(request.headers()) {
         headers.insert(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"));
         *response.body_mut() = Body::from(PACKED[k].as_slice());
     } else {

@@ -49,10 +49,14 @@ impl Call {
 
     /// Returns a number from the query, within these limits.
     pub(super) fn queried(&self, name: &str, default: u64, limits: std::ops::RangeInclusive<u64>) -> Result<u64, Reply> {
-        let found = self.query.split('&').filter_map(|pair| pair.split_once('=')).find(|(key, _)| *key == name);
-        let Some((_, value)) = found else { return Ok(default) };
+        let Some(value) = self.text(name) else { return Ok(default) };
         let number = value.parse().ok().filter(|number| limits.contains(number));
         number.ok_or_else(|| Reply::text(400, format!("{name} must be a whole number from {} to {}\n", limits.start(), limits.end())))
+    }
+
+    /// Returns a text from the query.
+    pub(super) fn text(&self, name: &str) -> Option<&str> {
+        self.query.split('&').filter_map(|pair| pair.split_once('=')).find(|(key, _)| *key == name).map(|(_, value)| value)
     }
 
     /// Returns a header's text.

@@ -7,7 +7,8 @@
 //! - `GET /ws/events` sends events;
 //! - `GET /api/v1/pose` is the last record;
 //! - `GET /api/v1/state` is the known state and its age;
-//! - `GET /api/v1/scene` is the camera and the surfaces;
+//! - `GET /api/v1/scene` is the camera and the surfaces, with `?format=` as a file for other
+//!   programs;
 //! - and the routes that the caller adds.
 //!
 //! One thread answers requests; two assemble the messages with pictures. The server listens on
@@ -64,6 +65,8 @@ mod scene;
 #[cfg(feature = "http")]
 mod server;
 #[cfg(feature = "http")]
+mod stage_files;
+#[cfg(feature = "http")]
 mod view;
 
 #[cfg(feature = "http")]
@@ -73,3 +76,5 @@ pub use hosts::{AllowedHosts, page_address};
 pub use keys::code_file;
 #[cfg(feature = "http")]
 pub use server::{Server, Site};
+#[cfg(feature = "http")]
+pub use stage_files::StageSource;

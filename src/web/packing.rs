@@ -2,8 +2,7 @@
 
 use std::io::Write as _;
 
-use axum::body::Body;
-use axum::http::{Request, header};
+use axum::http::{HeaderMap, header};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
@@ -16,8 +15,8 @@ pub(super) fn packed(bytes: &[u8]) -> Vec<u8> {
 }
 
 /// Whether the client accepts gzip (RFC 9110, 12.5.3).
-pub(super) fn unpacks(request: &Request<Body>) -> bool {
-    let values = request.headers().get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
+pub(super) fn unpacks(headers: &HeaderMap) -> bool {
+    let values = headers.get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
     values.flat_map(|value| value.split(',')).any(|one| {
         let (name, weight) = one.split_once(';').unwrap_or((one, "q=1"));
         let is_refused = weight.trim().strip_prefix("q=").and_then(|weight| weight.parse::<f32>().ok()) == Some(0.0);
@@ -31,7 +30,7 @@ mod tests {
 
     #[test]
     fn every_form_of_accept_encoding_is_understood() {
-        let unpacks = |values: &str| unpacks(&Request::builder().header(header::ACCEPT_ENCODING, values).body(Body::empty()).unwrap());
+        let unpacks = |values: &str| unpacks(&HeaderMap::from_iter([(header::ACCEPT_ENCODING, values.parse().unwrap())]));
         for values in ["gzip", "br, GZIP", "deflate, gzip;q=0.5", "x-gzip"] {
             assert!(unpacks(values), "{values}");
         }

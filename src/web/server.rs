@@ -42,8 +42,10 @@ use super::lifetime::{TAKES_WITHIN, ended};
 use super::packing::unpacks;
 use super::places::{BriefOnes, Place, Places};
 use super::replies::response;
+use super::reply::Reply;
 use super::routes::{Access, Route};
 use super::scene::Scene;
+use super::stage_files::{StageFiles, StageSource};
 use crate::capture::ClipEntry;
 use crate::config::HttpSettings;
 use crate::daemon::live::EventListener;
@@ -116,6 +118,8 @@ pub struct Site {
     pub page_dir: Option<PathBuf>,
     /// The caller's description in /api/v1/session.
     pub about: Option<About>,
+    /// The stage for other programs, as files of /api/v1/scene.
+    pub stage: Option<Arc<dyn StageSource>>,
     /// Where frames copied for viewers are counted.
     pub statistics: Arc<Statistics>,
 }
@@ -173,7 +177,12 @@ impl Server {
         let hub = Hub::start(site.statistics).map_err(WebError::Start)?;
         let (events, scene) = (Arc::new(Events::new()), Arc::<Scene>::default());
         let (described, pictured) = (scene.clone(), scene.clone());
-        routes.push(Route::whole("/api/v1/scene", move |request| std::future::ready(response(described.reply(unpacks(&request))))));
+        let files = site.stage.map(StageFiles::new);
+        routes.push(Route::slow(Method::GET, "/api/v1/scene", Access::Anyone, move |call| match (call.text("format"), &files) {
+            (None, _) => Ok(described.reply(unpacks(&call.headers))),
+            (Some(format), Some(files)) => Ok(files.reply(format)),
+            (Some(_), None) => Err(Reply::text(404, "this program offers no files of its stage; `stagepose run` does\n")),
+        }));
         routes.push(Route::slow(Method::GET, "/api/v1/surfaces/{number}/picture", Access::Anyone, move |call| {
             Ok(pictured.picture(call.name("number")?))
         }));

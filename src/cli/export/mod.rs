@@ -5,17 +5,16 @@ mod input;
 mod recording;
 mod summary;
 
-use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use image::{DynamicImage, ImageFormat};
 
 use super::calibrate::write_whole;
 use super::failure::Failure;
 use super::logging::LogArguments;
 use super::output_file::print;
 use super::spared::Spared;
+use super::stage_files::scenery_with_artwork;
 use crate::camera::Intrinsics;
 use crate::config::Settings;
 use crate::export::rate::Rate;
@@ -213,25 +212,11 @@ fn of_stage(arguments: &ExportArguments, scenery: &Scenery, materials: &Path) ->
 fn scenery(settings: &Settings, arguments: &ExportArguments) -> Result<Scenery, Failure> {
     let ExportArguments { output, to, .. } = arguments;
     let stem = output.file_stem().unwrap_or_default().to_string_lossy();
-    if !to.holds_artwork() {
-        let none = |body: &BodySpec| vec![Vec::new(); body.surfaces.len()];
-        return Ok(Scenery::new(
-            &settings.stage,
-            &settings.objects,
-            none(&settings.stage),
-            settings.objects.iter().map(none).collect(),
-            &stem,
-        ));
+    if to.holds_artwork() {
+        return scenery_with_artwork(settings, &stem).map_err(|e| Failure::output(output)(std::io::Error::other(e)));
     }
-    let artwork = settings.artwork();
-    let png = |picture: &DynamicImage| -> Result<Vec<u8>, Failure> {
-        let mut bytes = Cursor::new(Vec::new());
-        picture.write_to(&mut bytes, ImageFormat::Png).map_err(std::io::Error::other).map_err(Failure::output(output))?;
-        Ok(bytes.into_inner())
-    };
-    let stage = artwork.stage.iter().map(png).collect::<Result<Vec<_>, _>>()?;
-    let objects = artwork.objects.iter().map(|object| object.iter().map(png).collect()).collect::<Result<Vec<Vec<_>>, _>>()?;
-    Ok(Scenery::new(&settings.stage, &settings.objects, stage, objects, &stem))
+    let none = |body: &BodySpec| vec![Vec::new(); body.surfaces.len()];
+    Ok(Scenery::new(&settings.stage, &settings.objects, none(&settings.stage), settings.objects.iter().map(none).collect(), &stem))
 }
 
 /// The rate that `--fps` asks for.
