@@ -90,7 +90,7 @@ mod tests {
 
     /// A supervisor of a config with a picture in colour.
     fn supervised(folder: &std::path::Path) -> Arc<Supervisor> {
-        let level = |x: u32, y: u32| ((x * 37 + y * 91) % 251) as u8;
+        let level = |x: u32, y: u32| ((x / 7 * 37 + y / 5 * 91) % 251) as u8;
         RgbImage::from_fn(128, 96, |x, y| Rgb([level(x, y), 20, 255 - level(x, y)])).save(folder.join("backdrop.png")).unwrap();
         let text = "[camera]\nfov_deg = 60\n[[stage.surface]]\nimage = \"backdrop.png\"\nsize_m = [4.0, 3.0]\n";
         std::fs::write(folder.join("stage.toml"), text).unwrap();
