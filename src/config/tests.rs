@@ -434,6 +434,7 @@ fn the_example_parses_with_every_key_uncommented() {
         "[[map.point.seen]]",
         "[[map.distance]]",
         "[timecode]",
+        "[other_tracker]",
     ];
     let keys: Vec<&str> = known_keys().flat_map(|(_, keys)| keys.iter().copied()).collect();
     let opened = |line: &str| {
