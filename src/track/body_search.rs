@@ -425,16 +425,21 @@ impl BodySearch {
         aligned.or(best.filter(|_| !tracked.repeats()))
     }
 
-    /// Returns the frame as verification of a body needs it, once its half size is filled.
-    fn view<'a>(&'a self, frame: &'a Frame, tracked: &TrackedBody) -> View<'a> {
+    /// Fills the half size of a frame.
+    pub fn fill_half(&mut self, levels: &mut FrameLevels) {
+        self.half.fill(levels);
+    }
+
+    /// Returns the frame as verification and study of a body need it, once its half size is filled.
+    pub fn view<'a>(&'a self, frame: &'a Frame, tracked: &TrackedBody) -> View<'a> {
         View {
             full: self.full_view(frame, tracked),
             half: SearchPicture { image: &self.half.picture, scale: 2.0, mask: self.mask.as_ref() },
         }
     }
 
-    /// Returns the frame at full size, as a study of a body needs it.
-    pub fn full_view<'a>(&'a self, frame: &'a Frame, tracked: &TrackedBody) -> FullView<'a> {
+    /// Returns the frame at full size.
+    fn full_view<'a>(&'a self, frame: &'a Frame, tracked: &TrackedBody) -> FullView<'a> {
         FullView {
             camera: &self.camera,
             picture: SearchPicture { image: &frame.image, scale: 1.0, mask: self.mask.as_ref() },

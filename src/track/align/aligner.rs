@@ -75,6 +75,11 @@ impl Aligner {
 }
 
 impl Aligner {
+    /// From now on uses no pixel of surface `k`.
+    pub fn leave_out(&mut self, k: usize) {
+        self.surfaces[k].is_left_out = true;
+    }
+
     /// Creates an aligner from surfaces that are already prepared.
     pub fn of_surfaces(surfaces: Vec<AlignSurface>, shutter: Shutter) -> Self {
         Self { buffers: Buffers::with_room_for(&surfaces), surfaces, slow: OnlineCalibration::new(shutter) }

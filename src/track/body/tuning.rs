@@ -100,6 +100,9 @@ tuning! {
         /// `max_confirming_shift_per_s`: a thrown prop. Raised, copies farther away pass for
         /// motion; lowered, thrown props count as jumps.
         max_body_speed_m_per_s: f64 = 10.0,
+        /// Minimum number of a map's facets that remain when moved ones are left out. Raised, small
+        /// maps keep moved pieces; lowered, few decide on the pose.
+        min_pieces: usize = 3,
         /// How long poses must agree where the body cannot have moved there, seconds: after a cut
         /// or a wrong pose. Raised, a cut costs more; lowered, a pan to a copy is believed sooner.
         jump_confirmation_s: f64 = 3.0,

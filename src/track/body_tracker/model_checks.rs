@@ -14,7 +14,7 @@ use crate::track::body::tracked_body::TrackedBody;
 use crate::track::body::tracked_body::body_model::{Extent, Observed};
 use crate::track::model_error::focal_clue::FocalClue;
 use crate::track::model_error::lens_watch::LensState;
-use crate::track::model_error::misfit::ModelNews;
+use crate::track::model_error::misfit::{ModelNews, Part};
 use crate::track::model_error::moments::{Found, Verdict};
 use crate::track::patches::row_motion::RowMotion;
 use crate::track::tuning::frame_order::TUNING;
@@ -148,9 +148,13 @@ impl BodyTracker {
             return None;
         }
         let verified = self.verified.first()?.as_ref()?;
-        let (distance_m, view) = (stage.aligner.distance_m(&verified.pose), self.search.full_view(frame, stage));
-        let TrackedBody { body, anchors, model, .. } = stage;
-        let news = model.study(&Observed { body, anchors, verified, camera: &self.camera }, &view, distance_m);
+        self.search.fill_half(&mut self.levels);
+        let (distance_m, view) = (stage.aligner.distance_m(&verified.pose), self.search.view(frame, stage));
+        let TrackedBody { body, anchors, model, .. } = &mut *stage;
+        let mut news = model.study(&Observed { body, anchors, verified, camera: &self.camera }, &view, distance_m);
+        if let Some(ModelNews { part: Part::Place { surface, .. }, is_left_out, .. }) = &mut news {
+            *is_left_out = stage.leave_out(*surface);
+        }
         Some((news, self.search.take_extra_ms()))
     }
 }

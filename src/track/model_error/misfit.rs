@@ -75,6 +75,10 @@ pub struct ModelNews {
     pub surface: Option<String>,
     /// Root mean square pose error that it causes, mm.
     pub cost_mm: f64,
+    /// Whether the surface is a facet of a map.
+    pub is_mapped: bool,
+    /// Whether poses no longer use the surface.
+    pub is_left_out: bool,
 }
 
 impl ModelNews {
@@ -86,7 +90,18 @@ impl ModelNews {
             Part::Place { .. } => String::new(),
             _ => format!(", which puts poses {} mm off (rms)", figures(self.cost_mm)),
         };
-        format!("{message}{costs}: {}", self.part.hint())
+        let left_out = if self.is_left_out { "; it is left out until the next start" } else { "" };
+        format!("{message}{costs}{left_out}: {}", self.hint())
+    }
+
+    /// Returns how to fix it.
+    pub fn hint(&self) -> &'static str {
+        match self.part {
+            Part::Place { .. } if self.is_mapped => {
+                "put it back, or map the set as it stands: `stagepose map WALK --config FILE --output DIR`"
+            }
+            part => part.hint(),
+        }
     }
 }
 

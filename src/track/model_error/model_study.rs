@@ -67,6 +67,8 @@ pub struct ModelStudy {
     shared: OMatrix<f64, U12, Dyn>,
     row: Matrix2xX<f64>,
     squares: Vec<f64>,
+    /// Whether the first surface is a facet of a map, which defines no frame.
+    is_first_a_facet: bool,
 }
 
 /// A set of parts, solved for.
@@ -97,6 +99,7 @@ impl ModelStudy {
             shared: OMatrix::<f64, U12, Dyn>::zeros(n),
             row: unknowns.row(),
             squares: Vec::new(),
+            is_first_a_facet: false,
             unknowns,
         }
     }
@@ -115,6 +118,7 @@ impl ModelStudy {
     /// Adds a frame.
     pub fn add(&mut self, frame: &StudiedFrame, body: &PreparedBody) {
         let StudiedFrame { residuals, pose, anchors, rows } = *frame;
+        self.is_first_a_facet = body.surfaces.first().is_some_and(|surface| surface.spec.is_facet());
         let scales: Vec<f64> = (0..body.surfaces.len()).map(|k| self.scale_of(k, residuals, anchors)).collect();
         let Self { unknowns, normal, right, shared, row, shift_products, .. } = self;
         let mut own = nuisance_normal(rows);
@@ -221,7 +225,8 @@ impl ModelStudy {
         }
         let mut before = Solved { columns: Vec::new(), numbers: DVector::zeros(0), left: self.squared, freedom: 0.0 };
         let all = self.candidates(body);
-        while named.len() < TUNING.max_parts {
+        let is_mapped = body.surfaces.iter().any(|surface| surface.spec.is_facet());
+        while named.len() < if is_mapped { TUNING.max_pieces } else { TUNING.max_parts } {
             let rest = all.iter().filter(|c| named.iter().all(|(n, _)| !n.is_alike(c)));
             let Some((candidate, solved)) = self.likeliest(rest, &before) else { break };
             let rivals = all.iter().filter(|c| named.is_empty() && !c.is_alike(&candidate));
@@ -234,8 +239,11 @@ impl ModelStudy {
             let share = (before.left - solved.left) / self.squared;
             let is_later = usize::from(!named.is_empty());
             tracing::debug!(?candidate, gain, share, left = solved.left / self.squared, "likeliest");
-            let max_left = if named.is_empty() { 1.0 } else { TUNING.max_later_residual_ratio };
-            if gain < TUNING.min_part_gain || share < TUNING.min_part_gain_ratio[is_later] || solved.left > max_left * before.left {
+            // Pieces of a map are many and small, and a moved crate has several of them.
+            let is_piece = matches!(candidate.kind, Kind::Place(k) if body.surfaces[k].spec.is_facet());
+            let max_left = if named.is_empty() || is_piece { 1.0 } else { TUNING.max_later_residual_ratio };
+            let min_share = if is_piece { TUNING.min_piece_gain_ratio } else { TUNING.min_part_gain_ratio[is_later] };
+            if gain < TUNING.min_part_gain || share < min_share || solved.left > max_left * before.left {
                 break;
             }
             before = Solved { columns: solved.columns.clone(), numbers: solved.numbers.clone(), ..solved };
@@ -261,7 +269,12 @@ impl ModelStudy {
     fn candidates(&self, body: &PreparedBody) -> Vec<Candidate> {
         let surfaces = body.surfaces.len();
         let mut all = vec![Candidate { kind: Kind::Lens, columns: self.unknowns.lens() }];
-        for k in 0..surfaces {
+        // A facet is flat and as large as it was seen: it can only stand elsewhere.
+        let (facets, others): (Vec<usize>, Vec<usize>) = (0..surfaces).partition(|k| body.surfaces[*k].spec.is_facet());
+        let is_left_out = |k: &usize| body.surfaces[*k].is_left_out;
+        let moved = facets.into_iter().filter(|k| !is_left_out(k) && surfaces > 1);
+        all.extend(moved.map(|k| Candidate { kind: Kind::Place(k), columns: self.unknowns.place(k) }));
+        for k in others {
             all.push(Candidate { kind: Kind::Ratio(k), columns: self.unknowns.ratio(k) });
             all.push(Candidate { kind: Kind::Corners(k), columns: self.unknowns.corners(k) });
             if surfaces > 1 {
@@ -277,7 +290,7 @@ impl ModelStudy {
         let solved = candidates.filter_map(|c| {
             let columns = before.columns.iter().copied().chain(c.columns.clone()).collect();
             let mut solved = self.solved(columns)?;
-            if c.kind == Kind::Place(0) {
+            if c.kind == Kind::Place(0) && !self.is_first_a_facet {
                 solved.left /= TUNING.max_first_surface_residual_ratio;
             }
             Some((c.clone(), solved))

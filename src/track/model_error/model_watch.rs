@@ -23,6 +23,8 @@ type Key = (&'static str, Option<usize>);
 #[derive(Debug)]
 pub struct ModelWatch {
     study: ModelStudy,
+    /// Whether it is a map, whose pieces are moved more often than flats, and then left out.
+    is_mapped: bool,
     /// Whether every frame is studied, none is forgotten, and nothing is reported before the end.
     is_thorough: bool,
     /// Frames since the last one that was due.
@@ -40,18 +42,30 @@ pub struct ModelWatch {
 }
 
 impl ModelWatch {
-    /// Creates a watch during tracking for a body with this many surfaces.
-    pub fn new(surfaces: usize) -> Self {
-        Self::of(ModelStudy::new(surfaces, TUNING.max_tracking_waves), false)
+    /// Creates a watch of a body during tracking.
+    pub fn new(body: &PreparedBody) -> Self {
+        Self::of(body, TUNING.max_tracking_waves, false)
     }
 
-    /// Creates a watch over a whole clip for a body with this many surfaces.
-    pub fn thorough(surfaces: usize) -> Self {
-        Self::of(ModelStudy::new(surfaces, MAX_WAVES), true)
+    /// Creates a watch of a body over a whole clip.
+    pub fn thorough(body: &PreparedBody) -> Self {
+        Self::of(body, MAX_WAVES, true)
     }
 
-    fn of(study: ModelStudy, is_thorough: bool) -> Self {
-        Self { study, is_thorough, passed: 0, studied: 0, doubts: Vec::new(), views: Vec::new(), found: None, reported: Vec::new() }
+    fn of(body: &PreparedBody, most_waves: usize, is_thorough: bool) -> Self {
+        let is_mapped = body.surfaces.iter().any(|surface| surface.spec.is_facet());
+        let study = ModelStudy::new(body.surfaces.len(), most_waves);
+        Self {
+            study,
+            is_mapped,
+            is_thorough,
+            passed: 0,
+            studied: 0,
+            doubts: Vec::new(),
+            views: Vec::new(),
+            found: None,
+            reported: Vec::new(),
+        }
     }
 
     /// Whether every frame is studied.
@@ -63,7 +77,8 @@ impl ModelWatch {
     /// [`TrackedBody::is_study_due`](crate::track::body::tracked_body::TrackedBody::is_study_due).
     pub fn is_due(&mut self, is_lens_right: bool) -> bool {
         self.passed += 1;
-        let is_due = is_lens_right && (self.is_thorough || self.passed >= TUNING.study_interval_frames);
+        let interval = if self.is_mapped { TUNING.map_study_interval_frames } else { TUNING.study_interval_frames };
+        let is_due = is_lens_right && (self.is_thorough || self.passed >= interval);
         if is_due {
             self.passed = 0;
         }
@@ -93,7 +108,8 @@ impl ModelWatch {
 
     /// Returns a part that has contradicted the frames for a while and was not reported yet.
     pub fn news(&mut self, body: &PreparedBody, camera: &CameraModel) -> Option<Misfit> {
-        if self.is_thorough || self.studied < TUNING.frames_per_comparison {
+        let frames = if self.is_mapped { TUNING.map_frames_per_comparison } else { TUNING.frames_per_comparison };
+        if self.is_thorough || self.studied < frames {
             return None;
         }
         self.studied = 0;
@@ -102,7 +118,8 @@ impl ModelWatch {
         let key = misfit.as_ref().map(key);
         let times = self.found.filter(|(last, _)| Some(*last) == key).map_or(1, |(_, times)| times + 1);
         self.found = key.map(|key| (key, times));
-        let is_decisive = misfit.as_ref().is_some_and(|misfit| misfit.share >= TUNING.decisive_ratio);
+        let decisive = if self.is_mapped { TUNING.map_decisive_ratio } else { TUNING.decisive_ratio };
+        let is_decisive = misfit.as_ref().is_some_and(|misfit| misfit.share >= decisive);
         if times < TUNING.comparisons_to_report && !is_decisive {
             return None;
         }

@@ -228,6 +228,19 @@ tuning! {
         /// Fraction of the squared displacements at which a part is reported at once. Raised, a
         /// moved flat is reported later; lowered, a part that only resembles the true one is.
         decisive_ratio: f64 = 0.9,
+        /// One frame of a map in this many is studied: moved pieces are left out of poses. Raised,
+        /// they pull at poses longer; lowered, frames cost more.
+        map_study_interval_frames: u32 = 3,
+        /// Number of studied frames of a map before its pieces are compared. Raised, moved pieces
+        /// pull at poses longer; lowered, a piece that somebody passes may be left out.
+        map_frames_per_comparison: u32 = 5,
+        /// Fraction of the squared displacements at which a piece of a map is left out at once.
+        /// Raised, moved pieces pull at poses longer; lowered, an unmoved one may be left out.
+        map_decisive_ratio: f64 = 0.7,
+        /// Maximum number of named pieces of a map: a crate has five.
+        max_pieces: usize = 12,
+        /// Minimum fraction of the residual that a moved piece of a map explains.
+        min_piece_gain_ratio: f64 = 0.1,
         /// Maximum half waves of the shapes that are tried during tracking. Raised, finer folds are
         /// told from other parts, in more time.
         max_tracking_waves: usize = 8,

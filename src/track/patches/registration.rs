@@ -83,7 +83,7 @@ pub fn visible_targets(
 ) {
     targets.clear();
     let t_body_camera = pose.inverse();
-    for (index, surface) in body.surfaces.iter().enumerate() {
+    for (index, surface) in body.surfaces.iter().enumerate().filter(|(_, surface)| !surface.is_left_out) {
         let Some(octave) = best_octave(surface, &t_body_camera, camera, picture.scale) else { continue };
         for anchor in &surface.octaves[octave].anchors {
             let Some(mut target) = project_anchor(surface, &t_body_camera, camera, anchor.position, picture) else { continue };

@@ -132,8 +132,10 @@ pub struct SilentSearch {
 }
 
 /// Searches for the anchors of silent surfaces (in view, but hardly aligned) around their predicted
-/// places; the result is in `silent.found`. `aligned`: the anchors that alignment shows.
-pub fn search_silent(body: &PreparedBody, pose: &Pose<Camera, Body>, view: &FullView, aligned: &[FittedAnchor], silent: &mut SilentSearch) {
+/// places, at half size where full size shows too few; the result is in `silent.found`. `aligned`:
+/// the anchors that alignment shows.
+pub fn search_silent(body: &PreparedBody, pose: &Pose<Camera, Body>, view: &View, aligned: &[FittedAnchor], silent: &mut SilentSearch) {
+    let View { full: view, half } = view;
     let SilentSearch { targets, registered, per_surface, found } = silent;
     found.clear();
     if body.surfaces.len() < 2 {
@@ -155,12 +157,25 @@ pub fn search_silent(body: &PreparedBody, pose: &Pose<Camera, Body>, view: &Full
     register(body, targets, &view.picture, view.workers, registered);
     let moving = MovingCamera { lens: view.camera, twist: view.row_motion.twist(pose) };
     let shutter = view.row_motion.shutter;
-    found.extend(registered.iter().flatten().filter_map(|r| {
+    let anchor = |r: &Registered| {
         let seen = r.observation?;
         let observation = Observation { delay_s: shutter.delay_s(seen.pixel.y + 0.5, view.camera.height()), ..seen };
         let corrected_px = rolling_shutter_corrected_px(pose, &moving, &observation);
         Some(FittedAnchor { surface: r.surface, artwork: r.artwork, observation, corrected_px })
-    }));
+    };
+    found.extend(registered.iter().flatten().filter_map(anchor));
+    // What is displaced beyond the reach of full size: anchors searched for, and found.
+    per_surface.fill([0, 0]);
+    targets.iter().for_each(|t| per_surface[t.surface as usize][0] += 1);
+    found.iter().for_each(|a| per_surface[a.surface as usize][1] += 1);
+    let is_far = |[wanted, shown]: [usize; 2]| wanted > 0 && (shown as f64) < TUNING.silent_surface_ratio * wanted as f64;
+    if per_surface.iter().any(|counts| is_far(*counts)) {
+        visible_targets(body, pose, view.camera, half, TUNING.max_coarse_anchors, targets);
+        targets.retain(|t| is_far(per_surface[t.surface as usize]));
+        register(body, targets, half, view.workers, registered);
+        found.retain(|a| !is_far(per_surface[a.surface as usize]));
+        found.extend(registered.iter().flatten().filter_map(anchor));
+    }
 }
 
 /// Refines a candidate coarse to fine and judges it. `start`: `T_camera_body`; `continued`: the

@@ -44,6 +44,8 @@ pub struct PreparedSurface {
     pub periods: Vec<Vector2<f64>>,
     /// How its picture moves if its corners are off; `None` if they are certain.
     pub corner_ways: Option<CornerWays>,
+    /// Whether no anchor of it counts: it no longer stands in its place.
+    pub is_left_out: bool,
 }
 
 /// A body ready for tracking.
@@ -66,6 +68,7 @@ impl PreparedBody {
                 periods: periods(octaves.iter().map(|octave| &octave.image)),
                 octaves,
                 corner_ways: CornerWays::of(s),
+                is_left_out: false,
             }
         };
         Self { name: spec.name.clone(), surfaces: spec.surfaces.iter().map(prepared).collect() }

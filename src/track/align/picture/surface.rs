@@ -20,6 +20,8 @@ pub struct AlignSurface {
     pub rectangle: Rectangle,
     /// Tabulated tangent planes of a bent surface; `None` for a flat one.
     pub planes: Option<PlaneTable>,
+    /// Whether no pixel of it counts: it no longer stands in its place.
+    pub is_left_out: bool,
 }
 
 impl AlignSurface {
@@ -29,6 +31,7 @@ impl AlignSurface {
             texture: Texture::new(&roots_of(&spec.artwork, spec.transfer)),
             rectangle: Rectangle::of(spec),
             planes: PlaneTable::of(&spec.shape, spec.size_m),
+            is_left_out: false,
         }
     }
 

@@ -64,7 +64,7 @@ impl Selector {
         let Self { blocks, taken, chosen } = self;
         chosen.clear();
         blocks.clear();
-        for index in 0..spec.surfaces.len() {
+        for index in (0..spec.surfaces.len()).filter(|k| !spec.surfaces[*k].is_left_out) {
             list_blocks(spec, index, motion, blocks);
         }
         if blocks.is_empty() {

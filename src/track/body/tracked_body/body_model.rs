@@ -23,7 +23,7 @@ use crate::track::model_error::surface_doubt::covariance_by_surfaces;
 use crate::track::model_error::tile_residuals::TileResiduals;
 use crate::track::patches::fitted_anchor::FittedAnchor;
 use crate::track::patches::row_motion::RowMotion;
-use crate::track::patches::verify::{FullView, SilentSearch, Verified, search_silent};
+use crate::track::patches::verify::{SilentSearch, Verified, View, search_silent};
 use crate::track::scene::reference::PreparedBody;
 
 /// What residual tile displacements imply about the model.
@@ -91,7 +91,7 @@ impl BodyModel {
             by_misfit: Matrix6::zeros(),
             shape_doubt: ShapeDoubt::of(&body.surfaces),
             jump: Jump::default(),
-            watch: ModelWatch::new(body.surfaces.len()),
+            watch: ModelWatch::new(body),
             silent: SilentSearch::default(),
             studied: Vec::with_capacity(max_patches),
             study_residuals: TileResiduals::default(),
@@ -168,12 +168,13 @@ impl BodyModel {
 
     /// Studies which part of the model the frame of a verified pose contradicts. Returns a part
     /// that frames have contradicted for some time. `distance_m`: to the nearest surface.
-    pub fn study(&mut self, observed: &Observed, view: &FullView, distance_m: f64) -> Option<ModelNews> {
+    pub fn study(&mut self, observed: &Observed, view: &View, distance_m: f64) -> Option<ModelNews> {
         let Observed { body, anchors, verified, .. } = *observed;
         let t_camera_body = verified.t_camera_body();
         let Self { studied, residuals, study_residuals, watch, buffers, silent, .. } = self;
         let aligned = anchors.all();
         search_silent(body, &t_camera_body, view, aligned, silent);
+        let view = &view.full;
         if watch.is_thorough() {
             let doubt_m2 = model_error(&t_camera_body, f64::from(view.camera.width()), residuals, buffers);
             let doubt_m2 = doubt_m2.map_or(0.0, |error| error.covariance().fixed_view::<3, 3>(0, 0).trace());
@@ -194,7 +195,7 @@ impl BodyModel {
 
     /// From now on studies every frame, for the final [`ModelWatch::parts`].
     pub fn study_thoroughly(&mut self, body: &PreparedBody) {
-        self.watch = ModelWatch::thorough(body.surfaces.len());
+        self.watch = ModelWatch::thorough(body);
     }
 
     /// Returns how well the model fitted the frames since
@@ -208,5 +209,7 @@ impl BodyModel {
 /// Names the surface of a misfit.
 fn named(misfit: &Misfit, body: &PreparedBody) -> ModelNews {
     let surface = misfit.part.surface().and_then(|k| body.surfaces.get(k));
-    ModelNews { part: misfit.part, surface: surface.map(|s| s.spec.name.clone()), cost_mm: misfit.cost_mm }
+    let is_mapped = surface.is_some_and(|surface| surface.spec.is_facet());
+    let name = surface.map(|s| s.spec.name.clone());
+    ModelNews { part: misfit.part, surface: name, cost_mm: misfit.cost_mm, is_mapped, is_left_out: false }
 }

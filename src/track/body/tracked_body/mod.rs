@@ -191,6 +191,20 @@ impl TrackedBody {
         self.attempt.reason = Some(reason);
     }
 
+    /// Leaves a facet of a map out from now on, since it no longer stands in its place; returns
+    /// whether it does. Most of the map must remain, and other surfaces are configured by people,
+    /// who are asked instead.
+    pub fn leave_out(&mut self, k: usize) -> bool {
+        let surfaces = &mut self.body.surfaces;
+        let left = surfaces.iter().filter(|surface| !surface.is_left_out).count();
+        let may = surfaces[k].spec.is_facet() && left > TUNING.min_pieces && 2 * left > surfaces.len();
+        if may {
+            surfaces[k].is_left_out = true;
+            self.aligner.leave_out(k);
+        }
+        may
+    }
+
     /// Verifies starts, and returns the first clear success, otherwise the best that passes.
     pub fn best_verified(
         &mut self,

@@ -5,6 +5,7 @@ use crate::frame::Frame;
 use crate::motion::Motion;
 use crate::track::align::{CameraRays, FrameLevels, Start};
 use crate::track::patches::verify::Refusal;
+use crate::track::scene::surface::{ReferenceKind, SurfaceSpec};
 use crate::track::synthetic::{cloth, facing, lens, view};
 
 fn truth() -> Pose<Camera, Body> {
@@ -114,4 +115,44 @@ fn rolling_shutter_tracks_resume_only_from_sharp_poses() {
     };
     assert_eq!([is_given(0.0, true), is_given(0.002, true), is_given(0.02, true)], [true, true, false]);
     assert!(is_given(0.02, false));
+}
+
+/// Aligns a body of as many cloths as there are places, and returns which of them its anchors show.
+fn shown_with(body: &mut TrackedBody, surfaces: &[SurfaceSpec]) -> Vec<bool> {
+    let camera = lens(480, 360);
+    let mut picture = view(&surfaces[0], &truth(), &camera);
+    for surface in &surfaces[1..] {
+        // Black beside the cloths.
+        picture.iter_mut().zip(view(surface, &truth(), &camera).iter()).for_each(|(own, other)| *own = (*own).max(*other));
+    }
+    let frame = Frame::new(picture, Timestamp::from_seconds(1.0), 1);
+    let mut levels = FrameLevels::default();
+    levels.update(&frame.image);
+    let expected = body.unseen(truth().inverse(), [0.002, 0.0005], None);
+    let _ = body.align_found(&frame, &mut levels, &CameraRays::new(camera, None), &Start::found(&expected));
+    (0..surfaces.len()).map(|k| body.anchors.fitting().iter().any(|anchor| anchor.surface as usize == k)).collect()
+}
+
+#[test]
+fn a_facet_that_is_left_out_shows_no_anchor_and_most_of_a_map_stays() {
+    let kind = ReferenceKind::Facet { pose: Pose::identity() };
+    let facets: Vec<SurfaceSpec> = (0..5)
+        .map(|k| {
+            let mut facet = SurfaceSpec { kind: kind.clone(), size_m: [0.7, 0.6], ..cloth(k + 1) };
+            facet.pose.translation = Vector3::new(0.75 * (k % 3) as f64 - 0.75, 0.7 * (k / 3) as f64 - 0.3, 0.0);
+            facet
+        })
+        .collect();
+    let shutter = Shutter { readout_s: 0.0, exposure_s: 0.0 };
+    let new = |surfaces: &[SurfaceSpec]| {
+        TrackedBody::new(&BodySpec::new("stage", surfaces.to_vec()), surfaces.iter().map(AlignSurface::new).collect(), 0, shutter)
+    };
+    let mut body = new(&facets);
+    assert!(shown_with(&mut body, &facets).iter().all(|shown| *shown));
+    assert!(body.leave_out(1) && body.leave_out(4));
+    assert_eq!(shown_with(&mut body, &facets), [true, false, true, true, false]);
+    // Three stay, whatever they seem to do.
+    assert!(!body.leave_out(0));
+    // Who configured a surface is asked about it.
+    assert!(!new(&[cloth(1), cloth(2), cloth(3), cloth(4), cloth(5)]).leave_out(1));
 }
