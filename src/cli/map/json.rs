@@ -37,6 +37,8 @@ pub(super) fn text(made: &Mapped, judgement: &Judgement) -> String {
         "hold_out": made.hold_out.map(|held| json!({
             "keyframes": held.keyframes, "located": held.located, "median_mm": 1e3 * held.median_m, "most_mm": 1e3 * held.most_m,
         })),
+        "readout_s": made.readout.map(|found| found.seconds),
+        "readout_sigma_s": made.readout.map(|found| found.sigma_s),
         "missing": made.missing,
         "verdict": judgement.verdict.words(),
         "reasons": judgement.reasons,

@@ -24,6 +24,14 @@ pub(super) fn text(made: &Mapped, judgement: &Judgement) -> String {
         Some(sigma) => writeln!(text, "scale       known to {:.0} ppm, from {}", 1e6 * sigma, made.scale_from.join(" and ")),
         None => writeln!(text, "scale       not metric: nothing in the config was measured"),
     };
+    if let Some(readout) = &made.readout {
+        let (ms, sigma_ms) = (1e3 * readout.seconds, 1e3 * readout.sigma_s);
+        let _ = writeln!(
+            text,
+            "shutter     it rolls: {ms:.1} ms from the first row to the last (one sigma {sigma_ms:.1}), learnt from {} keyframes",
+            readout.frames
+        );
+    }
     if let Some(held) = &made.hold_out {
         let (located, keyframes) = (held.located, held.keyframes);
         let _ = writeln!(

@@ -36,6 +36,20 @@ pub struct Keyframe {
     pub features: Vec<MatchedFeature>,
 }
 
+impl Keyframe {
+    /// Multiplies the speeds by a factor, with the unit of length.
+    pub fn scale(&mut self, factor: f64) {
+        self.motion.velocity *= factor;
+        self.motion.acceleration *= factor;
+        for k in [0, 2] {
+            self.rates.iter_mut().for_each(|rates| {
+                rates.means[k] *= factor;
+                rates.sigmas[k] *= factor;
+            });
+        }
+    }
+}
+
 /// A feature of a frame that was matched to a point on a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MatchedFeature {

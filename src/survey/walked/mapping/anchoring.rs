@@ -73,6 +73,23 @@ pub(super) struct Fit {
     pub(super) covariance: Normal,
 }
 
+/// A small motion and growth of the stage about its origin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct FrameWay {
+    pub(super) shift: Vector3<f64>,
+    /// Radians.
+    pub(super) turn: Vector3<f64>,
+    /// As a fraction.
+    pub(super) growth: f64,
+}
+
+impl FrameWay {
+    /// Returns how it moves a point of the stage.
+    pub(super) fn of(&self, place: &Vector3<f64>) -> Vector3<f64> {
+        self.shift + self.turn.cross(place) + place * self.growth
+    }
+}
+
 impl Fit {
     /// Fits cameras, each by its pose in the map and by the surfaces alone, by where they see the
     /// surfaces' `points`. `None` if too few cameras show enough of them, or do not determine the
@@ -102,6 +119,21 @@ impl Fit {
             fit = fit.moved(&(inverse * score));
         }
         fit.is_usable().then_some(Self { at: fit, covariance })
+    }
+
+    /// Returns how points of the stage move, one sigma each, as frame and scale may be off. What
+    /// nothing measured is a choice, not an error: `unknown` is its sigma.
+    pub(super) fn ways(&self, unknown: f64) -> Vec<FrameWay> {
+        let eigen = self.covariance.symmetric_eigen();
+        let measured = (0..FREEDOM).filter(|k| eigen.eigenvalues[*k].sqrt() < 0.1 * unknown);
+        let to_stage = self.at.rotation.inverse();
+        let way = |k: usize| {
+            let step = eigen.eigenvectors.column(k) * eigen.eigenvalues[k].max(0.0).sqrt();
+            let [shift, turn] = [0, 3].map(|first| to_stage * Vector3::new(step[first], step[first + 1], step[first + 2]));
+            // A map that is larger than it seems has its points nearer to the origin.
+            FrameWay { shift: -shift / self.at.scale, turn: -turn, growth: -step[6] }
+        };
+        measured.map(way).collect()
     }
 
     /// Returns the motion and the scale from the map into the stage.
@@ -272,6 +304,43 @@ mod tests {
             let slope = (more - less) / 4e-6;
             assert!((slope + here.score[k]).abs() < 1e-4 * (1.0 + here.score.norm()), "{k}: {slope} {}", here.score[k]);
         }
+    }
+
+    /// The ways against fits drawn from the covariance: what each does to points of the stage.
+    #[test]
+    fn ways_scatter_points_as_fits_of_the_covariance_do() {
+        let at = IntoMap { scale: 1.3, rotation: UnitQuaternion::from_euler_angles(0.3, -0.5, 0.8), shift: Vector3::new(0.4, -1.0, 2.0) };
+        let mut random = Pcg64Mcg::seed_from_u64(3);
+        let root = Normal::from_fn(|i, j| if j > i { 0.0 } else { 1e-3 * random.random_range(-1.0..1.0) });
+        let fit = Fit { at, covariance: root * root.transpose() };
+        let places = [Vector3::new(1.0, -2.0, 0.5), Vector3::new(-0.5, 0.3, 3.0)];
+        let stacked = |of: &dyn Fn(&Vector3<f64>) -> Vector3<f64>| {
+            let [a, b] = places.each_ref().map(of);
+            SVector::<f64, 6>::from_column_slice(&[a.x, a.y, a.z, b.x, b.y, b.z])
+        };
+        let mut scatter = SMatrix::<f64, 6, 6>::zeros();
+        let (draws, here) = (20_000, fit.anchoring());
+        let mut normal = move || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
+        for _ in 0..draws {
+            let drawn = Fit { at: at.moved(&(root * Score::from_fn(|_, _| normal()))), ..fit }.anchoring();
+            // A point of the map, where the drawn fit puts it.
+            let moved = stacked(&|place| drawn.place(&(at.turned(place) + at.shift)) - place);
+            scatter += moved * moved.transpose() / f64::from(draws);
+        }
+        let ways = fit.ways(100.0).into_iter().map(|way| stacked(&|place| way.of(place)));
+        let summed = ways.map(|moved| moved * moved.transpose()).sum::<SMatrix<f64, 6, 6>>();
+        assert!((summed - scatter).norm() < 0.05 * scatter.norm(), "{summed}{scatter}");
+        assert!((here.place(&(at.turned(&places[0]) + at.shift)) - places[0]).norm() < 1e-12);
+    }
+
+    #[test]
+    fn what_nothing_measures_is_no_error() {
+        let at = IntoMap { scale: 1.0, rotation: UnitQuaternion::identity(), shift: Vector3::zeros() };
+        let mut covariance = Normal::identity() * 1e4;
+        covariance[(6, 6)] = 1e-6;
+        let ways = Fit { at, covariance }.ways(100.0);
+        assert_eq!(ways.len(), 1);
+        assert!(ways[0].shift.norm() < 1e-12 && ways[0].turn.norm() < 1e-12 && (ways[0].growth.abs() - 1e-3).abs() < 1e-12);
     }
 
     #[test]

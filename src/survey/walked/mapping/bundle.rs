@@ -4,12 +4,16 @@
 //! Corners do not depend on each other. Each is eliminated by its own 3x3 block, which leaves one
 //! dense system with six unknowns per camera (the Schur complement). Start poses that the tracker
 //! measured on the configured surfaces are the cameras' priors and fix frame and scale.
+//!
+//! With a rolling shutter each camera has six more unknowns, its rates: a small poster shows
+//! neither where the middle row was nor how fast the camera moved, but the points all over the
+//! frame do.
 
-use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3, Matrix6, Matrix6x3, Point3, SMatrix, Vector2, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3, Point3, SMatrix, SVector, Vector2, Vector3};
 
 use super::super::dense_system::Factor;
 use super::tracks::{Sighting, Track};
-use super::views::{View, Views, project};
+use super::views::{Rates, Views, project};
 use crate::geometry::robust_kernel::median;
 use crate::geometry::triangulation::nearest_to_rays;
 use crate::geometry::{Body, Camera, Pose, skew};
@@ -39,6 +43,13 @@ const MIN_GAIN: f64 = 1e-4;
 /// One sigma of a start pose, metres and radians: what a tracked poster gives at a few metres.
 /// Raised, the frame and the scale follow the points' errors; lowered, errors of the start stay.
 const START_SIGMA: [f64; 2] = [2e-3, 5e-4];
+/// The same with a rolling shutter, and one sigma of start rates, metres and radians per second: a
+/// small poster's rows tell little about the middle one. Raised, nothing is gained; lowered, errors
+/// of the start stay.
+const ROLLING_SIGMA: [f64; 4] = [2e-2, 5e-3, 1.0, 0.5];
+/// Unknowns of a camera: its pose, and its rates if the shutter rolls.
+const STILL: usize = 6;
+const ROLLING: usize = 12;
 /// Minimum robust sigma, to divide by, in sigmas of the sightings.
 const MIN_SCALE: f64 = 1e-3;
 
@@ -56,6 +67,8 @@ pub struct CloudPoint {
 pub struct Cloud {
     /// `T_body_camera` of each keyframe.
     pub poses: Vec<Pose<Body, Camera>>,
+    /// How each camera moved, as far as known.
+    pub rates: Vec<Rates>,
     /// The corners.
     pub points: Vec<CloudPoint>,
     /// Robust scale of the residuals, in sigmas of the sightings.
@@ -66,7 +79,7 @@ impl Cloud {
     /// Returns one sigma of a point along the direction in which it is known least, its depth,
     /// metres, with the cameras as they are; `None` if its sightings leave a direction open.
     pub fn depth_sigma_m(&self, views: &Views<'_>, point: &CloudPoint) -> Option<f64> {
-        let rows = point.sightings.iter().filter_map(|seen| row(views, &self.poses[seen.view], &point.place, seen));
+        let rows = point.sightings.iter().filter_map(|seen| row(views, self, &point.place, seen));
         let information = rows.map(|row| row.by_point.transpose() * row.by_point).sum::<Matrix3<f64>>();
         let least = information.symmetric_eigenvalues().min();
         (least > f64::EPSILON).then(|| self.scale / least.sqrt())
@@ -75,20 +88,21 @@ impl Cloud {
     /// Returns the cloud without some of the cameras, and without the points that the others do not
     /// determine. `kept` has the indices of those that stay, in order.
     pub fn of_views(&self, kept: &[usize]) -> Self {
-        let poses: Vec<_> = kept.iter().map(|view| self.poses[*view]).collect();
+        let (poses, rates): (Vec<_>, Vec<_>) = kept.iter().map(|view| (self.poses[*view], self.rates[*view])).unzip();
         let point = |point: &CloudPoint| {
             let seen = point.sightings.iter().filter_map(|seen| Some(Sighting { view: kept.binary_search(&seen.view).ok()?, ..*seen }));
             CloudPoint { place: point.place, sightings: seen.collect() }
         };
         let points = self.points.iter().map(point).filter(|point| is_determined(&poses, point)).collect();
-        Self { poses, points, scale: self.scale }
+        Self { poses, rates, points, scale: self.scale }
     }
 
     /// Returns the cloud with all lengths multiplied by a factor.
     pub fn scaled(&self, factor: f64) -> Self {
         let poses = self.poses.iter().map(|pose| Pose::new(pose.rotation, pose.translation * factor)).collect();
+        let rates = self.rates.iter().map(|[velocity, angular_velocity]| [velocity * factor, *angular_velocity]).collect();
         let points = self.points.iter().map(|point| CloudPoint { place: point.place * factor, ..point.clone() }).collect();
-        Self { poses, points, scale: self.scale }
+        Self { poses, rates, points, scale: self.scale }
     }
 
     /// Returns how many points each camera sees.
@@ -101,16 +115,34 @@ impl Cloud {
 
 /// A residual in sigmas, with its derivatives by the camera's shift and rotation
 /// ([`Pose::moved`]) and by the point.
-struct Row {
+pub(super) struct Row {
     residual: Vector2<f64>,
-    by_pose: SMatrix<f64, 2, 6>,
+    pub(super) by_pose: SMatrix<f64, 2, 6>,
     by_point: Matrix2x3<f64>,
+    /// When the pixel was read, seconds after the middle row.
+    pub(super) delay_s: f64,
+}
+
+impl Row {
+    /// Returns the derivative by the unknowns of the camera.
+    fn by_camera<const N: usize>(&self) -> SMatrix<f64, 2, N> {
+        SMatrix::from_fn(|i, k| self.by_pose[(i, k % STILL)] * if k < STILL { 1.0 } else { self.delay_s })
+    }
 }
 
 /// Adjusts tracks and cameras in some rounds. `None` if the equations have no solution, or the work
 /// was stopped.
 pub fn adjusted(views: &Views<'_>, tracks: Vec<Track>, rounds: usize, goes_on: &dyn Fn() -> bool) -> Option<Cloud> {
-    let mut cloud = Cloud { poses: views.views.iter().map(|view| view.pose).collect(), points: Vec::new(), scale: 1.0 };
+    match views.shutter.readout_s == 0.0 {
+        true => adjusted_with::<STILL>(views, tracks, rounds, goes_on),
+        false => adjusted_with::<ROLLING>(views, tracks, rounds, goes_on),
+    }
+}
+
+/// Adjusts tracks and cameras that have `N` unknowns each.
+fn adjusted_with<const N: usize>(views: &Views<'_>, tracks: Vec<Track>, rounds: usize, goes_on: &dyn Fn() -> bool) -> Option<Cloud> {
+    let (poses, rates) = views.views.iter().map(|view| (view.pose, view.rates)).unzip();
+    let mut cloud = Cloud { poses, rates, points: Vec::new(), scale: 1.0 };
     cloud.points = tracks.into_iter().filter_map(|track| started(views, track)).collect();
     for round in 0..rounds {
         if cloud.points.is_empty() {
@@ -118,12 +150,12 @@ pub fn adjusted(views: &Views<'_>, tracks: Vec<Track>, rounds: usize, goes_on: &
         }
         cloud.scale = scale(views, &cloud)?;
         let mut damping = DAMPING;
-        let mut cost = cost(views, &cloud);
+        let mut cost = cost::<N>(views, &cloud);
         for _ in 0..STEPS {
             if !goes_on() {
                 return None;
             }
-            let Some((next, next_cost)) = lower(views, &cloud, cost, &mut damping) else { break };
+            let Some((next, next_cost)) = lower::<N>(views, &cloud, cost, &mut damping) else { break };
             let is_done = next_cost > (1.0 - MIN_GAIN) * cost;
             (cloud, cost) = (next, next_cost);
             if is_done {
@@ -167,8 +199,8 @@ fn is_determined(poses: &[Pose<Body, Camera>], point: &CloudPoint) -> bool {
 
 /// Returns the residual of a point in a camera, in sigmas, with its derivatives; `None` if it is
 /// not in front of the camera or beyond the lens's field.
-fn row(views: &Views<'_>, pose: &Pose<Body, Camera>, place: &Vector3<f64>, seen: &Sighting) -> Option<Row> {
-    let pose = views.pose_at(seen.view, pose, seen.pixel);
+pub(super) fn row(views: &Views<'_>, cloud: &Cloud, place: &Vector3<f64>, seen: &Sighting) -> Option<Row> {
+    let pose = views.carried(&cloud.poses[seen.view], &cloud.rates[seen.view], seen.pixel);
     let to_camera = pose.rotation_matrix().transpose();
     let at = pose.inverse().transform(&Point3::from(*place)).coords;
     let (pixel, by_place) = project(&views.camera, &at)?;
@@ -177,13 +209,13 @@ fn row(views: &Views<'_>, pose: &Pose<Body, Camera>, place: &Vector3<f64>, seen:
     let mut by_pose = SMatrix::<f64, 2, 6>::zeros();
     by_pose.fixed_columns_mut::<3>(0).copy_from(&-by_point);
     by_pose.fixed_columns_mut::<3>(3).copy_from(&(by_place * skew(&at)));
-    Some(Row { residual: (pixel - seen.pixel) / seen.sigma_px, by_pose, by_point })
+    Some(Row { residual: (pixel - seen.pixel) / seen.sigma_px, by_pose, by_point, delay_s: views.delay_s(seen.pixel) })
 }
 
 /// Returns the squared residuals of all sightings.
 fn squares<'a>(views: &'a Views<'_>, cloud: &'a Cloud) -> impl Iterator<Item = f64> + 'a {
     let all = cloud.points.iter().flat_map(|point| point.sightings.iter().map(|seen| (point.place, seen)));
-    all.filter_map(|(place, seen)| Some(row(views, &cloud.poses[seen.view], &place, seen)?.residual.norm_squared()))
+    all.filter_map(|(place, seen)| Some(row(views, cloud, &place, seen)?.residual.norm_squared()))
 }
 
 /// Returns the robust scale of the residuals.
@@ -197,26 +229,53 @@ fn half_weight(scale: f64) -> f64 {
     (HALF_WEIGHT * scale).powi(2)
 }
 
-fn cost(views: &Views<'_>, cloud: &Cloud) -> f64 {
+fn cost<const N: usize>(views: &Views<'_>, cloud: &Cloud) -> f64 {
     let of_points: f64 = squares(views, cloud).map(|square| (square / half_weight(cloud.scale)).ln_1p()).sum();
-    let anchored = cloud.poses.iter().zip(&views.views).filter(|(_, view)| view.is_anchored);
-    let of_starts = anchored.map(|(pose, view)| prior_residual(&view.pose, pose).norm_squared());
-    of_points + of_starts.map(|square| (square / half_weight(1.0)).ln_1p()).sum::<f64>()
+    let of_start = |view: usize| {
+        let of = Prior::<N>::of(views, cloud, view);
+        let [of_pose, of_rates] = of.squares();
+        of_rates + (of_pose / half_weight(1.0)).ln_1p()
+    };
+    of_points + (0..cloud.poses.len()).map(of_start).sum::<f64>()
 }
 
-/// Returns how far a pose is from its start, in sigmas.
-fn prior_residual(start: &Pose<Body, Camera>, pose: &Pose<Body, Camera>) -> Vector6<f64> {
-    let [shift, rotation] = start.step_to(pose);
-    let [shift, rotation] = [shift / START_SIGMA[0], rotation / START_SIGMA[1]];
-    Vector6::new(shift.x, shift.y, shift.z, rotation.x, rotation.y, rotation.z)
+/// How far a camera is from its start, in sigmas: the pose if it was measured, and the rates.
+struct Prior<const N: usize> {
+    residual: SVector<f64, N>,
+    /// The reciprocals of the sigmas; 0 where nothing is known.
+    by_camera: SVector<f64, N>,
+}
+
+impl<const N: usize> Prior<N> {
+    fn of(views: &Views<'_>, cloud: &Cloud, view: usize) -> Self {
+        let (start, sigmas) = (&views.views[view], if N == STILL { [START_SIGMA, [1.0; 2]].concat() } else { ROLLING_SIGMA.to_vec() });
+        let [shift, rotation] = start.pose.step_to(&cloud.poses[view]);
+        let [velocity, angular_velocity] = [0, 1].map(|k| cloud.rates[view][k] - start.rates[k]);
+        let off = [shift, rotation, velocity, angular_velocity];
+        let by_camera = SVector::from_fn(|k, _| if k < STILL && !start.is_anchored { 0.0 } else { sigmas[k / 3].recip() });
+        Self { residual: SVector::from_fn(|k, _| off[k / 3][k % 3] * by_camera[k]), by_camera }
+    }
+
+    /// Returns the squared residuals of the pose, and of the rates.
+    fn squares(&self) -> [f64; 2] {
+        [self.residual.rows(0, STILL).norm_squared(), self.residual.rows(STILL, N - STILL).norm_squared()]
+    }
+
+    /// Returns the information that it adds, and its right side. Wrong poses count less.
+    fn equations(&self) -> (SMatrix<f64, N, N>, SVector<f64, N>) {
+        let of_pose = 1.0 / (half_weight(1.0) + self.squares()[0]);
+        let weight = |k: usize| if k < STILL { of_pose } else { 1.0 };
+        let information = SVector::<f64, N>::from_fn(|k, _| self.by_camera[k].powi(2) * weight(k));
+        (SMatrix::from_diagonal(&information), SVector::from_fn(|k, _| -self.by_camera[k] * self.residual[k] * weight(k)))
+    }
 }
 
 /// Takes a step that lowers the cost; `None` if there is none.
-fn lower(views: &Views<'_>, cloud: &Cloud, cost_now: f64, damping: &mut f64) -> Option<(Cloud, f64)> {
-    let equations = Equations::new(views, cloud);
+fn lower<const N: usize>(views: &Views<'_>, cloud: &Cloud, cost_now: f64, damping: &mut f64) -> Option<(Cloud, f64)> {
+    let equations = Equations::<N>::new(views, cloud);
     while *damping < MAX_DAMPING {
         if let Some(next) = equations.stepped(cloud, *damping) {
-            let next_cost = cost(views, &next);
+            let next_cost = cost::<N>(views, &next);
             if next_cost < cost_now {
                 *damping *= 0.1;
                 return Some((next, next_cost));
@@ -229,97 +288,88 @@ fn lower(views: &Views<'_>, cloud: &Cloud, cost_now: f64, damping: &mut f64) -> 
 
 fn drop_outliers(views: &Views<'_>, cloud: &mut Cloud) {
     let most = (MAX_SIGMAS * cloud.scale).powi(2);
-    let poses = &cloud.poses;
-    for point in &mut cloud.points {
+    let mut points = std::mem::take(&mut cloud.points);
+    for point in &mut points {
         let place = point.place;
-        point.sightings.retain(|seen| row(views, &poses[seen.view], &place, seen).is_some_and(|row| row.residual.norm_squared() < most));
+        point.sightings.retain(|seen| row(views, cloud, &place, seen).is_some_and(|row| row.residual.norm_squared() < most));
     }
-    cloud.points.retain(|point| is_determined(poses, point));
+    points.retain(|point| is_determined(&cloud.poses, point));
+    cloud.points = points;
 }
 
-/// The normal equations, sorted by their blocks.
-struct Equations {
+/// The normal equations, sorted by their blocks; `N` unknowns for each camera.
+struct Equations<const N: usize> {
     /// The block of each camera, and its right side.
-    poses: Vec<(Matrix6<f64>, Vector6<f64>)>,
-    points: Vec<PointBlock>,
+    cameras: Vec<(SMatrix<f64, N, N>, SVector<f64, N>)>,
+    points: Vec<PointBlock<N>>,
 }
 
 /// The equations of a point.
-struct PointBlock {
+struct PointBlock<const N: usize> {
     own: Matrix3<f64>,
     right: Vector3<f64>,
     /// With each camera that sees it.
-    with: Vec<(usize, Matrix6x3<f64>)>,
+    with: Vec<(usize, SMatrix<f64, N, 3>)>,
 }
 
-impl Equations {
+impl<const N: usize> Equations<N> {
     fn new(views: &Views<'_>, cloud: &Cloud) -> Self {
-        let of_start = |(pose, view): (&Pose<Body, Camera>, &View<'_>)| {
-            if !view.is_anchored {
-                return (Matrix6::zeros(), Vector6::zeros());
-            }
-            let residual = prior_residual(&view.pose, pose);
-            let weight = 1.0 / (half_weight(1.0) + residual.norm_squared());
-            let by_pose = Matrix6::from_diagonal(&Vector6::from_fn(|k, _| 1.0 / START_SIGMA[k / 3]));
-            (by_pose * by_pose * weight, -by_pose * residual * weight)
-        };
-        let mut poses: Vec<(Matrix6<f64>, Vector6<f64>)> = cloud.poses.iter().zip(&views.views).map(of_start).collect();
+        let mut cameras: Vec<_> = (0..cloud.poses.len()).map(|view| Prior::<N>::of(views, cloud, view).equations()).collect();
         let half = half_weight(cloud.scale);
-        let mut add = |place: &Vector3<f64>, seen: &Sighting| {
-            let row = row(views, &cloud.poses[seen.view], place, seen)?;
-            let weight = 1.0 / (half + row.residual.norm_squared());
-            let (matrix, right) = &mut poses[seen.view];
-            *matrix += row.by_pose.transpose() * row.by_pose * weight;
-            *right -= row.by_pose.transpose() * row.residual * weight;
-            Some((row, weight))
-        };
         let mut points = Vec::with_capacity(cloud.points.len());
         for point in &cloud.points {
             let mut block = PointBlock { own: Matrix3::zeros(), right: Vector3::zeros(), with: Vec::with_capacity(point.sightings.len()) };
             for seen in &point.sightings {
-                let Some((row, weight)) = add(&point.place, seen) else { continue };
+                let Some(row) = row(views, cloud, &point.place, seen) else { continue };
+                let weight = 1.0 / (half + row.residual.norm_squared());
+                let weighted = row.by_camera::<N>().transpose() * weight;
+                let (matrix, right) = &mut cameras[seen.view];
+                *matrix += weighted * row.by_camera::<N>();
+                *right -= weighted * row.residual;
                 block.own += row.by_point.transpose() * row.by_point * weight;
                 block.right -= row.by_point.transpose() * row.residual * weight;
-                block.with.push((seen.view, row.by_pose.transpose() * row.by_point * weight));
+                block.with.push((seen.view, weighted * row.by_point));
             }
             points.push(block);
         }
-        Self { poses, points }
+        Self { cameras, points }
     }
 
     /// Returns the cloud after a damped step; `None` if the system has no solution.
     fn stepped(&self, cloud: &Cloud, damping: f64) -> Option<Cloud> {
-        let n = 6 * self.poses.len();
+        let n = N * self.cameras.len();
         let (mut matrix, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
-        for (k, (block, own)) in self.poses.iter().enumerate() {
-            let damped = block + Matrix6::from_diagonal(&(block.diagonal() * damping)) + Matrix6::identity() * f64::EPSILON;
-            matrix.fixed_view_mut::<6, 6>(6 * k, 6 * k).copy_from(&damped);
-            right.fixed_rows_mut::<6>(6 * k).copy_from(own);
+        for (k, (block, own)) in self.cameras.iter().enumerate() {
+            let damped = block + SMatrix::from_diagonal(&(block.diagonal() * damping)) + SMatrix::<f64, N, N>::identity() * f64::EPSILON;
+            matrix.fixed_view_mut::<N, N>(N * k, N * k).copy_from(&damped);
+            right.fixed_rows_mut::<N>(N * k).copy_from(own);
         }
         let mut inverses = Vec::with_capacity(self.points.len());
         for block in &self.points {
             let inverse = (block.own + Matrix3::from_diagonal(&(block.own.diagonal() * damping))).try_inverse()?;
             for (a, with_a) in &block.with {
                 let by_a = with_a * inverse;
-                let mut own = right.fixed_rows_mut::<6>(6 * a);
+                let mut own = right.fixed_rows_mut::<N>(N * a);
                 own -= by_a * block.right;
                 for (b, with_b) in block.with.iter().filter(|(b, _)| b <= a) {
-                    let mut place = matrix.fixed_view_mut::<6, 6>(6 * a, 6 * b);
+                    let mut place = matrix.fixed_view_mut::<N, N>(N * a, N * b);
                     place -= by_a * with_b.transpose();
                 }
             }
             inverses.push(inverse);
         }
         let step = Factor::of(&matrix)?.solve(&right);
-        let of_pose = |k: usize| step.fixed_rows::<6>(6 * k).into_owned();
+        let part = |view: usize, k: usize| step.fixed_rows::<3>(N * view + 3 * k).into_owned();
         let mut next = cloud.clone();
-        for (k, pose) in next.poses.iter_mut().enumerate() {
-            let step = of_pose(k);
-            *pose = pose.moved(&step.fixed_rows::<3>(0).into_owned(), &step.fixed_rows::<3>(3).into_owned());
+        for (view, (pose, rates)) in next.poses.iter_mut().zip(&mut next.rates).enumerate() {
+            *pose = pose.moved(&part(view, 0), &part(view, 1));
+            for (k, rate) in rates.iter_mut().enumerate().filter(|_| N > STILL) {
+                *rate += part(view, 2 + k);
+            }
         }
         for ((point, block), inverse) in next.points.iter_mut().zip(&self.points).zip(inverses) {
-            let by_poses = block.with.iter().map(|(k, with)| with.transpose() * of_pose(*k)).sum::<Vector3<f64>>();
-            point.place += inverse * (block.right - by_poses);
+            let by_cameras = block.with.iter().map(|(k, with)| with.transpose() * step.fixed_rows::<N>(N * k)).sum::<Vector3<f64>>();
+            point.place += inverse * (block.right - by_cameras);
         }
         next.poses.iter().all(Pose::is_finite).then_some(next)
     }
@@ -332,6 +382,7 @@ mod tests {
     use rand_pcg::Pcg64Mcg;
 
     use super::super::super::synthetic::{LENS, camera_poses};
+    use super::super::views::View;
     use super::*;
     use crate::camera::{CameraModel, Shutter};
     use crate::light::CameraCurve;
@@ -366,14 +417,19 @@ mod tests {
         let views = views(&picture, &poses);
         let seen = Sighting { view: 1, feature: 0, pixel: Vector2::new(600.0, 300.0), sigma_px: 0.7 };
         let place = Vector3::new(0.3, -0.2, 0.4);
-        let now = row(&views, &poses[1], &place, &seen).unwrap();
+        let cloud = |pose: Pose<Body, Camera>| {
+            let still = [Vector3::zeros(); 2];
+            Cloud { poses: vec![poses[0], pose, poses[2]], rates: vec![still; 3], points: Vec::new(), scale: 1.0 }
+        };
+        let at = |pose: Pose<Body, Camera>, place: &Vector3<f64>| row(&views, &cloud(pose), place, &seen);
+        let now = at(poses[1], &place).unwrap();
         let step = 1e-6;
         for axis in 0..3 {
             let along = Vector3::ith(axis, step);
             let moved = [
-                (row(&views, &poses[1].moved(&along, &Vector3::zeros()), &place, &seen), now.by_pose.column(axis).into_owned()),
-                (row(&views, &poses[1].moved(&Vector3::zeros(), &along), &place, &seen), now.by_pose.column(3 + axis).into_owned()),
-                (row(&views, &poses[1], &(place + along), &seen), now.by_point.column(axis).into_owned()),
+                (at(poses[1].moved(&along, &Vector3::zeros()), &place), now.by_pose.column(axis).into_owned()),
+                (at(poses[1].moved(&Vector3::zeros(), &along), &place), now.by_pose.column(3 + axis).into_owned()),
+                (at(poses[1], &(place + along)), now.by_point.column(axis).into_owned()),
             ];
             for (next, derivative) in moved {
                 let difference = (next.unwrap().residual - now.residual) / step;

@@ -84,9 +84,44 @@ pub enum MapError {
         /// Number of points.
         points: usize,
     },
+    /// The pictures show too little light.
+    #[error(
+        "the walk is too dark, nineteen of twenty pixels are below {level:.0} of 255: light the set, open the iris or expose longer ({error})"
+    )]
+    TooDark {
+        /// Grey level that nearly all pixels are below.
+        level: f64,
+        /// What failed.
+        error: Box<Self>,
+    },
+    /// Motion or focus smears the pictures.
+    #[error("the walk is blurred: walk more slowly, expose more briefly, and check the focus ({0})")]
+    Smeared(Box<Self>),
+    /// A rolling shutter, whose shear the walk does not tell well enough.
+    #[error(
+        "the shutter rolls ({:.0} ms from the first row to the last), and the walk does not tell well enough how the camera moved while \
+         its rows were read: walk more slowly, with more frames per second, and with the poster larger in the picture ({error})",
+        1e3 * readout_s
+    )]
+    Rolling {
+        /// From the first row to the last, seconds.
+        readout_s: f64,
+        /// What failed.
+        error: Box<Self>,
+    },
     /// A facet cannot be a surface.
     #[error("a facet cannot be tracked: {0}")]
     Facet(#[from] SurfaceError),
+}
+
+impl MapError {
+    /// Returns why the adjustment of a walk with a rolling shutter failed.
+    pub(super) fn of_rolling(self, readout_s: f64) -> Self {
+        match self {
+            Self::Survey(SurveyError::Undetermined) | Self::NoFacets { .. } => Self::Rolling { readout_s, error: Box::new(self) },
+            error => error,
+        }
+    }
 }
 
 /// Describes a contradiction.

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::bundle::{self, ALL_ROUNDS, Cloud};
 use super::tracks::Recognition;
-use super::views::{View, Views};
+use super::views::{Rates, View, Views};
 use crate::camera::{CameraModel, Pixel, Shutter};
 use crate::geometry::ransac::{self, Estimator, Order};
 use crate::geometry::resection::{MovingCamera, Observation, resect, squared_residual};
@@ -50,8 +50,8 @@ pub struct Shot<'a> {
     pub picture: &'a GrayImage,
     /// Its pose, if it is known already.
     pub start: Option<Pose<Body, Camera>>,
-    /// Its velocity and angular velocity, as far as known ([`View::rates`]).
-    pub rates: [Vector3<f64>; 2],
+    /// How the camera moved, as far as known.
+    pub rates: Rates,
     /// Whether that pose was measured on what gives frame and scale, or is to do so.
     pub is_anchored: bool,
 }
@@ -61,7 +61,7 @@ pub struct Shot<'a> {
 pub struct Lens<'a> {
     /// The model.
     pub camera: CameraModel,
-    /// Its shutter.
+    /// Its shutter; a readout of 0 is a global or unknown one.
     pub shutter: Shutter,
     /// The light that its grey levels stand for.
     pub curve: CameraCurve,
@@ -89,11 +89,11 @@ impl<'a> Lens<'a> {
 /// equations have no solution, or the work was stopped.
 pub fn grown<'a>(shots: &[Shot<'a>], lens: &Lens<'a>, recognition: &mut Recognition, goes_on: &(dyn Fn() -> bool + Sync)) -> Option<Grown> {
     let mut poses: Vec<Option<Pose<Body, Camera>>> = shots.iter().map(|shot| shot.start).collect();
+    let mut rates: Vec<Rates> = shots.iter().map(|shot| shot.rates).collect();
     for growth in 0.. {
         let frames: Vec<usize> = (0..shots.len()).filter(|k| poses[*k].is_some()).collect();
-        let view = |k: &usize| {
-            Some(View { picture: shots[*k].picture, pose: poses[*k]?, rates: shots[*k].rates, is_anchored: shots[*k].is_anchored })
-        };
+        let view =
+            |k: &usize| Some(View { picture: shots[*k].picture, pose: poses[*k]?, rates: rates[*k], is_anchored: shots[*k].is_anchored });
         let views = lens.views(frames.iter().filter_map(view).collect());
         let missing: Vec<usize> = (0..shots.len()).filter(|k| poses[*k].is_none()).collect();
         let is_last = missing.is_empty() || growth == MAX_GROWTHS;
@@ -104,6 +104,7 @@ pub fn grown<'a>(shots: &[Shot<'a>], lens: &Lens<'a>, recognition: &mut Recognit
         if found.is_empty() {
             return Some(without_weak(Grown { frames, cloud }, shots));
         }
+        frames.iter().zip(&cloud.rates).for_each(|(k, found)| rates[*k] = *found);
         // Anchored frames start from what their surfaces gave, which stays their prior.
         for (k, pose) in frames.iter().zip(&cloud.poses).filter(|(k, _)| !shots[**k].is_anchored) {
             poses[*k] = Some(*pose);

@@ -21,9 +21,8 @@ const MAX_SIGMA: [f64; 2] = [5e-4, 2e-3];
 const MAX_HELD_OUT: [f64; 2] = [2e-4, 1e-3];
 /// Minimum share of the keyframes held out that are located, to be good and to be usable.
 const MIN_LOCATED: [f64; 2] = [0.8, 0.5];
-/// Maximum sigma of the scale, as a fraction, to be good: it is not in the covariance of poses. A
-/// poster of half a metre gives a twentieth of that; points clicked to half a pixel and a tape,
-/// five times as much.
+/// Maximum sigma of the scale, as a fraction, to be good. A poster of half a metre gives a
+/// twentieth of that; points clicked to half a pixel and a tape, five times as much.
 const GOOD_SCALE_SIGMA: f64 = 2e-4;
 /// Minimum extent of the walk, as a share of the distance, to be good.
 const GOOD_EXTENT: f64 = 0.5;
@@ -131,14 +130,19 @@ impl Mapped {
             let (ppm, off_mm) = (1e6 * sigma, 1e3 * sigma * distance_m);
             findings.push(graded(sigma, [GOOD_SCALE_SIGMA, f64::INFINITY], format!("the scale is known to {ppm:.0} ppm"), &|| {
                 format!(
-                    "the scale is known to {ppm:.0} ppm only, {off_mm:.1} mm at the cameras, which the covariance of poses does not hold: \
-                     click the points in more frames, measure longer lengths, or add a poster"
+                    "the scale is known to {ppm:.0} ppm only, {off_mm:.1} mm at the cameras: click the points in more frames, measure longer \
+                     lengths, or add a poster"
                 )
             }));
         } else {
             let hint = "nothing is metric: put a poster into the set as [[stage.surface]], or click points ([[map.point]]) and measure a length \
                         between them ([[map.distance]])";
             findings.push((Verdict::Usable, hint.to_owned()));
+        }
+        if let Some(readout) = &self.readout {
+            let ms = 1e3 * readout.seconds;
+            let told = format!("the shutter rolls: its readout of {ms:.1} ms was learnt from the walk; `readout_s` in [camera] states it");
+            findings.push((Verdict::Good, told));
         }
         if !survey.has_settled {
             findings.push((Verdict::Usable, format!("it did not converge in {} rounds", survey.rounds)));

@@ -1,29 +1,24 @@
-//! Makes a map from a walk: start, sparse adjustment, facets, and the survey's adjustment of the
-//! painted stage.
+//! Makes a map from a walk: start, sparse adjustment, facets, the survey's adjustment of the
+//! painted stage, and the frame.
 
-use std::sync::Arc;
-
-use super::super::keyframes::Keyframe;
 use super::super::progress::SurveyError;
-use super::super::stage::{Survey, SurveyOptions, survey};
+use super::super::stage::Survey;
 use super::super::walk::Walk;
-use super::anchoring::{Anchoring, Fit};
+use super::bundle::Cloud;
 use super::error::{MapError, MapStep};
-use super::facets::found_facets;
+use super::frame_and_scale::{Placing, first_scale, placing};
 use super::growth::Lens;
 use super::hold_out::{HoldOut, hold_out};
-use super::locator::Locator;
-use super::measuring::{MAX_CLICK_OFF_PX, PlacedPoint, SeenFrom, joined, placed};
+use super::job::Job;
+use super::mapped_facet::mapped_facet;
 use super::missing::missing;
+use super::picture_fault::{explained, picture_fault};
 use super::posed_walk::{PosedWalk, posed_walk};
+use super::rounds::{Adjusted, adjusted};
 use super::set_points::extent;
-use super::stage_of_facets::{grid, painted_stage, textures, views, with_features, without_features};
-use crate::frame::Frame;
-use crate::geometry::{Body, Camera, Pose};
-use crate::light::CameraCurve;
-use crate::motion::Motion;
-use crate::survey::named_points::{NamedPoint, NamedPoints};
-use crate::track::{BentShape, Facet, FacetTexture, StageMap, SurfaceShape, SurfaceSpec};
+use crate::survey::named_points::NamedPoints;
+use crate::survey::shutter::ShutterTime;
+use crate::track::StageMap;
 use crate::tracker::TrackerSetup;
 
 /// Minimum number of keyframes. Raised, short walks are refused; lowered, facets rest on a few
@@ -35,15 +30,6 @@ const MIN_KEYFRAMES: usize = 8;
 const MIN_EXTENT: f64 = 0.25;
 /// Minimum number of points. Raised, plain sets are refused; lowered, few points decide.
 const MIN_POINTS: usize = 200;
-/// Rounds of painting and adjusting. The second paints with cameras and planes that the first
-/// adjusted; a third changes little.
-const ROUNDS: usize = 2;
-/// Factor on the sigma of the map: keyframes share errors of curve, blur and texture, which the
-/// adjustment takes to be independent. With 2 the squared errors on a set of planks, brick and
-/// crates are a fifth of the covariance. Raised, poses seem less certain than they are; lowered,
-/// more.
-const SHARED_ERRORS: f64 = 2.0;
-
 /// A map, and what it was made from.
 #[derive(Debug)]
 pub struct Mapped {
@@ -57,6 +43,8 @@ pub struct Mapped {
     pub scale_sigma: Option<f64>,
     /// What gave the scale: surfaces, points, distances.
     pub scale_from: Vec<&'static str>,
+    /// The readout that the points told, if nothing configured it and it is not 0.
+    pub readout: Option<ShutterTime>,
     /// Number of frames in which a configured surface was found.
     pub found: usize,
     /// Number of keyframes in which no surface was seen.
@@ -87,99 +75,49 @@ pub fn map(
     mut progress: impl FnMut(MapStep),
     goes_on: &(dyn Fn() -> bool + Sync),
 ) -> Result<Mapped, MapError> {
-    let (frames, found, bend) = (walk.frames, walk.found, walk.bend);
-    let clicked = walk.named.clone();
-    if found == 0 && !setup.stage.surfaces.is_empty() {
-        return Err(SurveyError::NotFound { frames }.into());
-    }
-    let candidates = walk.pictures().count();
-    if candidates < MIN_KEYFRAMES {
-        return Err(SurveyError::TooFewPlaces { found: candidates, least: MIN_KEYFRAMES }.into());
-    }
+    let fault = picture_fault(walk.pictures().map(|(_, frame)| &frame.image));
+    mapped(walk, setup, named, &mut progress, goes_on).map_err(|error| explained(error, fault))
+}
+
+/// Makes a map from a walk, whatever is wrong with its pictures.
+fn mapped(
+    walk: Walk,
+    setup: &TrackerSetup,
+    named: &NamedPoints,
+    progress: &mut dyn FnMut(MapStep),
+    goes_on: &(dyn Fn() -> bool + Sync),
+) -> Result<Mapped, MapError> {
+    let job = Job::of(&walk, setup, named, goes_on);
+    refuse_short(&job, &walk)?;
     progress(MapStep::Points);
-    let curve = CameraCurve::bent(setup.settings.transfer.unwrap_or_default(), &bend);
-    let lens = Lens { camera: setup.camera, shutter: setup.shutter.or_zero(), curve: curve.clone(), mask: setup.mask.as_ref() };
-    let PosedWalk { mut keyframes, mut cloud, is_found } = posed_walk(walk, &lens, !setup.stage.surfaces.is_empty(), goes_on)?;
-    match (cloud.points.len(), keyframes.len()) {
-        (_, n) if n < MIN_KEYFRAMES => return Err(SurveyError::TooFewPlaces { found: n, least: MIN_KEYFRAMES }.into()),
-        (found, _) if found < MIN_POINTS => return Err(MapError::TooFewPoints { found, least: MIN_POINTS }),
-        _ => {}
+    let PosedWalk { mut keyframes, mut cloud, is_found, readout } = posed(&job, walk)?;
+    let setup = &with_readout(setup, readout);
+    let job = Job { setup, ..job };
+    if !job.has_surfaces() {
+        let scale = first_scale(&job, &keyframes, &cloud.poses)?;
+        cloud = cloud.scaled(scale);
+        keyframes.iter_mut().for_each(|keyframe| keyframe.scale(scale));
     }
-    if setup.stage.surfaces.is_empty() {
-        let points = placed_points(named, &clicked, &keyframes, &cloud.poses, setup)?;
-        let scale = joined(None, named, &points, &cloud.poses[0]).ok_or(SurveyError::Undetermined)?.0.anchoring().length(1.0);
-        if !scale_from(setup, named).is_empty() {
-            cloud = cloud.scaled(scale);
-            keyframes.iter_mut().for_each(|keyframe| keyframe.motion.velocity *= scale);
-        }
-    }
-    let (extent_m, distance_m) = extent(&cloud);
-    if extent_m < MIN_EXTENT * distance_m {
-        return Err(MapError::TooLittleParallax { extent_m, distance_m });
-    }
-    for (keyframe, pose) in keyframes.iter_mut().zip(&cloud.poses) {
-        keyframe.motion.pose = *pose;
-    }
-    progress(MapStep::Facets);
-    let mut facets = found_facets(&views(&keyframes, setup, &curve), &cloud, &setup.stage, goes_on).ok_or(SurveyError::Interrupted)?;
-    tracing::debug!(points = cloud.points.len(), facets = facets.len(), extent_m, distance_m, "facets");
-    let own = setup.stage.surfaces.len();
-    let mut last = None;
-    for round in 0..ROUNDS {
-        progress(MapStep::Textures(round));
-        let textures = textures(&views(&keyframes, setup, &curve), &mut facets);
-        if facets.is_empty() {
-            return Err(MapError::NoFacets { points: cloud.points.len() });
-        }
-        let stage = painted_stage(&setup.stage, &facets, &textures)?;
-        // Points only lead to the basin of the alignment, where the second round already is.
-        let keyframes_now = if round == 0 { with_features(&keyframes, &cloud, &stage, own) } else { without_features(&keyframes) };
-        let walk = Walk::of_keyframes(keyframes_now, frames, found.max(1), bend);
-        let setup = TrackerSetup { stage, ..setup.clone() };
-        let made = survey(
-            walk,
-            Vec::<Vec<Frame>>::new,
-            &setup,
-            SurveyOptions { keeps_flat: true, ..SurveyOptions::default() },
-            |step| progress(MapStep::Survey(step)),
-            goes_on,
-        )?;
-        let kept = made.supported_from(own, distance_m);
-        tracing::debug!(round, kept = kept.len(), rms_px = made.rms_px, scale = made.scale, "mapped");
-        take_motions(&mut keyframes, &made);
-        facets.iter_mut().zip(&made.surfaces[own..]).for_each(|(facet, surface)| facet.pose = surface.pose);
-        facets = kept.iter().map(|k| facets[k - own].clone()).collect();
-        last = Some((made, kept, textures));
-    }
-    let Some((survey, kept, textures)) = last.filter(|(_, kept, _)| !kept.is_empty()) else {
-        return Err(MapError::NoFacets { points: cloud.points.len() });
-    };
-    let of_surfaces = anchored(&keyframes, &is_found, &survey, setup, distance_m)?;
-    let poses: Vec<Pose<Body, Camera>> = keyframes.iter().map(|keyframe| keyframe.motion.pose).collect();
-    let points = placed_points(named, &clicked, &keyframes, &poses, setup)?;
-    let (fit, contradiction) = joined(of_surfaces.as_ref(), named, &points, &poses[0]).ok_or(SurveyError::Undetermined)?;
-    if let Some(contradiction) = contradiction {
-        return Err(MapError::Contradicted(contradiction));
-    }
-    let scale_from = scale_from(setup, named);
-    let anchoring = match scale_from.is_empty() {
-        true => fit.anchoring().with_length(distance_m, 1.0),
-        false => fit.anchoring(),
-    };
-    tracing::debug!(?anchoring, "anchored");
+    let (extent_m, distance_m) = checked_extent(&cloud)?;
+    keyframes.iter_mut().zip(&cloud.poses).for_each(|(keyframe, pose)| keyframe.motion.pose = *pose);
+    let Adjusted { survey, kept, textures, facets } = adjusted(&job, &mut keyframes, &cloud, distance_m, progress)
+        .map_err(|error| if setup.shutter.or_zero().is_global() { error } else { error.of_rolling(setup.shutter.or_zero().readout_s) })?;
+    let Placing { anchoring, ways, scale_from } = placing(&job, &keyframes, &is_found, &survey, distance_m)?;
     progress(MapStep::HoldOut);
-    let hold_out = hold_out(&keyframes, &facets, setup, bend, distance_m, goes_on)?;
+    let hold_out = hold_out(&keyframes, &facets, setup, job.bend, distance_m, goes_on)?;
     tracing::debug!(?hold_out, "held out");
-    let missing = missing(&views(&keyframes, setup, &curve), &kept.iter().map(|k| &survey.surfaces[*k]).collect::<Vec<_>>());
-    let facets = kept.iter().map(|k| facet(&survey.surfaces[*k], &textures[k - own], &anchoring)).collect();
-    let map = StageMap { bend, keyframes: poses.iter().map(|pose| anchoring.pose(pose)).collect(), facets };
+    let missing = missing(&job.views(&keyframes), &kept.iter().map(|k| &survey.surfaces[*k]).collect::<Vec<_>>());
+    let own = setup.stage.surfaces.len();
+    let facets = kept.iter().map(|k| mapped_facet(&survey.surfaces[*k], &textures[k - own], &anchoring, &ways)).collect();
+    let poses = keyframes.iter().map(|keyframe| anchoring.pose(&keyframe.motion.pose)).collect();
     Ok(Mapped {
-        map,
+        map: StageMap { bend: job.bend, keyframes: poses, facets },
         survey,
         kept,
         scale_sigma: (!scale_from.is_empty()).then_some(anchoring.scale_sigma),
         scale_from,
-        found,
+        readout,
+        found: job.found,
         unseen: is_found.iter().filter(|is_found| !**is_found).count(),
         hold_out,
         missing,
@@ -190,85 +128,38 @@ pub fn map(
     })
 }
 
-/// Fits the map into the frame of the configured surfaces; `None` without surfaces.
-fn anchored(
-    keyframes: &[Keyframe],
-    is_found: &[bool],
-    survey: &Survey,
-    setup: &TrackerSetup,
-    distance_m: f64,
-) -> Result<Option<Fit>, MapError> {
-    if setup.stage.surfaces.is_empty() {
-        return Ok(None);
+/// Refuses a walk without the configured surfaces, or with too few frames.
+fn refuse_short(job: &Job<'_>, walk: &Walk) -> Result<(), SurveyError> {
+    if job.found == 0 && job.has_surfaces() {
+        return Err(SurveyError::NotFound { frames: job.frames });
     }
-    let alone = aligned_alone(keyframes, is_found, setup, distance_m);
-    let supporting = survey.motions.iter().zip(&alone).filter_map(|(motion, alone)| Some([motion.as_ref()?.pose, (*alone)?]));
-    let fit = Fit::of(&supporting.collect::<Vec<_>>(), &grid(&setup.stage), &setup.camera).ok_or(SurveyError::Undetermined)?;
-    Ok(Some(fit))
+    enough_places(walk.pictures().count())
 }
 
-/// Returns where the named points are in the map. `clicked` are the numbers of their frames.
-fn placed_points(
-    named: &NamedPoints,
-    clicked: &[Option<usize>],
-    keyframes: &[Keyframe],
-    poses: &[Pose<Body, Camera>],
-    setup: &TrackerSetup,
-) -> Result<Vec<PlacedPoint>, MapError> {
-    let mut clicks = vec![Vec::new(); named.points.len()];
-    for ((point, click), number) in named.clicks().zip(clicked) {
-        let view = number.and_then(|number| keyframes.binary_search_by_key(&number, |keyframe| keyframe.number).ok());
-        clicks[point].extend(view.map(|view| (poses[view], click.pixel)));
-    }
-    let place = |(point, clicks): (&NamedPoint, &Vec<SeenFrom>)| {
-        let entry = || point.entry.clone();
-        let unseen = || MapError::PointUnseen { entry: entry(), found: clicks.len() };
-        let found = if clicks.len() < 2 { None } else { placed(clicks, &setup.camera) }.ok_or_else(unseen)?;
-        if found.off_px > MAX_CLICK_OFF_PX {
-            return Err(MapError::PointScattered { entry: entry(), off_px: found.off_px });
-        }
-        Ok(found)
-    };
-    named.points.iter().zip(&clicks).map(place).collect()
+fn enough_places(found: usize) -> Result<(), SurveyError> {
+    if found < MIN_KEYFRAMES { Err(SurveyError::TooFewPlaces { found, least: MIN_KEYFRAMES }) } else { Ok(()) }
 }
 
-/// Returns what gives the scale.
-fn scale_from(setup: &TrackerSetup, named: &NamedPoints) -> Vec<&'static str> {
-    let sources = [
-        (!setup.stage.surfaces.is_empty(), "surfaces"),
-        (named.points.iter().filter(|point| point.position_m.is_some()).count() > 1, "points"),
-        (!named.distances.is_empty(), "distances"),
-    ];
-    sources.into_iter().filter_map(|(is_there, name)| is_there.then_some(name)).collect()
+/// Poses the keyframes.
+fn posed(job: &Job<'_>, walk: Walk) -> Result<PosedWalk, MapError> {
+    let (setup, curve) = (job.setup, job.curve.clone());
+    let lens = Lens { camera: setup.camera, shutter: setup.shutter.or_zero(), curve, mask: setup.mask.as_ref() };
+    let posed = posed_walk(walk, &lens, setup.shutter.readout_s.is_some(), job.has_surfaces(), job.goes_on)?;
+    enough_places(posed.keyframes.len())?;
+    let found = posed.cloud.points.len();
+    if found < MIN_POINTS { Err(MapError::TooFewPoints { found, least: MIN_POINTS }) } else { Ok(posed) }
 }
 
-/// Aligns the configured surfaces alone in every keyframe in which they were found.
-fn aligned_alone(keyframes: &[Keyframe], is_found: &[bool], setup: &TrackerSetup, distance_m: f64) -> Vec<Option<Pose<Body, Camera>>> {
-    let mut locator = Locator::new(setup, &setup.stage, distance_m);
-    keyframes.iter().zip(is_found).map(|(keyframe, is_found)| if *is_found { locator.pose(keyframe) } else { None }).collect()
+/// Returns the largest distance between two cameras and their distance from the set, metres.
+fn checked_extent(cloud: &Cloud) -> Result<(f64, f64), MapError> {
+    let (extent_m, distance_m) = extent(cloud);
+    tracing::debug!(points = cloud.points.len(), extent_m, distance_m, "walk");
+    if extent_m < MIN_EXTENT * distance_m { Err(MapError::TooLittleParallax { extent_m, distance_m }) } else { Ok((extent_m, distance_m)) }
 }
 
-/// Takes over the adjusted motions of the keyframes that support the result.
-fn take_motions(keyframes: &mut [Keyframe], made: &Survey) {
-    let adjusted = keyframes.iter_mut().zip(&made.motions);
-    adjusted.for_each(|(keyframe, motion): (&mut Keyframe, &Option<Motion>)| keyframe.motion = motion.unwrap_or(keyframe.motion));
-}
-
-fn facet(surface: &SurfaceSpec, texture: &FacetTexture, anchoring: &Anchoring) -> Facet {
-    let shape = match &surface.shape {
-        SurfaceShape::Bent(shape) => SurfaceShape::Bent(Arc::new(with_shared_errors(shape))),
-        shape => shape.clone(),
-    };
-    let size_m = surface.size_m.map(|side| anchoring.length(side));
-    Facet { name: surface.name.clone(), size_m, pose: anchoring.pose(&surface.pose), shape, texture: texture.clone() }
-}
-
-/// Returns a shape with the errors that all keyframes share in its modes of uncertainty.
-fn with_shared_errors(shape: &BentShape) -> BentShape {
-    let mut shape = shape.clone();
-    for way in &mut shape.ways {
-        way.height.coefficients_mut().iter_mut().for_each(|c| *c *= SHARED_ERRORS);
-        way.stretch.coefficients_mut().iter_mut().for_each(|c| *c *= SHARED_ERRORS);
-    }
-    shape
+/// Returns the setup with the readout that the walk told.
+fn with_readout(setup: &TrackerSetup, readout: Option<ShutterTime>) -> TrackerSetup {
+    let mut setup = setup.clone();
+    setup.shutter.readout_s = readout.map(|found| found.seconds).or(setup.shutter.readout_s);
+    setup
 }

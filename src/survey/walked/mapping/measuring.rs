@@ -26,7 +26,7 @@ const STEPS: usize = 20;
 const FLOOR_SIGMA_M: f64 = 0.003;
 /// One sigma of what nothing measures: metres, radians, and a factor's logarithm. Raised, rounding
 /// errors grow; lowered, it pulls at what is measured.
-const UNKNOWN: f64 = 100.0;
+pub const UNKNOWN: f64 = 100.0;
 /// Deleted residual, in sigmas, above which a measurement contradicts the rest.
 const CONTRADICTION: f64 = 4.0;
 /// Minimum sine of the angle at a corner of three points that give a frame.

@@ -1,22 +1,37 @@
 //! The keyframes of a map: those in which a configured surface was found, and those that the points
-//! of the set pose.
+//! of the set pose. If nothing configures the shutter, the points also tell whether it rolls.
+
+use nalgebra::Vector3;
 
 use super::super::keyframes::Keyframe;
 use super::super::lively_part::NumberedFrame;
 use super::super::progress::SurveyError;
 use super::super::walk::{Walk, motion_since};
-use super::bundle::Cloud;
+use super::bundle::{self, Cloud};
 use super::error::MapError;
 use super::growth::{Grown, Lens, Shot, grown};
+use super::rolling_readout::{ASSUMED_S, readout};
 use super::seed::{DISTANCE_M, seed};
 use super::tracks::Recognition;
+use super::views::View;
+use crate::camera::Shutter;
+use crate::frame::Timestamp;
 use crate::geometry::robust_kernel::median;
 use crate::geometry::{Body, Camera, Pose};
 use crate::motion::Motion;
+use crate::survey::shutter::ShutterTime;
+use crate::track::KnownRates;
 
 /// Minimum spacing of keyframes that only points pose, as a fraction of the distance or in radians.
 /// Raised, parts without a surface have few keyframes; lowered, mapping takes longer.
 const SPACING: f64 = 0.04;
+/// One sigma of a rolling camera's rates as the points tell them: metres per second as a share of
+/// the distance, and radians per second; and of its accelerations, which they do not tell. Raised,
+/// a few facets decide on the motion instead; lowered, errors of the points stay.
+const RATE_SIGMA: f64 = 0.02;
+const ACCELERATION_SIGMA: f64 = 1.0;
+/// Rounds of the adjustment that tells an unknown readout.
+const READOUT_ROUNDS: usize = 2;
 
 /// The posed keyframes of a walk.
 pub struct PosedWalk {
@@ -26,6 +41,8 @@ pub struct PosedWalk {
     pub cloud: Cloud,
     /// Whether a configured surface was found in each.
     pub is_found: Vec<bool>,
+    /// The readout that the points told, if nothing configured it and it is not 0.
+    pub readout: Option<ShutterTime>,
 }
 
 /// A frame that may become a keyframe.
@@ -44,11 +61,17 @@ impl Candidate {
     }
 }
 
-/// Poses the keyframes of a walk.
+/// Poses the keyframes of a walk. `is_shutter_known`: whether the readout is configured.
 ///
 /// # Errors
 /// The walk does not determine them, or the work was stopped.
-pub fn posed_walk(walk: Walk, lens: &Lens<'_>, has_surfaces: bool, goes_on: &(dyn Fn() -> bool + Sync)) -> Result<PosedWalk, MapError> {
+pub fn posed_walk(
+    walk: Walk,
+    lens: &Lens<'_>,
+    is_shutter_known: bool,
+    has_surfaces: bool,
+    goes_on: &(dyn Fn() -> bool + Sync),
+) -> Result<PosedWalk, MapError> {
     let failed = |error: MapError| if goes_on() { error } else { SurveyError::Interrupted.into() };
     let candidates = candidates(walk);
     let mut shots: Vec<Shot<'_>> = candidates.iter().map(Candidate::shot).collect();
@@ -60,7 +83,17 @@ pub fn posed_walk(walk: Walk, lens: &Lens<'_>, has_surfaces: bool, goes_on: &(dy
             (shots[k].start, shots[k].is_anchored) = (Some(pose), order < 2);
         }
     }
-    let all = grown(&shots, lens, &mut recognition, goes_on).ok_or_else(|| failed(SurveyError::Undetermined.into()))?;
+    let undetermined = || failed(SurveyError::Undetermined.into());
+    let mut all = grown(&shots, lens, &mut recognition, goes_on).ok_or_else(undetermined)?;
+    let mut readout = None;
+    if !is_shutter_known {
+        let stamps: Vec<Timestamp> = all.frames.iter().map(|k| candidates[*k].keyframe.frame.timestamp).collect();
+        readout = learnt_readout(&all, &shots, &stamps, lens, &mut recognition, goes_on);
+    }
+    let shutter = Shutter { readout_s: readout.map_or(lens.shutter.readout_s, |found| found.seconds), ..lens.shutter };
+    if readout.is_some() {
+        all = grown(&shots, &Lens { shutter, ..lens.clone() }, &mut recognition, goes_on).ok_or_else(undetermined)?;
+    }
     drop(shots);
     let grown = spaced(all, &candidates);
     let mut keyframes = Vec::with_capacity(grown.frames.len());
@@ -70,8 +103,31 @@ pub fn posed_walk(walk: Walk, lens: &Lens<'_>, has_surfaces: bool, goes_on: &(dy
         is_found.push(candidate.is_found);
         keyframes.push(candidate.keyframe);
     }
-    take_motions(&mut keyframes, &is_found, &grown.cloud);
-    Ok(PosedWalk { keyframes, cloud: grown.cloud, is_found })
+    match shutter.is_global() {
+        true => take_motions(&mut keyframes, &is_found, &grown.cloud),
+        false => take_rates(&mut keyframes, &grown.cloud),
+    }
+    Ok(PosedWalk { keyframes, cloud: grown.cloud, is_found, readout })
+}
+
+/// Returns the readout that the points tell, if it is not 0.
+fn learnt_readout(
+    all: &Grown,
+    shots: &[Shot<'_>],
+    stamps: &[Timestamp],
+    lens: &Lens<'_>,
+    recognition: &mut Recognition,
+    goes_on: &(dyn Fn() -> bool + Sync),
+) -> Option<ShutterTime> {
+    let rolling = Lens { shutter: Shutter { readout_s: ASSUMED_S, ..lens.shutter }, ..lens.clone() };
+    let posed = all.frames.iter().zip(all.cloud.poses.iter().zip(&all.cloud.rates));
+    let view = |(k, (pose, rates)): (&usize, (&Pose<Body, Camera>, &_))| {
+        let Shot { picture, is_anchored, .. } = shots[*k];
+        View { picture, pose: *pose, rates: *rates, is_anchored }
+    };
+    let views = rolling.views(posed.map(view).collect());
+    let tracks = recognition.tracks(&views, &all.frames, goes_on)?;
+    readout(&views, &bundle::adjusted(&views, tracks, READOUT_ROUNDS, goes_on)?, stamps)
 }
 
 /// Returns all frames that may become keyframes, in the walk's order.
@@ -93,15 +149,17 @@ fn candidates(walk: Walk) -> Vec<Candidate> {
     all
 }
 
+/// Returns the median distance of the points from the cameras, metres.
+fn usual_distance_m(cloud: &Cloud) -> f64 {
+    let depth = |point: &bundle::CloudPoint| Some((cloud.poses[point.sightings.first()?.view].translation - point.place).norm());
+    let mut depths: Vec<f64> = cloud.points.iter().filter_map(depth).collect();
+    median(&mut depths).unwrap_or(DISTANCE_M)
+}
+
 /// Leaves out frames that only points pose and that are too near the one before.
 fn spaced(grown: Grown, candidates: &[Candidate]) -> Grown {
     let Grown { frames, cloud } = grown;
-    let mut depths: Vec<f64> = cloud
-        .points
-        .iter()
-        .filter_map(|point| Some((cloud.poses[point.sightings.first()?.view].translation - point.place).norm()))
-        .collect();
-    let distance_m = median(&mut depths).unwrap_or(DISTANCE_M);
+    let distance_m = usual_distance_m(&cloud);
     let mut last: Option<Pose<Body, Camera>> = None;
     let is_kept = |view: &usize| {
         let (pose, candidate) = (&cloud.poses[*view], &candidates[frames[*view]]);
@@ -128,5 +186,16 @@ fn take_motions(keyframes: &mut [Keyframe], is_found: &[bool], cloud: &Cloud) {
         let (before, (until, stamp)) = (k.checked_sub(1).and_then(at).unwrap_or(own), at(k + 1).unwrap_or(own));
         let motion = motion_since(Some(before), until, stamp);
         keyframes[k].motion = Motion { pose: own.0, ..motion };
+    }
+}
+
+/// Gives the frames of a rolling shutter the motion that the points tell.
+fn take_rates(keyframes: &mut [Keyframe], cloud: &Cloud) {
+    let distance_m = usual_distance_m(cloud);
+    for (keyframe, (pose, [velocity, angular_velocity])) in keyframes.iter_mut().zip(cloud.poses.iter().zip(&cloud.rates)) {
+        let means = [*velocity, *angular_velocity, Vector3::zeros(), Vector3::zeros()];
+        let sigmas = [RATE_SIGMA * distance_m, RATE_SIGMA, ACCELERATION_SIGMA * distance_m, ACCELERATION_SIGMA];
+        let rates = KnownRates { means, sigmas };
+        (keyframe.motion, keyframe.rates) = (rates.on(pose), Some(rates));
     }
 }

@@ -126,7 +126,8 @@ impl Pair {
             place: place * baseline_m,
             sightings: vec![sighting(0, features[0]), sighting(1, features[1])],
         };
-        Some((poses, Cloud { poses: poses.to_vec(), points: self.points.iter().map(point).collect(), scale: 1.0 }))
+        let rates = vec![[Vector3::zeros(); 2]; poses.len()];
+        Some((poses, Cloud { poses: poses.to_vec(), rates, points: self.points.iter().map(point).collect(), scale: 1.0 }))
     }
 }
 

@@ -8,6 +8,10 @@ use crate::camera::{CameraModel, Normalized, Pixel, Shutter};
 use crate::geometry::{Body, Camera, Pose, catmull_rom};
 use crate::light::CameraCurve;
 
+/// A camera's velocity, metres per second, and its angular velocity, radians per second, in the
+/// axes of [`Pose::moved`].
+pub type Rates = [Vector3<f64>; 2];
+
 /// Border of a picture that is not looked at, pixels: interpolation reaches two pixels out.
 const BORDER_PX: f64 = 2.0;
 
@@ -18,9 +22,8 @@ pub struct View<'a> {
     pub picture: &'a GrayImage,
     /// `T_body_camera`.
     pub pose: Pose<Body, Camera>,
-    /// The camera's velocity, metres per second, and its angular velocity, radians per second, in
-    /// the axes of [`Pose::moved`].
-    pub rates: [Vector3<f64>; 2],
+    /// How the camera moved, as far as known.
+    pub rates: Rates,
     /// Whether the pose was measured on what gives frame and scale, so that it is a prior.
     pub is_anchored: bool,
 }
@@ -78,12 +81,22 @@ impl Views<'_> {
 
     /// Returns where keyframe `view`, whose middle row has a pose, was when it read a pixel.
     pub fn pose_at(&self, view: usize, pose: &Pose<Body, Camera>, pixel: Vector2<f64>) -> Pose<Body, Camera> {
+        self.carried(pose, &self.views[view].rates, pixel)
+    }
+
+    /// Returns where a camera with these rates, whose middle row has a pose, was when it read a
+    /// pixel.
+    pub fn carried(&self, pose: &Pose<Body, Camera>, [velocity, angular_velocity]: &Rates, pixel: Vector2<f64>) -> Pose<Body, Camera> {
         if self.shutter.readout_s == 0.0 {
             return *pose;
         }
-        let delay_s = self.shutter.delay_s(pixel.y + 0.5, self.camera.height());
-        let [velocity, angular_velocity] = self.views[view].rates;
+        let delay_s = self.delay_s(pixel);
         pose.moved(&(velocity * delay_s), &(angular_velocity * delay_s))
+    }
+
+    /// Returns when a pixel is read, seconds after the middle row.
+    pub fn delay_s(&self, pixel: Vector2<f64>) -> f64 {
+        self.shutter.delay_s(pixel.y + 0.5, self.camera.height())
     }
 
     fn shows(&self, pixel: Vector2<f64>) -> bool {
