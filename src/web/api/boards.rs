@@ -22,10 +22,10 @@ use super::failed;
 use crate::calibrate::board::Board;
 use crate::calibrate::pick::{Look, ViewPicker};
 use crate::capture::decode_grey;
+use crate::daemon::stand_back;
 use crate::daemon::{Progress, Supervisor};
 use crate::safe_file;
 use crate::web::call::Call;
-use crate::web::priority::stand_back;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 

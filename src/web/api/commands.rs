@@ -19,10 +19,10 @@ use super::line_index::LineIndex;
 use super::recordings::Folder;
 use super::{answer, failed};
 use crate::config::named_below;
+use crate::daemon::stand_back;
 use crate::daemon::{Progress, Supervisor, run_own};
 use crate::safe_file;
 use crate::web::call::Call;
-use crate::web::priority::stand_back;
 use crate::web::reply::Reply;
 use crate::web::routes::{Access, Route};
 
