@@ -35,7 +35,7 @@ pub mod track {
 pub mod simulate {
     #[cfg(feature = "capture")]
     pub use crate::simulate::through_jpeg;
-    pub use crate::simulate::{PoseError, artwork_surface, grey, look_at, paint, percentile, upright};
+    pub use crate::simulate::{PoseError, artwork_surface, grey, look_at, paint, paint_boards, percentile, upright};
 }
 
 /// Readers of single formats, and virtual cameras for tests.

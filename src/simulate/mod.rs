@@ -29,7 +29,7 @@ mod stage;
 mod texture;
 mod upright;
 
-pub use backdrop::{grey, paint};
+pub use backdrop::{grey, paint, paint_boards};
 pub use dolly::{Dolly, DollyError, dolly};
 #[cfg(feature = "capture")]
 pub use jpeg::through_jpeg;

@@ -12,6 +12,7 @@ use crate::track::acquire::candidate::{SurfaceMatch, SurfaceView};
 use crate::track::align::{AlignRequest, Alignment, ShutterClue, Start};
 use crate::track::body::tracked_body::TrackedBody;
 use crate::track::model_error::misfit::ModelReport;
+use crate::track::patches::verify::Verified;
 
 /// A study of the stage with a tracker's pictures.
 pub struct StageStudy<'a> {
@@ -62,6 +63,21 @@ impl StageStudy<'_> {
             }
             expected
         })
+    }
+
+    /// Aligns the stage from a start as the search does from features, with all checks on what it
+    /// finds (mirror solution, period, certainty); one sigma in metres and radians. `None` if the
+    /// pose is refused. What is learnt slowly (light, noise, exposure) learns from a pose that is
+    /// not refused.
+    pub fn found_at(&mut self, frame: &Frame, start: &Pose<Body, Camera>, shift_m: f64, turn_rad: f64) -> Option<Verified> {
+        if !self.tracker.fits(&frame.image) {
+            return None;
+        }
+        let BodyTracker { levels, bodies, camera_rays, .. } = &mut *self.tracker;
+        levels.update(&frame.image);
+        let stage = bodies.first_mut()?;
+        let expected = stage.unseen(*start, [shift_m, turn_rad], None);
+        stage.align_found(frame, levels, camera_rays, &Start::found(&expected))
     }
 
     /// Aligns the stage with a frame from what is expected of its motion.
