@@ -30,6 +30,12 @@ pub mod track {
     }
 }
 
+/// The tuning constants of `track`, scaled one at a time.
+#[cfg(feature = "tuning")]
+pub mod tuning {
+    pub use crate::track::tuning::study::{Constant, constants, restore, scale};
+}
+
 /// The virtual stage: pictures on the cloth and camera paths through the hall.
 #[cfg(feature = "simulate")]
 pub mod simulate {

@@ -6,7 +6,7 @@ use stagepose::diagnostics::simulate::through_jpeg;
 use stagepose::diagnostics::track::rounds;
 use stagepose::{Frame, LightModel, PoseSample, Renderer, SensorNoise, State, Timestamp, Tracker, TrackerSetup, VirtualStage};
 
-use crate::score::{Figures, Found, figures};
+use crate::score::{Figures, Found, Row, figures};
 
 /// A stage, and the clip that is rendered from it.
 pub struct Film {
@@ -18,12 +18,12 @@ pub struct Film {
 }
 
 /// What a tracker made of a film.
-pub struct Tracked {
+struct Tracked {
     samples: Vec<PoseSample>,
     /// Rounds of alignment, by frame and body: the stage first, then the objects.
     rounds: Vec<Vec<u64>>,
     /// Mean time per frame, milliseconds.
-    pub ms: f64,
+    ms: f64,
 }
 
 impl Film {
@@ -53,8 +53,19 @@ impl Film {
         (0..self.frames).map(frame).collect()
     }
 
+    /// Tracks the frames and scores them: a row for the camera, and one for each object.
+    pub fn rows(&self, name: &str, frames: &[Frame]) -> Result<Vec<Row>, String> {
+        let tracked = self.track(frames)?;
+        let mut rows = vec![Row { name: name.to_owned(), figures: self.score_camera(&tracked), ms: Some(tracked.ms) }];
+        for (k, object) in self.stage.objects.iter().enumerate() {
+            let name = format!("{name}/{}", object.body.name);
+            rows.push(Row { name, figures: self.score_object(k, &tracked), ms: None });
+        }
+        Ok(rows)
+    }
+
     /// Tracks the frames with the true stage configured.
-    pub fn track(&self, frames: &[Frame]) -> Result<Tracked, String> {
+    fn track(&self, frames: &[Frame]) -> Result<Tracked, String> {
         let mut tracker = Tracker::new(TrackerSetup::from(&self.stage)).map_err(|e| e.to_string())?;
         let mut counts = vec![rounds(&tracker)];
         let start = Instant::now();
@@ -69,7 +80,7 @@ impl Film {
         Ok(Tracked { samples, rounds: counts.windows(2).map(of_frame).collect(), ms })
     }
 
-    pub fn score_camera(&self, tracked: &Tracked) -> Figures {
+    fn score_camera(&self, tracked: &Tracked) -> Figures {
         let found = tracked.samples.iter().zip(&tracked.rounds).filter_map(|(sample, rounds)| {
             let measured = sample.measurement.as_ref().filter(|_| sample.state == State::Tracking)?;
             let truth = self.stage.truth(sample.timestamp.seconds());
@@ -79,7 +90,7 @@ impl Film {
     }
 
     /// Scores an object; position errors are relative to its distance from the camera.
-    pub fn score_object(&self, object: usize, tracked: &Tracked) -> Figures {
+    fn score_object(&self, object: usize, tracked: &Tracked) -> Figures {
         let found = tracked.samples.iter().zip(&tracked.rounds).filter_map(|(sample, rounds)| {
             let ours = sample.objects.get(object).filter(|ours| ours.state == State::Tracking)?;
             let time_s = sample.timestamp.seconds();

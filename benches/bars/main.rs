@@ -14,11 +14,12 @@ mod readme;
 mod renderers;
 mod scenes;
 mod score;
+#[cfg(feature = "tuning")]
+mod tuning;
 
 use std::process::ExitCode;
 
 use baseline::Baseline;
-use film::Film;
 use scenes::Scene;
 use score::Row;
 
@@ -78,6 +79,13 @@ fn main() -> ExitCode {
 }
 
 fn run() -> Result<ExitCode, String> {
+    let mut words = std::env::args().skip(1).filter(|word| word != "--bench");
+    if words.next().as_deref() == Some("tuning") {
+        #[cfg(feature = "tuning")]
+        return tuning::run(words).map(|()| ExitCode::SUCCESS);
+        #[cfg(not(feature = "tuning"))]
+        return Err("bars: `tuning` needs the feature: cargo bench --bench bars --features tuning -- tuning".to_owned());
+    }
     let choice = Choice::read()?;
     if let Some(python) = &choice.renderers {
         return Ok(if renderers::agree(python)? { ExitCode::SUCCESS } else { ExitCode::FAILURE });
@@ -88,7 +96,7 @@ fn run() -> Result<ExitCode, String> {
     }
     for Scene { name, film, .. } in scenes::SCENES.iter().filter(|scene| choice.wants(scene.name)) {
         let film = if choice.is_grey { film().in_grey_averages() } else { film() };
-        for row in film_rows(name, &film)? {
+        for row in film.rows(name, &film.render()?)? {
             if !choice.is_readme {
                 println!("{row}");
             }
@@ -112,16 +120,4 @@ fn run() -> Result<ExitCode, String> {
     let verdict = Baseline::read()?.judge(&rows)?;
     print!("{verdict}");
     Ok(if verdict.is_kept() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
-}
-
-/// A row for the camera, and one for each object.
-fn film_rows(name: &str, film: &Film) -> Result<Vec<Row>, String> {
-    let frames = film.render()?;
-    let tracked = film.track(&frames)?;
-    let mut rows = vec![Row { name: name.to_owned(), figures: film.score_camera(&tracked), ms: Some(tracked.ms) }];
-    for (k, object) in film.stage.objects.iter().enumerate() {
-        let name = format!("{name}/{}", object.body.name);
-        rows.push(Row { name, figures: film.score_object(k, &tracked), ms: None });
-    }
-    Ok(rows)
 }

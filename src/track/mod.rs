@@ -28,7 +28,7 @@
 //! `settings` holds what is configured, `tuning` what is tuned.
 
 #[macro_use]
-mod tuning;
+pub mod tuning;
 
 mod acquire;
 mod align;

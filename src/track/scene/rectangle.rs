@@ -9,6 +9,9 @@ use super::surface::SurfaceSpec;
 use crate::camera::{CameraModel, Normalized};
 use crate::geometry::{Body, Camera, Pose};
 
+/// Maximum points at which a rectangle's size in the frame is measured, so that they need no heap.
+const MAX_GRID_POINTS: usize = 100;
+
 /// A rectangle in the frame of its body.
 #[derive(Debug, Clone)]
 pub struct Rectangle {
@@ -96,9 +99,10 @@ impl Rectangle {
     /// median over the visible points. `None` if none is visible.
     pub fn texels_log2(&self, frame: [f64; 2], see: impl Fn([f64; 2]) -> Option<SeenPoint>) -> Option<f64> {
         let [across, down] = self.texels_per_m();
-        let mut logs = [0.0; (TUNING.size_grid_points * TUNING.size_grid_points) as usize];
+        let mut logs = [0.0; MAX_GRID_POINTS];
         let mut n = 0;
-        for (i, k) in (0..TUNING.size_grid_points).flat_map(|i| (0..TUNING.size_grid_points).map(move |k| (i, k))) {
+        let grid = (0..TUNING.size_grid_points).flat_map(|i| (0..TUNING.size_grid_points).map(move |k| (i, k)));
+        for (i, k) in grid.take(MAX_GRID_POINTS) {
             let place = |k: u32, size_m: f64| ((f64::from(k) + 0.5) / f64::from(TUNING.size_grid_points) - 0.5) * size_m;
             let Some(SeenPoint { pixel, by_metres }) = see([place(i, self.size_m[0]), place(k, self.size_m[1])]) else { continue };
             if pixel.x > 0.0 && pixel.y > 0.0 && pixel.x < frame[0] && pixel.y < frame[1] {
