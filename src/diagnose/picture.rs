@@ -176,10 +176,11 @@ pub fn of_pictures(setup: &TrackerSetup, frames: &[Frame], seen: usize) -> Vec<F
 const MIN_IN_VIEW: f64 = 0.5;
 
 /// Reports surfaces that should be in view, according to the poses from other surfaces, but are
-/// neither recognised nor fit those poses.
+/// neither recognised nor fit those poses. Facets of a map have no picture to be mistaken.
 pub fn never_recognised(setup: &TrackerSetup, frames: &[Frame], views: &[Vec<SurfaceView>], travel: &Travel) -> Vec<Finding> {
     let is_seen = |k: usize| views.iter().flatten().any(|v| v.surface as usize == k);
-    let unseen = setup.stage.surfaces.iter().enumerate().filter(|(k, spec)| !is_seen(*k) && spec.check_texture().is_ok());
+    let unseen =
+        setup.stage.surfaces.iter().enumerate().filter(|(k, spec)| !is_seen(*k) && !spec.is_facet() && spec.check_texture().is_ok());
     unseen
         .filter(|(_, spec)| travel.share_in_view(&setup.camera, spec) > MIN_IN_VIEW)
         // A small or stretched picture may be tracked without any feature being recognised.

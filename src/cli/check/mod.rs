@@ -328,8 +328,10 @@ fn surface_line(surface: &SurfaceSpec) -> String {
         ReferenceKind::Facet { .. } => "of a map,",
     };
     let (width, height) = surface.artwork.dimensions();
-    let [width_m, height_m] = surface.size_m;
-    let p = surface.pose.translation;
+    // Measured places have more digits than mean anything.
+    let rounded = |metres: f64| (metres * 1e4).round() / 1e4;
+    let [width_m, height_m] = surface.size_m.map(rounded);
+    let p = surface.pose.translation.map(rounded);
     let (name, texels) = (&surface.name, texels_per_metre(surface) / 1e3);
     let turned = match surface_angles(&surface.pose) {
         [0.0, 0.0, 0.0] => String::new(),
