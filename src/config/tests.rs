@@ -145,7 +145,7 @@ fn unknown_keys_are_reported_with_place_and_nearest_name() {
         (format!("{GOOD}[trackr]"), "stage.toml: unknown section [trackr], line 6; did you mean `tracker`?"),
         (
             format!("a = 1\n{GOOD}"),
-            "stage.toml: unknown key `a` in the config, line 1; the config knows camera, stage, object, survey, map, mount, tracker, recorder, timecode, filter, safety, output, http, log",
+            "stage.toml: unknown key `a` in the config, line 1; the config knows camera, stage, object, survey, map, mount, tracker, recorder, timecode, other_tracker, filter, safety, output, http, log",
         ),
         (format!("{GOOD}[recorder]\nring = 1"), "stage.toml: unknown key `ring` in [recorder], line 7; did you mean `ring_s`?"),
         (

@@ -85,18 +85,11 @@ pub enum MapError {
         points: usize,
     },
     /// The pictures show too little light.
-    #[error(
-        "the walk is too dark, nineteen of twenty pixels are below {level:.0} of 255: light the set, open the iris or expose longer ({error})"
-    )]
-    TooDark {
-        /// Grey level that nearly all pixels are below.
-        level: f64,
-        /// What failed.
-        error: Box<Self>,
-    },
-    /// Motion or focus smears the pictures.
+    #[error("the walk is too dark: light the set, open the iris or expose longer ({0})")]
+    TooDark(Box<Self>),
+    /// Motion or focus blurs the pictures.
     #[error("the walk is blurred: walk more slowly, expose more briefly, and check the focus ({0})")]
-    Smeared(Box<Self>),
+    TooBlurred(Box<Self>),
     /// A rolling shutter, whose shear the walk does not tell well enough.
     #[error(
         "the shutter rolls ({:.0} ms from the first row to the last), and the walk does not tell well enough how the camera moved while \
