@@ -85,8 +85,8 @@ async function keep() {
 export function watchDraft() {
   tag = null;
   const stop = effect(() => {
-    // Also once the lock is off, or the daemon back.
-    void [draft.value.edited, barred.value, other.value];
+    // Also once the lock is off, the daemon back, or known to have a config.
+    void [draft.value.edited, barred.value, other.value, session.value?.has_config];
     clearTimeout(timer);
     timer = setTimeout(keep, tag === null ? 0 : AFTER);
   });
