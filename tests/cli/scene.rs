@@ -103,10 +103,14 @@ impl From<Output> for Run {
 
 impl Run {
     /// Asserts that the run failed with this code and one sentence that contains all of these
-    /// parts.
+    /// parts. Long work reports its progress as well: "stagepose: 40 %, …".
     pub fn assert_refused(&self, code: i32, parts: &[&str]) {
         assert_eq!(self.code, code, "{}", self.stderr);
-        let sentences: Vec<&str> = self.stderr.lines().filter(|line| line.starts_with("stagepose: ")).collect();
+        let is_progress = |line: &str| {
+            let share = line.strip_prefix("stagepose: ").and_then(|rest| rest.split_once(" %, "));
+            share.is_some_and(|(percent, _)| percent.parse::<u32>().is_ok())
+        };
+        let sentences: Vec<&str> = self.stderr.lines().filter(|line| line.starts_with("stagepose: ") && !is_progress(line)).collect();
         assert_eq!(sentences.len(), 1, "{}", self.stderr);
         for part in parts {
             assert!(sentences[0].contains(part), "`{part}` is not in: {}", sentences[0]);
